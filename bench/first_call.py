@@ -15,9 +15,9 @@ import msgspec
 from bench.program import command_line
 
 from upwash.config import DroneConfig
-from upwash.lab.comparison import NamedScenario, read_scenarios, thesis_scenarios
+from upwash.lab.campaigns.comparison import NamedScenario, read_scenarios, thesis_scenarios
 from upwash.lab.run import simulate
-from upwash.lab.simulation import with_policy
+from upwash.lab.scenario import with_policy
 from upwash.support.confidence import mean_of
 
 POLICIES = ("look-ahead", "location-aware")

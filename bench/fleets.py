@@ -19,7 +19,7 @@ from bench.program import command_line, machine
 
 from upwash.config import DroneConfig, FleetDroneConfig, ServerConfig, TruthConfig, read_drone_config
 from upwash.lab.run import simulate_drones
-from upwash.lab.simulation import with_policy
+from upwash.lab.scenario import with_policy
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"
 PLACES_M = tuple(product((20.0, 70.0, 120.0, 170.0), (60.0, 140.0)))  # of the servers, which cover the field

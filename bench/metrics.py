@@ -16,7 +16,7 @@ from prometheus_client import generate_latest
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
-from upwash.lab.simulation import read_scenario
+from upwash.lab.scenario import read_scenario
 from upwash.metrics.drone import DroneMetrics
 
 ROUNDS, QUICK_ROUNDS = 20, 1

@@ -8,8 +8,7 @@ import msgspec
 
 from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS
 from upwash.lab.reproduction.output import Results, cell_names
-from upwash.lab.reproduction.printed import contradictions
-from upwash.lab.reproduction.quantities import LOCAL_ONLY, OFFLOADING, Comparison
+from upwash.lab.reproduction.quantities import LOCAL_ONLY, OFFLOADING, Comparison, contradictions
 from upwash.lab.reproduction.sensitivity import Moved
 
 FIRST = 3  # seeds whose figures are kept one by one, for a test to fly them again

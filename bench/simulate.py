@@ -30,10 +30,10 @@ from upwash.config import (
     server_areas,
     waypoints,
 )
-from upwash.lab.campaign import in_processes, run_campaign
-from upwash.lab.campaign_file import CampaignFile
+from upwash.lab.campaigns.campaign import in_processes, run_campaign
+from upwash.lab.campaigns.file import CampaignFile
+from upwash.lab.campaigns.sweep import read_sweep
 from upwash.lab.run import simulate
-from upwash.lab.sweep import read_sweep
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"
 CAMPAIGN_WORKERS = 2

@@ -20,7 +20,7 @@ from bench.results import FOLDER, leave
 
 from upwash.lab.processes import in_processes
 from upwash.lab.run import simulate
-from upwash.lab.simulation import read_scenario
+from upwash.lab.scenario import read_scenario
 from upwash.support.confidence import Mean, mean_of
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"

@@ -25,13 +25,19 @@ from rich.table import Table
 
 from upwash.cli.flying import read_log
 from upwash.config import DroneConfig, GridConfig, ServerConfig
-from upwash.emulation.files import write_drone_file
-from upwash.emulation.outcome import Outcome, read_outcome
-from upwash.emulation.request import ComputerKind, EmulationRequest, RadioKind, emulated
+from upwash.emulation.programs import write_drone_file
+from upwash.emulation.request import (
+    ComputerKind,
+    EmulationOutcome,
+    EmulationRequest,
+    RadioKind,
+    emulated,
+    read_outcome,
+)
 from upwash.emulation.run import run_emulation
 from upwash.eventlog.results import RunResult
-from upwash.lab.reproduction.cells import SETUPS, Cell, scenario, timed_cells
-from upwash.lab.reproduction.printed import printed_figures
+from upwash.lab.reproduction.cells import SETUPS, ThesisCell, scenario, timed_cells
+from upwash.lab.reproduction.quantities import printed_figures
 from upwash.lab.run import simulate
 from upwash.services.solar_park import Park, View, photograph
 
@@ -66,13 +72,13 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     valid: bool  # not so late that its times mean nothing
 
 
-def cells() -> Iterator[Cell]:
+def cells() -> Iterator[ThesisCell]:
     """Table 4.1's cells: with offloading, and without where s2's load makes no difference."""
     for setup in SETUPS:
         yield from timed_cells(setup)
 
 
-def name_of(cell: Cell) -> str:
+def name_of(cell: ThesisCell) -> str:
     """A cell's name, such as equal-servers-light/hitl, or local-only-light/hitl."""
     experiment = cell.experiment
     return (
@@ -80,13 +86,13 @@ def name_of(cell: Cell) -> str:
     )
 
 
-def kept_as(cell: Cell, field: Field) -> Path:
+def kept_as(cell: ThesisCell, field: Field) -> Path:
     """Where the cell's figures are kept."""
     return KEPT / f"{name_of(cell).replace('/', '-')}-{field.radio}-{field.computers}.json"
 
 
 def config_of(
-    cell: Cell, radio: RadioKind, photos: Path | None = None, *, quick: bool = False
+    cell: ThesisCell, radio: RadioKind, photos: Path | None = None, *, quick: bool = False
 ) -> DroneConfig:
     """The cell's scenario as it is emulated, with photos from the folder; by ns-3, over the WiFi of its set-up."""
     config = emulated(scenario(cell, seed=1))
@@ -130,7 +136,7 @@ def render_photos(folder: Path, count: int) -> None:
             file.write_bytes(photograph(park, View(20.0 * number, 0.0, 20.0), shot=number).jpeg)
 
 
-def fly(cell: Cell, field: Field, folder: Path, photos: Path, *, quick: bool) -> Figures | None:
+def fly(cell: ThesisCell, field: Field, folder: Path, photos: Path, *, quick: bool) -> Figures | None:
     """Emulates the cell; None where it was not completed."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -144,7 +150,9 @@ def fly(cell: Cell, field: Field, folder: Path, photos: Path, *, quick: bool) ->
     return figures_of(cell, field, read_log(folder / "drone.jsonl"), outcome, quick=quick)
 
 
-def figures_of(cell: Cell, field: Field, flown: RunResult, outcome: Outcome, *, quick: bool) -> Figures:
+def figures_of(
+    cell: ThesisCell, field: Field, flown: RunResult, outcome: EmulationOutcome, *, quick: bool
+) -> Figures:
     """The flight beside its simulation."""
     simulated = simulate(config_of(cell, field.radio, quick=quick)).result
     quantity = "local_only" if cell.policy == "local-only" else "offloading"
@@ -250,7 +258,7 @@ def main() -> None:
     report([figures for _, figures in kept()])
 
 
-def cell_of(name: str) -> Cell:
+def cell_of(name: str) -> ThesisCell:
     """The cell of that name."""
     return next(cell for cell in cells() if name_of(cell) == name)
 

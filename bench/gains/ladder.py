@@ -15,7 +15,7 @@ from bench.hedging import world as faulty_world
 from upwash.config import DroneConfig
 from upwash.errors import UpwashError
 from upwash.lab.bounds import bound_of
-from upwash.lab.comparison import Entrant, NamedScenario, read_scenarios, thesis_scenarios
+from upwash.lab.campaigns.comparison import Entrant, NamedScenario, read_scenarios, thesis_scenarios
 from upwash.lab.run import simulate
 
 LADDER = (

@@ -15,12 +15,11 @@ from collections.abc import AsyncIterator, Iterator
 
 import msgspec
 
-from upwash.emulation.namespaces import End, enter, enter_handle, give_address, inside
-from upwash.emulation.threads import on_a_loop
-from upwash.emulation.tools import command
+from upwash.emulation.namespaces import LinkEnd, command, enter, enter_handle, give_address, inside
+from upwash.emulation.vehicles import on_a_loop
 
-DRONE = End("drone", "wan", "10.77.0.1")
-SERVER = End("server", "wan", "10.77.0.2")
+DRONE = LinkEnd("drone", "wan", "10.77.0.1")
+SERVER = LinkEnd("server", "wan", "10.77.0.2")
 _TUNSETIFF = 0x400454CA
 _TUN_WITHOUT_HEADER = 0x1001
 _QUEUE_S = 1.0  # what a modem holds; more is dropped

@@ -25,7 +25,7 @@ from bench.peers.table import tables
 from bench.results import FOLDER, Result, leave
 
 from upwash.emulation.enclosure import require_root_and_tools
-from upwash.emulation.tools import require_tools
+from upwash.emulation.namespaces import require_tools
 
 ROOT = Path(__file__).parents[2]
 OWN = ROOT / ".venv-peers" / "bin" / "python"  # made by `make bench-peers`

@@ -6,11 +6,10 @@ import contextlib
 import subprocess
 from collections.abc import Iterator
 
-from upwash.emulation.namespaces import End, inside, join_by_cable, make_namespace
-from upwash.emulation.tools import command
+from upwash.emulation.namespaces import LinkEnd, command, inside, join_by_cable, make_namespace
 
-DRONE = End("drone", "radio", "10.54.0.1")
-SERVER = End("server", "radio", "10.54.0.2")
+DRONE = LinkEnd("drone", "radio", "10.54.0.1")
+SERVER = LinkEnd("server", "radio", "10.54.0.2")
 # The burst is small, as whatever it holds is sent faster than the link; the queue takes a whole request.
 _SHAPE = "tbf rate 54mbit burst 3200 latency 100ms"
 _DROP = """\

@@ -14,8 +14,7 @@ from bench.peers.link import DRONE, SERVER
 from bench.peers.order import Order
 from tests.system.daemons import children
 
-from upwash.emulation.namespaces import inside
-from upwash.emulation.tools import command
+from upwash.emulation.namespaces import command, inside
 from upwash.launch.processes import ready_program
 from upwash.real.trust.authority import make_keys
 

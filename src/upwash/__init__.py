@@ -88,7 +88,7 @@ if TYPE_CHECKING:
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
-    from upwash.lab.comparison import ComparedPolicy, compare
+    from upwash.lab.campaigns.comparison import ComparedPolicy, compare
     from upwash.lab.fleet import FleetSimulation, simulate_fleet
     from upwash.lab.simulation import Simulation, simulate
 else:
@@ -96,7 +96,7 @@ else:
         "Attitude": "upwash.core.vehicle.telemetry",
         "Bound": "upwash.core.planning.bound",
         "CallResult": "upwash.eventlog.results",
-        "ComparedPolicy": "upwash.lab.comparison",
+        "ComparedPolicy": "upwash.lab.campaigns.comparison",
         "Demand": "upwash.drone.pending",
         "Drone": "upwash.drone.api",
         "EnergyTotals": "upwash.eventlog.results",
@@ -117,7 +117,7 @@ else:
         "Vehicle": "upwash.drone.api",
         "Velocity": "upwash.core.geo",
         "Waypoint": "upwash.core.geo",
-        "compare": "upwash.lab.comparison",
+        "compare": "upwash.lab.campaigns.comparison",
         "read_log": "upwash.eventlog.log:read",
         "read_result": "upwash.eventlog.results",
         "simulate": "upwash.lab.simulation",

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 
 from upwash.cli.compared import in_markdown, print_tables
-from upwash.lab.comparison import ComparedPolicy
+from upwash.lab.campaigns.comparison import ComparedPolicy
 
 
 def row(policy: str, minutes: float, margin: float = 0.1, **other: Any) -> ComparedPolicy:

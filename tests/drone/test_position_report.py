@@ -10,7 +10,7 @@ from tests.conftest import SCENARIOS
 from upwash.drone.flight import Flight
 from upwash.eventlog import schema
 from upwash.lab.run import simulate
-from upwash.lab.simulation import read_scenario
+from upwash.lab.scenario import read_scenario
 
 
 @pytest.fixture(scope="module")

@@ -30,13 +30,12 @@ from upwash.services import Detector
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera
 from upwash.sim.chance import Chance
-from upwash.sim.joining import Joining
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
 from upwash.sim.runtime import ModelRuntime
-from upwash.sim.world import DroneComputer, Wire
+from upwash.sim.vehicle import Plain
+from upwash.sim.world import DroneComputer, Joining, Wire
 
 # Take-off is over at 10 s, waypoints are 20 m and 9 s apart, and photo and call of each take 11 s.
 PLACES = [[0, 0], [20, 0], [40, 0], [60, 0]]

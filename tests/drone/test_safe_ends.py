@@ -35,18 +35,16 @@ from upwash.missions.survey import survey
 from upwash.ports import DeadManAction, Program, VehicleNews, VehicleText
 from upwash.rpc.service import spec_of
 from upwash.services import Detector
-from upwash.sim.autopilot import ModelAutopilot
+from upwash.sim.autopilot import ModelAutopilot, ModelDeadMan
 from upwash.sim.camera import ModelCamera
 from upwash.sim.chance import Chance
-from upwash.sim.dead_man import ModelDeadMan
 from upwash.sim.faults import Faults
-from upwash.sim.joining import Joining
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
 from upwash.sim.runtime import ModelRuntime
-from upwash.sim.world import DroneComputer
+from upwash.sim.vehicle import Plain
+from upwash.sim.world import DroneComputer, Joining
 
 ACTIONS: tuple[SafeEnd, ...] = ("return", "land", "hold")
 SPECS = {"detector": spec_of(Detector)}

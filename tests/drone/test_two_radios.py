@@ -8,7 +8,7 @@ from tests.events import written
 from tests.scenarios import fault, scenario, server
 
 from upwash.lab.faults.promises import History
-from upwash.lab.faults.promises.servers import one_selection
+from upwash.lab.faults.selection_promises import one_selection
 from upwash.lab.run import Run, simulate
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from upwash.emulation import groups
-from upwash.emulation.groups import enter_groups, remove_groups
+from upwash.emulation import enclosure as groups
+from upwash.emulation.enclosure import enter_groups, remove_groups
 
 FIRST = {
     "cpu/cgroup.procs": "",

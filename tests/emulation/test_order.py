@@ -9,8 +9,8 @@ import pytest
 
 from upwash.config import DroneConfig, PeerConfig, read_daemon_config, read_drone_config
 from upwash.config.drone import TruthConfig
-from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
 from upwash.emulation.native import WIFI, wifi_of
+from upwash.emulation.programs import daemon_config, write_daemon_file, write_drone_file
 from upwash.emulation.request import EmulationRequest, Paces, emulated, left_out, server_paces
 from upwash.errors import UsageError
 from upwash.real.trust.authority import keys_in

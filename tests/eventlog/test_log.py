@@ -17,7 +17,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog, LineReader
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
-from upwash.lab.simulation import read_scenario
+from upwash.lab.scenario import read_scenario
 
 OPENED = line("log_opened", 0.0, version=schema.VERSION)
 OPENED_BY_AN_EARLIER_RELEASE = b'{"t": 0.0, "event": "log_opened", "time": "2026-01-01T00:00:00+00:00"}\n'

@@ -21,7 +21,7 @@ from upwash.cli.main import main
 from upwash.config import drone_config, read_document, read_drone_config
 from upwash.errors import ConfigError, UsageError
 from upwash.lab import processes
-from upwash.lab.campaign import (
+from upwash.lab.campaigns.campaign import (
     Chunk,
     CombinationSummary,
     Cost,
@@ -30,9 +30,10 @@ from upwash.lab.campaign import (
     on_cluster,
     run_campaign,
 )
-from upwash.lab.campaign_file import CampaignFile, Row
+from upwash.lab.campaigns.file import CampaignFile, CampaignRow
+from upwash.lab.campaigns.sweep import ParameterSweep, read_setting, read_sweep
 from upwash.lab.run import simulate
-from upwash.lab.sweep import Sweep, read_setting, read_sweep, with_value
+from upwash.lab.scenario import with_value
 from upwash.support.confidence import mean_of, student_quantile
 
 SCENARIO = """
@@ -85,18 +86,18 @@ def scenario(tmp_path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def here(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+def here(chunks: Sequence[Chunk]) -> Generator[Iterator[list[CampaignRow]]]:
     """Flies in this process, the chunks in an order that no campaign may depend on."""
     yield (fly_chunk(chunk) for chunk in Random(len(chunks)).sample(chunks, len(chunks)))
 
 
-def interrupted_after(count: int, chunks: Sequence[Chunk]) -> Iterator[list[Row]]:
+def interrupted_after(count: int, chunks: Sequence[Chunk]) -> Iterator[list[CampaignRow]]:
     for chunk in chunks[:count]:
         yield fly_chunk(chunk)
     raise KeyboardInterrupt
 
 
-def run_here(sweep: Sweep, out: Path) -> list[CombinationSummary]:
+def run_here(sweep: ParameterSweep, out: Path) -> list[CombinationSummary]:
     return run_campaign(CampaignFile.open(out, sweep), fly=here)
 
 
@@ -313,7 +314,7 @@ def test_an_interrupted_campaign_flies_the_rest_and_ends_the_same(scenario: Path
     run_here(sweep, whole)
 
     @contextlib.contextmanager
-    def stop_early(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+    def stop_early(chunks: Sequence[Chunk]) -> Generator[Iterator[list[CampaignRow]]]:
         yield interrupted_after(2, chunks)
 
     with pytest.raises(KeyboardInterrupt):
@@ -335,7 +336,7 @@ def test_what_the_rest_costs_is_measured_on_missions_of_all_of_it(scenario: Path
     left: list[Chunk] = []
 
     @contextlib.contextmanager
-    def note(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+    def note(chunks: Sequence[Chunk]) -> Generator[Iterator[list[CampaignRow]]]:
         left.extend(chunks)
         with here(chunks) as rows:
             yield rows
@@ -352,7 +353,7 @@ def test_what_the_rest_costs_is_measured_on_missions_of_all_of_it(scenario: Path
     assert out.read_bytes() == (tmp_path / "at-once.csv").read_bytes()
 
 
-def _flown_of(chunks: Sequence[Chunk], sweep: Sweep) -> list[int]:
+def _flown_of(chunks: Sequence[Chunk], sweep: ParameterSweep) -> list[int]:
     """How many runs of each combination are in the chunks."""
     return [
         sum(len(chunk.seeds) for chunk in chunks if chunk.values == each.values)

@@ -9,7 +9,7 @@ import pytest
 import upwash
 from upwash.cli.main import main
 from upwash.lab import processes
-from upwash.lab.comparison import ENTRANTS, thesis_scenarios
+from upwash.lab.campaigns.comparison import ENTRANTS, thesis_scenarios
 
 ROOT = Path(__file__).parents[2]
 LINE = ROOT / "scenarios" / "power-line-light.toml"

@@ -9,7 +9,7 @@ import pytest
 
 import upwash
 from upwash.eventlog import schema
-from upwash.lab.campaign import in_processes
+from upwash.lab.campaigns.campaign import in_processes
 from upwash.preflight.check import check, read_plan
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "lte.toml"

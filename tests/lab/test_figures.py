@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from upwash.cli.main import main
-from upwash.lab.figures import Wanted
+from upwash.lab.figures import FigureFiles
 from upwash.support.confidence import Mean, mean_of
 
 pytest.importorskip("matplotlib")
 
-from upwash.lab.figures.means import Row, draw_means, draw_sweep
+from upwash.lab.figures.means import DrawnMean, draw_means, draw_sweep
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 STARTS = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
@@ -71,11 +71,11 @@ def test_the_map_says_how_many_waypoints_each_server_covers(tmp_path: Path) -> N
 def test_means_stand_beside_the_minimum_and_their_paired_differences(tmp_path: Path) -> None:
     alone, better = mean_of([600.0, 620.0]), mean_of([400.0, 410.0])
     rows = [
-        Row("field", "local-only", alone, None, 380.0),
-        Row("field", "look-ahead", better, mean_of([200.0, 210.0]), 380.0),
-        Row("town", "local-only", Mean(1, 500.0, float("inf")), None, 300.0),
+        DrawnMean("field", "local-only", alone, None, 380.0),
+        DrawnMean("field", "look-ahead", better, mean_of([200.0, 210.0]), 380.0),
+        DrawnMean("town", "local-only", Mean(1, 500.0, float("inf")), None, 300.0),
     ]
-    draw_means(rows, Wanted(tmp_path, ("svg",)).files("means"))
+    draw_means(rows, FigureFiles(tmp_path, ("svg",)).files("means"))
     said = texts(tmp_path / "means.svg")
     assert said.count("theoretical minimum") == 1
     assert {"field", "town", "look-ahead", "less than local-only, paired (min)"} <= set(said)
@@ -83,8 +83,11 @@ def test_means_stand_beside_the_minimum_and_their_paired_differences(tmp_path: P
 
 
 def test_one_numeric_setting_is_a_line_with_its_band(tmp_path: Path) -> None:
-    rows = [Row("field", str(value), mean_of([60.0 * value, 66.0 * value]), None, 50.0) for value in (10, 20)]
-    draw_sweep([10.0, 20.0], rows, Wanted(tmp_path, ("svg",)).files("sweep"), key="server.s1.range_m")
+    rows = [
+        DrawnMean("field", str(value), mean_of([60.0 * value, 66.0 * value]), None, 50.0)
+        for value in (10, 20)
+    ]
+    draw_sweep([10.0, 20.0], rows, FigureFiles(tmp_path, ("svg",)).files("sweep"), key="server.s1.range_m")
     assert {"server.s1.range_m", "95 % confidence", "theoretical minimum", "mean"} <= set(
         texts(tmp_path / "sweep.svg")
     )

@@ -10,7 +10,7 @@ import pytest
 import upwash
 from upwash.cli.main import main
 from upwash.errors import ConfigError
-from upwash.lab.sweep import read_sweep
+from upwash.lab.campaigns.sweep import read_sweep
 
 FLEET = """
 [mission]

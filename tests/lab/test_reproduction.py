@@ -16,10 +16,17 @@ from tests.scenarios import scenario as survey
 from upwash.config import NoiseConfig, read_drone_config, server_areas, waypoints
 from upwash.core.geo import ground_distance_m
 from upwash.lab.reproduction import sensitivity
-from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, Cell, Experiment, fly, scenario, timed_cells
+from upwash.lab.reproduction.cells import (
+    EXPERIMENTS,
+    SETUPS,
+    Experiment,
+    ThesisCell,
+    fly,
+    scenario,
+    timed_cells,
+)
 from upwash.lab.reproduction.output import Results, decoded, encoded, print_comparison
-from upwash.lab.reproduction.printed import contradictions
-from upwash.lab.reproduction.quantities import Comparison, Quantity, missions, reproduce
+from upwash.lab.reproduction.quantities import Comparison, ThesisQuantity, contradictions, missions, reproduce
 from upwash.lab.run import simulate
 from upwash.support.heat import Heat, Surroundings
 
@@ -92,14 +99,14 @@ def test_a_sensitivity_that_is_kept_for_the_page_is_flown_again(monkeypatch: pyt
 
 def test_every_variation_changes_the_scenario() -> None:
     for setup in SETUPS:
-        as_it_is = scenario(Cell(setup, HEAVY, "location-aware"), seed=1)
+        as_it_is = scenario(ThesisCell(setup, HEAVY, "location-aware"), seed=1)
         for each in sensitivity.variations():
             assert each.change(as_it_is) != as_it_is, each.label
 
 
 def test_no_waypoint_is_at_the_border_of_a_range() -> None:
     for setup in SETUPS:
-        config = scenario(Cell(setup, HEAVY, "location-aware"), seed=1)
+        config = scenario(ThesisCell(setup, HEAVY, "location-aware"), seed=1)
         for area in server_areas(config).values():
             for waypoint in waypoints(config.mission):
                 assert abs(ground_distance_m(waypoint.position, area.centre) - area.radius_m) >= 0.5
@@ -122,7 +129,9 @@ def test_where_the_thesis_contradicts_itself_is_said() -> None:
 
 def test_results_are_read_as_they_were_written() -> None:
     values = [24.0, 25.0]
-    once = Comparison("hitl", HEAVY, Quantity("mission_time_offloading", "mission time", "min"), values, 25.0)
+    once = Comparison(
+        "hitl", HEAVY, ThesisQuantity("mission_time_offloading", "mission time", "min"), values, 25.0
+    )
     moved = [sensitivity.Moved("range 99 m", {"hitl": [1.25], "simulation": [-0.5]})]
     assert decoded(encoded(Results([once], moved))) == Results([once], moved)
 
@@ -153,20 +162,23 @@ def test_the_comparison_is_printed_with_its_deviations(reproduced: list[Comparis
 
 def test_a_single_seed_is_printed_without_a_margin() -> None:
     output = io.StringIO()
-    once = Comparison("hitl", HEAVY, Quantity("mission_time_offloading", "mission time", "min"), [24.0], 25.0)
+    once = Comparison(
+        "hitl", HEAVY, ThesisQuantity("mission_time_offloading", "mission time", "min"), [24.0], 25.0
+    )
     print_comparison([once], Console(file=output, width=100))
     assert "24.00 min       25      -4.0 %" in output.getvalue()
 
 
 def test_without_offloading_the_load_on_a_server_changes_nothing() -> None:
     equal, slow = (
-        fly(Cell("hitl", Experiment("heavy", slow_s2=slow), "local-only"), seed=1) for slow in (False, True)
+        fly(ThesisCell("hitl", Experiment("heavy", slow_s2=slow), "local-only"), seed=1)
+        for slow in (False, True)
     )
     assert equal.log() == slow.log()
 
 
 def test_the_thesis_scenario_is_the_hitl_set_up_without_noise() -> None:
-    packaged = scenario(Cell("hitl", HEAVY, "location-aware"), seed=1)
+    packaged = scenario(ThesisCell("hitl", HEAVY, "location-aware"), seed=1)
     assert read_drone_config(THESIS) == msgspec.structs.replace(packaged, noise=NoiseConfig())
 
 
@@ -197,24 +209,24 @@ def test_with_offloading_the_rare_local_calls_stay_cool() -> None:
 @many_missions
 def test_the_figures_of_the_thesis_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    from upwash.lab.figures import Wanted
-    from upwash.lab.reproduction.drawing import draw_figures
+    from upwash.lab.figures import FigureFiles
+    from upwash.lab.reproduction.output import draw_figures
 
-    drawn = draw_figures(Wanted(tmp_path / "figures"), seeds=2)
+    drawn = draw_figures(FigureFiles(tmp_path / "figures"), seeds=2)
     assert [file.name for file in drawn] == [f"figure_4.{number}.png" for number in range(4, 13)]
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in drawn)
 
 
 def test_the_dots_of_a_figure_are_the_decisions_about_servers_that_were_not_ready() -> None:
     pytest.importorskip("matplotlib")
-    from upwash.lab.figures.calls import Wait, read_call_points
+    from upwash.lab.figures.calls import DrawnWait, read_call_points
 
-    run = fly(Cell("simulation", Experiment("light", slow_s2=False), "location-aware"), seed=1)
+    run = fly(ThesisCell("simulation", Experiment("light", slow_s2=False), "location-aware"), seed=1)
     points = list(read_call_points(run.events))
     assert [point.waypoint for point in points] == list(range(121))
-    waited = [point for point in points if point.wait in (Wait.WAITED, Wait.IN_VAIN)]
+    waited = [point for point in points if point.wait in (DrawnWait.WAITED, DrawnWait.IN_VAIN)]
     assert len(waited) == run.result.totals.waits
-    declined = [point for point in points if point.wait is Wait.DECLINED]
+    declined = [point for point in points if point.wait is DrawnWait.DECLINED]
     assert declined
     assert all(point.server is None for point in declined)
 

@@ -11,7 +11,7 @@ import pytest
 
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
-from upwash.lab.simulation import read_scenario
+from upwash.lab.scenario import read_scenario
 
 pytestmark = pytest.mark.xdist_group("scenarios")  # each flight is flown once, and not by every process
 

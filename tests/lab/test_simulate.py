@@ -16,7 +16,7 @@ import pytest
 
 from upwash.cli.main import main
 from upwash.drone.mission import mission_failed
-from upwash.lab.simulation import read_scenario
+from upwash.lab.scenario import read_scenario
 
 THESIS = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
 PATROL = THESIS.parents[1] / "examples" / "patrol.toml"

@@ -17,7 +17,7 @@ from upwash.launch.networks import opened_networks
 from upwash.ports import Network
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.journal import MemoryJournal
-from upwash.sim.plain import Plain
+from upwash.sim.vehicle import Plain
 
 FLIGHT: dict[str, Any] = {
     "mission": {"waypoints_m": [[0, 0]]},

@@ -26,7 +26,7 @@ from upwash.core.knowledge.servers import State
 from upwash.errors import InstanceError, Refused, UsageError
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
-from upwash.lab.simulation import read_scenario
+from upwash.lab.scenario import read_scenario
 from upwash.metrics.daemon import DaemonMetrics
 from upwash.metrics.drone import DroneMetrics
 from upwash.metrics.exposition import exposed

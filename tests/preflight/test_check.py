@@ -12,10 +12,10 @@ import pytest
 from upwash.cli.main import main
 from upwash.core.geo import Position
 from upwash.errors import UpwashError, UsageError
-from upwash.lab.campaign import Chunk, fly_chunk
-from upwash.lab.campaign_file import Row
+from upwash.lab.campaigns.campaign import Chunk, fly_chunk
+from upwash.lab.campaigns.file import CampaignRow
 from upwash.lab.run import simulate
-from upwash.preflight.check import Check, check, missions_to_fly, read_plan
+from upwash.preflight.check import MissionCheck, check, missions_to_fly, read_plan
 from upwash.preflight.placement import STEPS, candidates, missions_to_place, place
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, without
 
@@ -46,7 +46,7 @@ NOISE = "\n[noise]\ncall = 0.1\nleg = 0.1\n"
 
 
 @contextlib.contextmanager
-def here(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+def here(chunks: Sequence[Chunk]) -> Generator[Iterator[list[CampaignRow]]]:
     yield map(fly_chunk, chunks)
 
 
@@ -57,7 +57,7 @@ def file(tmp_path: Path) -> Path:
     return file
 
 
-def checked(file: Path, *, seeds: int = 1) -> tuple[Check, dict[str, float]]:
+def checked(file: Path, *, seeds: int = 1) -> tuple[MissionCheck, dict[str, float]]:
     found = check(read_plan(file), seeds=seeds, fly=here)
     return found, {
         each.case: each.mission_time_s for each in found.predictions if each.mission_time_s is not None

@@ -9,10 +9,9 @@ import msgspec
 import pytest
 
 from upwash.config import DroneConfig, drone_config, usable_s
-from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, Prediction, without
 from upwash.preflight.warnings import Belief, warnings
-from upwash.preflight.way_home import farthest
+from upwash.preflight.waypoints import ServerCoverage, farthest
 
 OPERATION = "detector.process_photo[heavy]"
 
@@ -31,9 +30,10 @@ def configured(*, servers: tuple[str, ...] = ("s1",), **tables: Any) -> DroneCon
     return drone_config(document, Path("drone.toml"))
 
 
-def covered(**changes: Any) -> Coverage:
+def covered(**changes: Any) -> ServerCoverage:
     return msgspec.structs.replace(
-        Coverage(server="s1", range_m=50.0, nearest_m=0.0, waypoints=(0,), longest_stay_s=60.0), **changes
+        ServerCoverage(server="s1", range_m=50.0, nearest_m=0.0, waypoints=(0,), longest_stay_s=60.0),
+        **changes,
     )
 
 
@@ -54,7 +54,7 @@ GOOD = predicted(local=100.0, configured=50.0, s1=100.0)
 
 def kinds(
     config: DroneConfig,
-    cover: Coverage | None = None,
+    cover: ServerCoverage | None = None,
     belief: Belief | None = None,
     predictions: list[Prediction] | None = None,
 ) -> list[str]:
@@ -75,7 +75,7 @@ def test_nothing_is_said_where_nothing_hurts() -> None:
     ],
 )
 def test_a_server_that_is_too_far_or_too_short_in_range_is_named(
-    cover: Coverage, kind: str, said: str
+    cover: ServerCoverage, kind: str, said: str
 ) -> None:
     (warning,) = warnings(configured(), [cover], [believed()], GOOD)
     assert warning.kind == kind

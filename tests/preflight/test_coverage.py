@@ -8,8 +8,8 @@ import pytest
 
 from upwash.core.geo import Circle, Position
 from upwash.eventlog.narration import spans
-from upwash.lab.range_intervals import RangeInterval
-from upwash.preflight.coverage import coverage, uncovered
+from upwash.lab.observer import RangeInterval
+from upwash.preflight.waypoints import coverage, uncovered
 
 PLACES = [Position(east_m, 0.0) for east_m in (0.0, 50.0, 100.0, 150.0)]
 AREAS = {"near": Circle(Position(25.0, 0.0), 25.0), "far": Circle(Position(0.0, 500.0), 100.0)}

@@ -17,7 +17,7 @@ from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import InstanceError, LinkError, Refused, Unreachable, UsageError
 from upwash.ports import InstanceSpec, Program
 from upwash.profiling.profiler import (
-    Sample,
+    CallSample,
     calls_to_make,
     profile_onboard,
     profile_server,
@@ -151,7 +151,9 @@ def virtually(profile: Coroutine[Any, Any, T]) -> T:
     return run_virtually(profile)
 
 
-def onboard(computer: Computer, found: list[Sample], watch: Callable[[str], None] = lambda _: None) -> Any:
+def onboard(
+    computer: Computer, found: list[CallSample], watch: Callable[[str], None] = lambda _: None
+) -> Any:
     return virtually(
         profile_onboard(
             InstanceSpec("profiler", found[0].operation.service, Program("x:Y")),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from upwash.errors import DeclarationError, GarbledReply, UsageError
 from upwash.rpc.service import make_stub, service, spec_of
-from upwash.sim.replies import reply_to
+from upwash.sim.runtime import reply_to
 
 Image = np.ndarray[tuple[int, int, Literal[3]], np.dtype[np.uint8]]
 DTYPES = ["?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", "c8", "c16"]

@@ -372,7 +372,7 @@ def done_before_its_answer() -> contextlib.AbstractContextManager[object]:
         kept = (each for each in events if not isinstance(each, schema.CallStarted))
         return waypoints_done(kept, config)
 
-    judging = import_module("upwash.lab.faults.promises.answers")  # whose name is its function's, too
+    judging = import_module("upwash.lab.faults.call_promises")  # whose name is its function's, too
     return patch.object(judging, "waypoints_done", hasty)
 
 

@@ -13,7 +13,7 @@ from upwash.core.vehicle.control import Control, ControlChange, Heartbeat, Latch
 from upwash.drone import coming_down as safety
 from upwash.drone import flight as drone
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.sim.hearing import Hearing
+from upwash.sim.vehicle_link import ModelVehicleLink
 
 
 def latch_not_asked() -> contextlib.AbstractContextManager[object]:
@@ -105,4 +105,4 @@ def altitudes_follow_home() -> contextlib.AbstractContextManager[object]:
 
 
 def any_heartbeat_believed() -> contextlib.AbstractContextManager[object]:
-    return patch.object(Hearing, "_is_believed", lambda *_, **__: True)
+    return patch.object(ModelVehicleLink, "_is_believed", lambda *_, **__: True)

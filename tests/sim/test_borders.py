@@ -11,7 +11,7 @@ from upwash.core.geo import Circle, Position
 from upwash.errors import AutopilotOverruled
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
+from upwash.sim.vehicle import Plain
 
 AREA = [Circle(Position(100.0, 0.0), 20.0)]
 PLAIN = Plain(acceleration_m_s2=1.0, takeoff_s=5.0, return_and_land_s=10.0)

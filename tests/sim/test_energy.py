@@ -19,8 +19,7 @@ from upwash.eventlog.schema import EnergyUsed
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.energy import EnergyMeter, Rotors
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
-from upwash.sim.vehicle import Manner
+from upwash.sim.vehicle import Manner, Plain
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.body.kinematics import Phase, leg
 

@@ -18,7 +18,7 @@ from upwash.lab.run import simulate_fleet
 from upwash.ports import HomeMoved, PositionDoubted, VehicleNews
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
+from upwash.sim.vehicle import Plain
 
 THERE = Position(100.0, 0.0, 20.0)  # 25 s away by a leg at 5 m/s, from 5 s on
 PLAIN = Plain(acceleration_m_s2=1.0, takeoff_s=5.0, return_and_land_s=10.0)

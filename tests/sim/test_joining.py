@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from upwash.errors import NetworkError
-from upwash.sim.joining import JoinedSlowly, Joining
 from upwash.sim.loop import run_virtually
+from upwash.sim.world import JoinedSlowly, Joining
 
 
 class Network:

@@ -8,7 +8,7 @@ import random
 from upwash.core.geo import Position
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
+from upwash.sim.vehicle import Plain
 
 
 def test_it_can_always_be_disarmed_after_landing() -> None:

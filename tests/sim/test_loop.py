@@ -17,7 +17,7 @@ from upwash.config import DroneConfig
 from upwash.lab.run import simulate, simulate_drones
 from upwash.sim import turns
 from upwash.sim.loop import DeadlockError, LivelockError, OutsideWorldError, run_virtually
-from upwash.sim.sleeping import sleeps_reported
+from upwash.sim.turns import sleeps_reported
 
 
 def flying(tmp_path: Path, body: str) -> DroneConfig:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.engines import OwnEngine
 
-from upwash.emulation.computer_image import IS_UP, write_computer_image
+from upwash.emulation.containers import IS_UP, write_computer_image
 from upwash.real.trust.authority import make_keys
 
 MEMBERS = ("m1", "m2", "m3")

@@ -16,7 +16,7 @@ from tests.system.faults.strikes import Strike
 from tests.system.faults.verdict import judge
 
 from upwash.config import read_drone_config, waypoints
-from upwash.emulation.files import write_drone_file
+from upwash.emulation.programs import write_drone_file
 
 BEGAN_S = 1_800_000_000.0
 CALL_S = 0.5

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from upwash.config import DroneConfig
-    from upwash.lab.figures import Wanted
+    from upwash.lab.figures import FigureFiles
 
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]  # what `add` adds its command to
 
@@ -88,16 +88,16 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
     )  # fmt: skip
 
 
-def figures_of(options: argparse.Namespace) -> Wanted | None:
+def figures_of(options: argparse.Namespace) -> FigureFiles | None:
     """Those that --figures and --format ask for; raises UsageError at once where nothing can draw them."""
-    from upwash.lab.figures import Wanted
+    from upwash.lab.figures import FigureFiles
     from upwash.support.loading import extra
 
     if options.figures is None:
         return None
     with extra("figures"):
         import matplotlib as mpl  # noqa: F401
-    return Wanted(options.figures, options.formats)
+    return FigureFiles(options.figures, options.formats)
 
 
 def _formats(text: str) -> tuple[str, ...]:

@@ -34,10 +34,10 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Flies them all and prints the means; whether each mission was completed."""
-    from upwash.lab.campaign import in_processes, on_cluster
-    from upwash.lab.campaign_display import show_campaign
+    from upwash.lab.campaigns.campaign import in_processes, on_cluster
+    from upwash.lab.campaigns.display import show_campaign
+    from upwash.lab.campaigns.sweep import read_sweep
     from upwash.lab.processes import cores
-    from upwash.lab.sweep import read_sweep
 
     sweep = read_sweep(options.scenario, options.settings, seeds=options.seeds)
     workers = None if options.cluster else options.workers or cores()

@@ -63,14 +63,14 @@ def run(options: argparse.Namespace) -> bool:
         return _look(options)
     import msgspec
 
-    from upwash.lab.campaign import here_first
+    from upwash.lab.campaigns.campaign import here_first
     from upwash.preflight.check import read_plan
     from upwash.preflight.display import show_check
 
     plan = read_plan(options.config)
     plan = msgspec.structs.replace(plan, config=flown_by(plan.config, options.autopilot))
     if options.capacity:
-        from upwash.preflight.capacity_display import show_capacity
+        from upwash.preflight.capacity import show_capacity
 
         return show_capacity(plan.config, str(plan.file), as_json=options.json)
     if plan.config.drones:
@@ -90,8 +90,7 @@ def _look(options: argparse.Namespace) -> bool:
     from rich.console import Console
 
     from upwash.config import read_drone_config, refuse_several
-    from upwash.preflight.surveys import check_networks, check_servers
-    from upwash.preflight.vehicle import check_vehicle
+    from upwash.preflight.surveys import check_networks, check_servers, check_vehicle
 
     config = flown_by(read_drone_config(options.config), options.autopilot)
     refuse_several(config, options.config, what="what is looked at")
@@ -104,7 +103,7 @@ def _look(options: argparse.Namespace) -> bool:
 
 
 def _check_fleet(plan: CheckInput, options: argparse.Namespace) -> bool:
-    from upwash.preflight.fleet_display import show_fleet_check
+    from upwash.preflight.fleet import show_fleet_check
 
     if options.place or options.figures is not None:
         raise UsageError(

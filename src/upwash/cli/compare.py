@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from upwash.cli.arguments import Commands
-    from upwash.lab.comparison import ComparedPolicy
-    from upwash.lab.figures import Wanted
+    from upwash.lab.campaigns.comparison import ComparedPolicy
+    from upwash.lab.figures import FigureFiles
 
 
 def add(commands: Commands) -> None:
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> bool:
 
     from upwash import compare
     from upwash.cli.compared import in_markdown, print_tables
-    from upwash.lab.sweep import read_overrides
+    from upwash.lab.campaigns.sweep import read_overrides
 
     if not options.scenarios and not options.thesis:
         raise UsageError("nothing to compare in: name scenario files, or give --thesis")
@@ -70,13 +70,13 @@ def run(options: argparse.Namespace) -> bool:
     return True
 
 
-def _draw(rows: Sequence[ComparedPolicy], figures: Wanted) -> None:
-    from upwash.lab.figures.means import Row, draw_means
+def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:
+    from upwash.lab.figures.means import DrawnMean, draw_means
     from upwash.support.confidence import Mean
 
     draw_means(
         [
-            Row(
+            DrawnMean(
                 row.scenario,
                 row.policy,
                 Mean(row.completed, row.mean_s, row.half_width_s),

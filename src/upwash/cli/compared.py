@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from upwash.lab.comparison import ComparedPolicy
+from upwash.lab.campaigns.comparison import ComparedPolicy
 
 if TYPE_CHECKING:
     from rich.console import Console

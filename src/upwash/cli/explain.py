@@ -32,8 +32,8 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Explains them."""
-    from upwash.lab.explanation import Wanted, show_explanation
+    from upwash.lab.explanation import CallChoice, show_explanation
 
-    wanted = Wanted(options.waypoint, options.worst)
+    wanted = CallChoice(options.waypoint, options.worst)
     show_explanation(options.log, scenario=options.scenario, drone=options.drone, wanted=wanted)
     return True

@@ -20,7 +20,7 @@ from upwash.config import DroneConfig, ServerConfig
 from upwash.errors import InstanceError, NotWritten, UsageError
 from upwash.launch.profile import profile_at, profile_on_this_computer
 from upwash.missions.bundled import LoadedService
-from upwash.profiling.profiler import OnboardProfile, Sample, Watch, calls_to_make, samples, values_of
+from upwash.profiling.profiler import CallSample, OnboardProfile, Watch, calls_to_make, samples, values_of
 from upwash.profiling.report import call_table, chosen_setting, fastest, server_table, service_table
 from upwash.rpc.service import spec_of
 from upwash.support.output_files import write_file
@@ -79,7 +79,7 @@ def measure_each(
 
 
 def _onboard(
-    service: LoadedService, found: Sequence[Sample], calls: int, start_timeout_s: float, watch: Watch
+    service: LoadedService, found: Sequence[CallSample], calls: int, start_timeout_s: float, watch: Watch
 ) -> Coroutine[Any, Any, OnboardProfile]:
     return profile_on_this_computer(service, found, calls=calls, start_timeout_s=start_timeout_s, watch=watch)
 
@@ -120,7 +120,9 @@ def find_server(config: DroneConfig, wanted: str) -> ServerConfig:
     raise UsageError(f"the configuration has no server {wanted!r}; it has {names}")
 
 
-def _watched(found: Sequence[Sample], calls: int, profile: Callable[[Watch], Coroutine[Any, Any, T]]) -> T:
+def _watched(
+    found: Sequence[CallSample], calls: int, profile: Callable[[Watch], Coroutine[Any, Any, T]]
+) -> T:
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:

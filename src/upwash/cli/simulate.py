@@ -13,7 +13,7 @@ from upwash.errors import UpwashError, UsageError
 if TYPE_CHECKING:
     from upwash import FleetSimulation, Simulation
     from upwash.cli.arguments import Commands
-    from upwash.lab.figures import Wanted
+    from upwash.lab.figures import FigureFiles
 
 
 def add(commands: Commands) -> None:
@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Simulates it and prints what it came to."""
-    from upwash.lab.simulation import read_scenario
+    from upwash.lab.scenario import read_scenario
 
     config = read_scenario(options.scenario, policy=options.policy, seed=options.seed)
     tell_of_plans(config)
@@ -98,11 +98,11 @@ def _write_logs(fleet: FleetSimulation, scenario: Path, log: Path) -> None:
         )
 
 
-def _draw(simulation: Simulation, scenario: Path, figures: Wanted) -> None:
+def _draw(simulation: Simulation, scenario: Path, figures: FigureFiles) -> None:
     from upwash import simulate
-    from upwash.lab.figures.call_delays import draw_call_delays
+    from upwash.lab.figures.calls import draw_call_delays
     from upwash.lab.figures.coverage import draw_coverage
-    from upwash.lab.simulation import read_scenario
+    from upwash.lab.scenario import read_scenario
 
     draw_coverage(read_scenario(scenario, policy=simulation.policy), figures.files("map"))
     reference = simulate(scenario, policy="local-only", seed=simulation.seed)

@@ -1,7 +1,8 @@
 """Computers that are containers, on which servers run their services in containers of their own.
 
-The engine of the former is started inside the emulation's enclosure and keeps everything in its memory, so that it
-and its containers end with the enclosure, however that ends.
+Their engine starts inside the emulation's enclosure and keeps everything in its memory, so that the engine and its
+containers end with the enclosure, in whatever way that ends. The image of a computer is a container with the host's
+/usr, in which another engine can run containers.
 """
 
 from __future__ import annotations
@@ -9,18 +10,17 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import platform
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.config.runtime import ContainerNetworkConfig
-from upwash.emulation.computer_image import IS_UP, write_computer_image
-from upwash.emulation.enclosure import MARK
-from upwash.emulation.groups import enter_groups
-from upwash.emulation.namespaces import make_quiet
-from upwash.emulation.tools import command, require_tools
+from upwash.emulation.enclosure import MARK, enter_groups
+from upwash.emulation.namespaces import command, make_quiet, require_tools
 from upwash.errors import EngineError, UpwashError, UsageError
+from upwash.packaging.archive import write_packed
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Recipe, package
 from upwash.packaging.shipping import find_service
@@ -140,3 +140,62 @@ def _lent_folders() -> Iterator[Path]:
 
 def _first_process(container: str) -> str:
     return str(json.loads(command("lxc", "query", f"/1.0/instances/{container}/state"))["pid"])
+
+
+_FOLDERS = (
+    *("usr", "etc", "dev", "proc", "sys", "run", "tmp", "root", "mnt", "sbin", "etc/lxc"),
+    *("var/cache", "var/log/lxd", "var/lib/lxd", "var/lib/lxcfs", "var/tmp"),
+    *("var/cache/incus", "var/log/incus", "var/lib/incus"),
+)
+_FROM_USR = ("bin", "lib", "lib64")
+_FILES = {
+    "passwd": "root:x:0:0::/root:/bin/sh\nnobody:x:65534:65534::/:/bin/false\n",
+    "group": "root:x:0:\nnogroup:x:65534:\n",
+    "hosts": "127.0.0.1 localhost\n",
+    "subuid": "root:1000000:65536\n",
+    "subgid": "root:1000000:65536\n",
+}
+# A host with the first version of control groups leaves their mounts to us. The shell reaps what process 1 inherits.
+_INIT = """\
+#!/bin/sh
+ip link set lo up
+if [ ! -e /sys/fs/cgroup/cgroup.controllers ]; then
+    mount -t tmpfs cgroup /sys/fs/cgroup
+    for controller in cpu cpuacct cpuset memory devices freezer blkio pids; do
+        mkdir "/sys/fs/cgroup/$controller"
+        mount -t cgroup -o "$controller" cgroup "/sys/fs/cgroup/$controller" || rmdir "/sys/fs/cgroup/$controller"
+    done
+    mkdir /sys/fs/cgroup/systemd
+    mount -t cgroup -o none,name=systemd cgroup /sys/fs/cgroup/systemd
+fi
+touch /run/up
+while :; do
+    sleep infinity
+done
+"""
+IS_UP = (
+    "timeout",
+    "10",
+    "sh",
+    "-c",
+    "until [ -e /run/up ]; do sleep 0.02; done",
+)  # ends when the computer is up
+
+
+def write_computer_image(folder: Path) -> Path:
+    """Makes the image in the folder and returns its file; its containers need the host's /usr as a device."""
+    root = folder / "tree" / "rootfs"
+    for name in _FOLDERS:
+        (root / name).mkdir(parents=True, exist_ok=True)
+    for name in _FROM_USR:
+        (root / name).symlink_to(f"usr/{name}")
+    for name, text in _FILES.items():
+        (root / "etc" / name).write_text(text)
+    init = root / "sbin" / "init"
+    init.write_text(_INIT)
+    init.chmod(0o755)
+    metadata = {"architecture": platform.machine(), "creation_date": 1, "properties": {}}
+    (folder / "tree" / "metadata.yaml").write_text(json.dumps(metadata))
+    file = folder / "computer.tar.gz"
+    write_packed(folder / "tree", file)
+    return file

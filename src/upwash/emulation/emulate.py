@@ -1,48 +1,45 @@
-"""One emulation, from inside its enclosure: sets the field up, flies, and says how well it kept up."""
+"""One emulation, from inside its enclosure: sets the field up, flies, and measures how late it was."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.emulation.computers import Computers, NamespaceComputers
-from upwash.emulation.field import Field, Radio, drone_namespace
-from upwash.emulation.ghosts import GhostRadio
-from upwash.emulation.mover import Mover
+from upwash.emulation.field import EmulatedRadio, Field, drone_namespace
 from upwash.emulation.namespaces import add_route, join_by_cable
-from upwash.emulation.outcome import Outcome
-from upwash.emulation.programs import Flight, ready_daemon
-from upwash.emulation.relay import relayed
-from upwash.emulation.request import ComputerKind, EmulationRequest, RadioKind
-from upwash.emulation.shaped import ShapedRadio
-from upwash.emulation.tracking import tracked
+from upwash.emulation.programs import Computers, EmulatedFlight, NamespaceComputers, ready_daemon
+from upwash.emulation.radios import GhostRadio, ShapedRadio
+from upwash.emulation.request import ComputerKind, EmulationOutcome, EmulationRequest, RadioKind
+from upwash.emulation.vehicles import relayed, tracked
 from upwash.launch.processes import ready_vehicle
 from upwash.real.trust.authority import make_keys
 
 
-async def emulate(request: EmulationRequest, stop: asyncio.Event) -> Outcome:
+async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOutcome:
     """Flies every drone of the request at once; `stop` has them end their missions and land."""
     drones = request.read()
     field = Field([each.config for each in drones])
     with contextlib.ExitStack() as stack:
         computers = _make_computers(request.computers, request.folder)
         radio = stack.enter_context(_field_set_up(field, computers, request))
-        flights: list[Flight] = []
+        flights: list[EmulatedFlight] = []
         positions: dict[str, Callable[[], Position]] = {}
         for number, each in enumerate(drones):
             drone = each.config
             vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, computers, request))
             flights.append(
-                Flight(drone, field, computers, request.folder, vehicle=vehicle, departs_s=each.departs_s)
+                EmulatedFlight(
+                    drone, field, computers, request.folder, vehicle=vehicle, departs_s=each.departs_s
+                )
             )
         mover = Mover(radio, positions)
         exit_codes = await _fly(flights, mover, stop)
-        return Outcome(
+        return EmulationOutcome(
             radio=request.radio,
             radio_lag_s=radio.lag_s,
             position_lag_s=mover.lag_s,
@@ -61,7 +58,7 @@ def _make_computers(kind: ComputerKind, folder: Path) -> Computers:
 
 
 @contextlib.contextmanager
-def _field_set_up(field: Field, computers: Computers, request: EmulationRequest) -> Iterator[Radio]:
+def _field_set_up(field: Field, computers: Computers, request: EmulationRequest) -> Iterator[EmulatedRadio]:
     """The computers, the radio and the daemons, until the end of the block."""
     folder = request.folder
     _say(f"setting up {len(field.drones)} drone(s) and {len(field.servers)} server(s)")
@@ -84,7 +81,7 @@ def _field_set_up(field: Field, computers: Computers, request: EmulationRequest)
         yield radio
 
 
-def make_radio(kind: RadioKind, field: Field) -> Radio:
+def make_radio(kind: RadioKind, field: Field) -> EmulatedRadio:
     """The radio of that kind between namespaces that are there."""
     return GhostRadio(list(field.links())) if kind == "ns3" else ShapedRadio(field.links())
 
@@ -107,7 +104,7 @@ def _vehicle(
         yield connection, position
 
 
-async def _fly(flights: Iterable[Flight], mover: Mover, stop: asyncio.Event) -> dict[str, int]:
+async def _fly(flights: Iterable[EmulatedFlight], mover: Mover, stop: asyncio.Event) -> dict[str, int]:
     """Each flight's exit code, once all are over."""
     async with asyncio.TaskGroup() as group:
         moving = group.create_task(mover.run())
@@ -119,7 +116,7 @@ async def _fly(flights: Iterable[Flight], mover: Mover, stop: asyncio.Event) -> 
     return exit_codes
 
 
-async def _stop_all(flights: Iterable[Flight], stop: asyncio.Event) -> None:
+async def _stop_all(flights: Iterable[EmulatedFlight], stop: asyncio.Event) -> None:
     await stop.wait()
     for flight in flights:
         flight.stop()
@@ -128,3 +125,26 @@ async def _stop_all(flights: Iterable[Flight], stop: asyncio.Event) -> None:
 def _say(text: str) -> None:
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
+
+
+_PERIOD_S = 0.1
+
+
+class Mover:
+    """Tells the radio ten times a second where the drones are."""
+
+    def __init__(self, radio: EmulatedRadio, positions: Mapping[str, Callable[[], Position]]) -> None:
+        self.lag_s = 0.0
+        self._radio = radio
+        self._positions = positions
+
+    async def run(self) -> None:
+        """Moves them until cancelled; raises UpwashError where the radio has failed."""
+        loop = asyncio.get_running_loop()
+        due_s = loop.time()
+        while True:
+            for drone, position in self._positions.items():
+                self._radio.move(drone, position())
+            self.lag_s = max(self.lag_s, loop.time() - due_s)
+            due_s = max(due_s + _PERIOD_S, loop.time())
+            await asyncio.sleep(due_s - loop.time())

@@ -1,8 +1,9 @@
-"""Namespaces that keep a program to itself, and in which nothing outlives it.
+"""Namespaces that keep a program to itself, and in which no process outlives it.
 
-The program is the first process of a process namespace, with networks, mounts and temporary files that nobody else
-sees. When it ends, however it ends, the kernel kills whatever it had started and takes the networks down with it;
-when the command that started it ends, it reads an end of file and ends too.
+The program is the first process of a process namespace, with networks, mounts and temporary files that no other
+process sees. When it ends, for any reason, the kernel kills its processes and removes its networks; when the command
+that started it ends, it reads an end of file and ends too. Only control groups stay behind. They are made below a
+group that is named after the command that owns the emulation, so that `clean` finds them.
 """
 
 from __future__ import annotations
@@ -16,8 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from upwash.emulation.groups import remove_groups
-from upwash.emulation.tools import command, require_tools
+from upwash.emulation.namespaces import command, require_tools
 from upwash.errors import UsageError
 from upwash.support.background import thread
 
@@ -60,7 +60,7 @@ def run_enclosed(*arguments: str, handles: Sequence[int] = ()) -> int:
             process.wait()
             assert process.stdin is not None  # noqa: S101
             process.stdin.close()
-            _remove_groups(owner.__eq__)
+            _remove_gone_groups(owner.__eq__)
 
 
 @contextlib.contextmanager
@@ -121,12 +121,12 @@ def clean() -> int:
         if time.monotonic() > deadline_s:
             raise UsageError(f"these processes of a former emulation cannot be killed: {sorted(left)}")
         time.sleep(_RETRY_S)
-    if busy := _remove_groups(_is_gone):
+    if busy := _remove_gone_groups(_is_gone):
         raise UsageError(f"these control groups of a former emulation cannot be removed: {busy}")
     return len(killed)
 
 
-def _remove_groups(is_gone: Callable[[str], bool]) -> list[Path]:
+def _remove_gone_groups(is_gone: Callable[[str], bool]) -> list[Path]:
     """Removes the groups of such owners as soon as what was killed in them is gone; returns those that are left."""
     deadline_s = time.monotonic() + _GONE_WITHIN_S
     while (busy := remove_groups(is_gone)) and time.monotonic() < deadline_s:
@@ -161,3 +161,59 @@ def _owner(pid: int) -> str:
     except OSError:
         return ""
     return f"{pid}:{started}"
+
+
+_ROOT = Path("/sys/fs/cgroup")
+_PREFIX = "upwash-emulation-"
+_OF_PROCESS_1 = "init.scope"  # where systemd keeps its own: engines make containers' groups beside it
+_HANDED_DOWN = ("cpuset.cpus", "cpuset.mems")  # by nobody but us, in the first version of control groups
+# Outside of the group its processes' nice values count for nothing: it gets what four of nice value -10 would.
+_GROUP_WEIGHTS = {"cpu.shares": 40 * 1024, "cpu.weight": 40 * 100}
+
+
+def enter_groups(owner: str) -> None:
+    """Moves this process, the first of its namespace, into groups of the owner's, where containers are made, too."""
+    for hierarchy in _hierarchies():
+        group = hierarchy
+        for name in (_PREFIX + owner, _OF_PROCESS_1):
+            group, parent = group / name, group
+            group.mkdir()
+            for setting in _HANDED_DOWN:
+                if (parent / setting).exists():
+                    (group / setting).write_text((parent / setting).read_text())
+        (group / "cgroup.procs").write_text("0")  # itself
+        for setting, weight in _GROUP_WEIGHTS.items():
+            if (group.parent / setting).exists():
+                (group.parent / setting).write_text(str(weight))
+
+
+def remove_groups(is_gone: Callable[[str], bool]) -> list[Path]:
+    """Removes the groups of owners that are gone; returns those that cannot be, as processes are in them yet."""
+    gone = [group for group, owner in _owned_groups() if is_gone(owner)]
+    for group in gone:
+        for each in (*sorted(_below(group), reverse=True), group):
+            with contextlib.suppress(OSError):
+                each.rmdir()
+    return [group for group in gone if group.exists()]
+
+
+def _owned_groups() -> Iterator[tuple[Path, str]]:
+    for hierarchy in _hierarchies():
+        for group in hierarchy.glob(f"{_PREFIX}*"):
+            yield group, group.name.removeprefix(_PREFIX)
+
+
+def _below(group: Path) -> Iterator[Path]:
+    return (each for each in group.rglob("*") if each.is_dir())
+
+
+def _hierarchies() -> Iterator[Path]:
+    """The one of the second version of control groups, or those of the first."""
+    if (_ROOT / "cgroup.procs").exists():
+        yield _ROOT
+    elif _ROOT.exists():
+        yield from (
+            each
+            for each in sorted(_ROOT.iterdir())
+            if not each.is_symlink() and (each / "cgroup.procs").exists()
+        )

@@ -9,20 +9,20 @@ from typing import Protocol
 
 from upwash.config import DroneConfig, ServerConfig, server_position
 from upwash.core.geo import Position
-from upwash.emulation.namespaces import End
+from upwash.emulation.namespaces import LinkEnd
 
 _DAEMON_PORT = 7070
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class EmulatedLink:
     """The network that joins one drone and one server."""
 
     drone: str
     server: ServerConfig
     server_at: Position
-    drone_end: End
-    server_end: End
+    drone_end: LinkEnd
+    server_end: LinkEnd
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,25 +36,27 @@ class Field:
         """The servers, each by what the drones' scenarios say of it."""
         return self.drones[0].servers
 
-    def links(self) -> Iterator[Link]:
+    def links(self) -> Iterator[EmulatedLink]:
         """A link for every drone and every server."""
         for number, drone in enumerate(self.drones):
             for index, server in enumerate(self.servers):
-                yield Link(
+                yield EmulatedLink(
                     drone=drone.name,
                     server=server,
                     server_at=server_position(server, drone.mission.home),
-                    drone_end=End(drone_namespace(drone.name), f"to{index}", f"10.83.{index}.{number + 2}"),
-                    server_end=End(server_namespace(server.name), f"to{number}", self._address(index)),
+                    drone_end=LinkEnd(
+                        drone_namespace(drone.name), f"to{index}", f"10.83.{index}.{number + 2}"
+                    ),
+                    server_end=LinkEnd(server_namespace(server.name), f"to{number}", self._address(index)),
                 )
 
-    def wires(self) -> Iterator[tuple[End, End]]:
+    def wires(self) -> Iterator[tuple[LinkEnd, LinkEnd]]:
         """A wire for every two servers that are peers, between the addresses that their daemons listen at."""
         for (index, server), (other_index, other) in itertools.combinations(enumerate(self.servers), 2):
             if other.name in server.truth.peers or server.name in other.truth.peers:
                 yield (
-                    End(server_namespace(server.name), f"wire{other_index}", self._address(index)),
-                    End(server_namespace(other.name), f"wire{index}", self._address(other_index)),
+                    LinkEnd(server_namespace(server.name), f"wire{other_index}", self._address(index)),
+                    LinkEnd(server_namespace(other.name), f"wire{index}", self._address(other_index)),
                 )
 
     def peers(self, server: ServerConfig) -> dict[str, str]:
@@ -94,7 +96,7 @@ def server_namespace(name: str) -> str:
     return f"server-{name}"
 
 
-class Radio(Protocol):
+class EmulatedRadio(Protocol):
     """What joins the drones and the servers, as good as their distance lets it be."""
 
     @property

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
+import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.emulation.tools import command
+from upwash.errors import UpwashError, UsageError
 
 _CLONE_NEWNET = 0x40000000
 _QUIET = (
@@ -19,7 +22,7 @@ _QUIET = (
 
 
 @dataclass(frozen=True, slots=True)
-class End:
+class LinkEnd:
     """One end of a link: a device in a namespace, and its address there."""
 
     namespace: str
@@ -58,7 +61,7 @@ def enter_handle(handle: int) -> None:
         raise OSError(error, os.strerror(error))
 
 
-def join_by_cable(one: End, other: End) -> None:
+def join_by_cable(one: LinkEnd, other: LinkEnd) -> None:
     """Makes a pair of virtual Ethernet devices that joins the two ends."""
     command(
         *("ip", "link", "add", one.device, "netns", one.namespace, "type", "veth"),
@@ -69,16 +72,34 @@ def join_by_cable(one: End, other: End) -> None:
         command(*_ip(end), "link", "set", end.device, "up")
 
 
-def give_address(end: End, *, prefix_bits: int) -> None:
+def give_address(end: LinkEnd, *, prefix_bits: int) -> None:
     """Gives a device that is there its address, and switches it on."""
     command(*_ip(end), "address", "add", f"{end.address}/{prefix_bits}", "dev", end.device)
     command(*_ip(end), "link", "set", end.device, "up")
 
 
-def add_route(end: End, subnet: str, *, via: str) -> None:
+def add_route(end: LinkEnd, subnet: str, *, via: str) -> None:
     """Has what the end's namespace sends to the subnet leave by the end, for whoever has the address `via`."""
     command(*_ip(end), "route", "add", subnet, "via", via, "dev", end.device)
 
 
-def _ip(end: End) -> tuple[str, ...]:
+def _ip(end: LinkEnd) -> tuple[str, ...]:
     return ("ip", "-n", end.namespace)
+
+
+def require_tools(packages: Mapping[str, str]) -> None:
+    """UsageError where one of the programs is missing, with the Debian packages that have those that are."""
+    missing = [program for program in packages if shutil.which(program) is None]
+    if missing:
+        named = ", ".join(dict.fromkeys(packages[program] for program in missing))
+        raise UsageError(f"{', '.join(missing)} not found: install Debian's {named}")
+
+
+def command(*words: str) -> str:
+    """Runs a command and returns what it prints; UpwashError with what it said where it failed."""
+    done = subprocess.run(  # noqa: S603
+        words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise UpwashError(f"{' '.join(words)}: {done.stderr.strip() or f'ended with {done.returncode}'}")
+    return done.stdout

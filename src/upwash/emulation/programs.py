@@ -1,21 +1,39 @@
-"""The emulated programs: an edge daemon, a vehicle and a flight, each a process in its namespace."""
+"""The emulated programs, the computers that they run on, and their configuration files."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any, Protocol
 
 import msgspec
+import tomli_w
 
-from upwash.config import CameraConfig, DroneConfig, ServerConfig, told_in_numbers
-from upwash.emulation.computers import Computers
+from upwash.config import (
+    CameraConfig,
+    DaemonConfig,
+    DaemonKeysConfig,
+    DroneConfig,
+    IdentityConfig,
+    ImageConfig,
+    KeysConfig,
+    PeerConfig,
+    RuntimeConfig,
+    ServerConfig,
+    server_truth,
+    told_in_numbers,
+)
+from upwash.config.coverage import CoverageFile
+from upwash.config.values import PlanFile
 from upwash.emulation.field import Field, drone_namespace, server_namespace
-from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
+from upwash.emulation.namespaces import inside, make_namespace
+from upwash.emulation.request import server_paces
 from upwash.launch.flight_program import FlightProgram
 from upwash.launch.processes import ready_program
 from upwash.real.trust.authority import keys_in
+from upwash.support.output_files import write_file
 
 _PARK_SEED = 1  # of the photos of a drone that has no camera
 
@@ -63,7 +81,7 @@ def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) 
     return file
 
 
-class Flight:
+class EmulatedFlight:
     """One drone's `upwash fly`, from its configuration to its exit code."""
 
     def __init__(
@@ -104,3 +122,91 @@ def _camera(config: CameraConfig) -> CameraConfig:
     if (config.folder, config.device, config.park_seed) == (None, None, None):
         return msgspec.structs.replace(config, park_seed=_PARK_SEED)
     return config
+
+
+def write_drone_file(file: Path, config: DroneConfig) -> None:
+    """Writes the configuration so that reading the file gives it back."""
+    _write(file, config)
+
+
+def write_daemon_file(file: Path, config: DaemonConfig) -> None:
+    """Writes the configuration so that reading the file gives it back."""
+    _write(file, config)
+
+
+def daemon_config(
+    server: ServerConfig, config: DroneConfig, *, listen: str, peers: Mapping[str, str], keys: KeysConfig
+) -> DaemonConfig:
+    """The configuration of the daemon that acts as one of the drone's servers."""
+    truth = server_truth(server, config.services)
+    paces = server_paces(server, config)
+    return DaemonConfig(
+        listen=listen,
+        keys=DaemonKeysConfig(authority=keys.authority, certificate=keys.certificate, key=keys.key),
+        images=tuple(
+            ImageConfig(
+                name=service.name,
+                program=service.program,
+                pace_s=paces[service.name].call_s,
+                start_pace_s=paces[service.name].start_s,
+            )
+            for service in config.services
+            if service.name in paces
+        ),
+        identities=(
+            IdentityConfig(name=server.name, slots=truth.slots, turn_s=truth.turn_s, images=tuple(paces)),
+        ),
+        peers=tuple(PeerConfig(name=name, address=address) for name, address in peers.items()),
+    )
+
+
+def _write(file: Path, config: DroneConfig | DaemonConfig) -> None:
+    tables = _without_nothing(msgspec.to_builtins(config, enc_hook=_as_text))
+    write_file(file, tomli_w.dumps(tables).encode())
+
+
+def _as_text(value: object) -> str:
+    if isinstance(value, CoverageFile | PlanFile):
+        return str(value.file.absolute())
+    if isinstance(value, Path):
+        return str(value)
+    raise NotImplementedError(f"no text for {value!r}")
+
+
+def _without_nothing(value: Any) -> Any:
+    """The value without the Nones in it, which TOML cannot write."""
+    if isinstance(value, dict):
+        return {key: _without_nothing(item) for key, item in value.items() if item is not None}
+    return [_without_nothing(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+class Computers(Protocol):
+    """Makes computers, each with a network namespace of its name."""
+
+    def make(self, name: str) -> None:
+        """Makes a computer whose network namespace has nothing but its loopback."""
+
+    def inside(self, name: str) -> tuple[str, ...]:
+        """The words that run a command on the computer."""
+
+    def equip(self, name: str, daemon: DaemonConfig, *, subnet: str) -> RuntimeConfig:
+        """Has the computer able to run the daemon's services; returns in what.
+
+        Services that have addresses of their own get them from the subnet.
+        """
+
+
+class NamespaceComputers:
+    """Computers that are network namespaces and nothing more: they share this machine's files and processes."""
+
+    def make(self, name: str) -> None:
+        """Makes a namespace."""
+        make_namespace(name)
+
+    def inside(self, name: str) -> tuple[str, ...]:
+        """The words that run a command in the namespace."""
+        return inside(name)
+
+    def equip(self, name: str, daemon: DaemonConfig, *, subnet: str) -> RuntimeConfig:
+        """Services are processes of their daemon."""
+        return RuntimeConfig(sandbox_as_root=True)  # who else may make networks

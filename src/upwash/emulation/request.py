@@ -1,8 +1,8 @@
-"""What is to be emulated: what the command says, and the drones and servers that follow from it."""
+"""What the command asks of the enclosed emulation, and what that leaves in the run's folder."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -23,6 +23,8 @@ from upwash.config import (
     server_truth,
 )
 from upwash.errors import UsageError
+from upwash.launch.flight_program import INTERRUPTED
+from upwash.support.output_files import write_file
 
 RadioKind = Literal["table", "ns3"]
 ComputerKind = Literal["namespaces", "containers"]
@@ -184,3 +186,43 @@ def _call_paces_s(server: ServerConfig, truth: ServerTruth, service: ServiceConf
         **truth.processing_s.get(service.name, {}),
         **{key: max(0.0, call_s - transfer_s) for key, call_s in end_to_end_s.items()},
     }
+
+
+RADIO_LAG_LIMIT_S = 0.02  # more, and the radio's times mean nothing
+POSITION_LAG_LIMIT_S = 0.5  # more, and a drone is metres away from where its radio believes it to be
+_FILE = "emulation.json"
+
+
+class EmulationOutcome(msgspec.Struct, frozen=True, kw_only=True):
+    """How far an emulation was ever behind the clock, and each flight's exit code; the rest is in the event logs."""
+
+    radio: RadioKind
+    radio_lag_s: float
+    position_lag_s: float
+    exit_codes: Mapping[str, int]
+
+    @property
+    def valid(self) -> bool:
+        """Whether nothing was so late that what was measured means nothing."""
+        return self.radio_lag_s <= RADIO_LAG_LIMIT_S and self.position_lag_s <= POSITION_LAG_LIMIT_S
+
+    @property
+    def completed(self) -> bool:
+        """Whether every flight ended as it should."""
+        return not any(self.exit_codes.values())
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a flight was ended by a Ctrl-C."""
+        return INTERRUPTED in self.exit_codes.values()
+
+    def write(self, folder: Path) -> None:
+        """Leaves it in the folder."""
+        record = msgspec.structs.asdict(self) | {"valid": self.valid}
+        write_file(folder / _FILE, msgspec.json.format(msgspec.json.encode(record)) + b"\n")
+
+
+def read_outcome(folder: Path) -> EmulationOutcome | None:
+    """What the emulation of the folder came to; None where it did not come to its end."""
+    file = folder / _FILE
+    return msgspec.json.decode(file.read_bytes(), type=EmulationOutcome) if file.exists() else None

@@ -10,8 +10,14 @@ from rich.console import Console
 from upwash.config import read_drone_config
 from upwash.emulation.enclosure import run_enclosed
 from upwash.emulation.native import native_program, wifi_of
-from upwash.emulation.outcome import POSITION_LAG_LIMIT_S, RADIO_LAG_LIMIT_S, Outcome, read_outcome
-from upwash.emulation.request import EmulationRequest, left_out
+from upwash.emulation.request import (
+    POSITION_LAG_LIMIT_S,
+    RADIO_LAG_LIMIT_S,
+    EmulationOutcome,
+    EmulationRequest,
+    left_out,
+    read_outcome,
+)
 from upwash.errors import MissionStopped, UpwashError, UsageError
 from upwash.support.loading import module_command
 
@@ -56,7 +62,7 @@ def _run(request: EmulationRequest) -> int:
         return run_enclosed(*program, request.encoded(), handles=(own.fileno(),))
 
 
-def _print(outcome: Outcome, console: Console) -> None:
+def _print(outcome: EmulationOutcome, console: Console) -> None:
     console.print(
         f"radio {outcome.radio}: at most {1000 * outcome.radio_lag_s:.1f} ms late "
         f"(limit {1000 * RADIO_LAG_LIMIT_S:.0f}); positions at most {1000 * outcome.position_lag_s:.0f} ms late "

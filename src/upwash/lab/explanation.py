@@ -18,7 +18,8 @@ from upwash.eventlog.reasons import explained_calls
 from upwash.eventlog.results import CallResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.fleet import simulate_fleet
-from upwash.lab.simulation import Simulation, read_scenario, simulate
+from upwash.lab.scenario import read_scenario
+from upwash.lab.simulation import Simulation, simulate
 from upwash.support.sentences import say
 from upwash.support.text import escaped_lines, printable
 
@@ -35,7 +36,7 @@ class Replay:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class CallChoice:
     """Which calls are explained: all, those of a waypoint, or so many that took longest, the longest first."""
 
     waypoint: int | None = None
@@ -56,7 +57,7 @@ class Wanted:
 
 
 def show_explanation(
-    log: Path, *, scenario: Path | None = None, drone: str | None = None, wanted: Wanted | None = None
+    log: Path, *, scenario: Path | None = None, drone: str | None = None, wanted: CallChoice | None = None
 ) -> None:
     """Prints why each call of the log, or each wanted one, ran where it ran, and what other policies would have done.
 
@@ -67,7 +68,7 @@ def show_explanation(
 
     events = EventLog(log)
     console = Console(markup=False, highlight=False)
-    wanted = wanted or Wanted()
+    wanted = wanted or CallChoice()
     calls = read_result(events).calls
     if not calls:
         raise UsageError(f"{log} has no service call to explain")
@@ -118,7 +119,7 @@ def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> 
     return fleet.drones[drone]
 
 
-def explain(events: Iterable[Event], replayed: Replay, wanted: Wanted) -> Iterator[str]:
+def explain(events: Iterable[Event], replayed: Replay, wanted: CallChoice) -> Iterator[str]:
     """The explanation of the wanted calls, line by line."""
     result = read_result(events)
     calls = explained_calls(events)

@@ -12,7 +12,8 @@ from upwash.core.planning.bound import FleetBound
 from upwash.lab.bounds import bounds_of
 from upwash.lab.fairness import jain, saved_s
 from upwash.lab.run import Run, simulate_drones
-from upwash.lab.simulation import Simulation, name_of, read_scenario, simulation_of
+from upwash.lab.scenario import name_of, read_scenario
+from upwash.lab.simulation import Simulation, simulation_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,42 +1,45 @@
-"""What an onlooker sees of a simulated world: facts that no program knows or tells.
+"""What an observer sees of a simulated world: facts that no program knows or tells.
 
-An observer stands between a program and a port and lets everything through as it is.
+An observer stands between a program and a port and passes everything on unchanged.
 
 | event | with |
 |---|---|
 | `dialled` | a drone opens a link: server, and the address |
 | `sent` | a drone sends a request: server, path, and where the drone is |
-| `joined`, `left` | a drone, a network, and by which radio |
+| `joined`, `left` | a drone, a network, and the radio |
 | `computed` | a drone's own service has done a call: the operation, and how long it took |
 | `asked`, `answered` | a drone's request reaches a daemon, and is answered: server, path |
-| `held` | a daemon holds a slot for a drone, for so long at most, as the peer `by` has asked it to |
+| `held` | a daemon holds a slot for a drone, for at most `for_s`, at the request of the peer `by` |
 | `instance_started`, `instance_ended` | server, service, endpoint; from the first moment of its start |
 | `admitted` | the drones that an instance answers from now on |
 | `served` | an instance begins a drone's call |
 | `commanded` | a command of the drone's program reaches its vehicle |
-| `taken` | a pilot, a ground station, a fail-safe or its own restart takes it: `by` |
-| `given_back_unheard` | a pilot gives it back, all of whose turn lay within one silence of the vehicle's link |
+| `taken` | a pilot, a ground station, a fail-safe or a restart takes the vehicle: `by` |
+| `given_back_unheard` | a pilot who took the vehicle and gives it back within one silence of its link |
 | `reached` | the vehicle counts as arrived; `off_m` is the true distance to that place |
 | `jumped_unheard` | its reported position jumps within a silence of the vehicle's link |
-| `flight_over` | the drone, and how high it is |
+| `flight_over` | the drone, and its altitude |
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import msgspec
 
 from upwash.core.admission.clients import Client
-from upwash.core.geo import Position
+from upwash.core.geo import Circle, Position
+from upwash.core.knowledge.ranges import Ranges
 from upwash.core.operation import Operation
 from upwash.errors import UpwashError
 from upwash.ports import Answered, Dialer, Instance, InstanceSpec, Link, Network, Runtime, ignored
 from upwash.rpc.protocol import HOLD, HoldReply, HoldRequest
-from upwash.sim.life import Life
-from upwash.sim.link import Handler
+from upwash.sim.autopilot import ModelAutopilot
+from upwash.sim.link import Handler, Life
 from upwash.sim.runtime import Computer
 
 
@@ -242,3 +245,34 @@ class _Instance:
         if not self.ended:
             self.ended = True
             self.observer.note(Seen(event="instance_ended", service=self.service))
+
+
+_HAIR_M = 0.01  # a drone that hovers on a border is now within and now without
+
+
+@dataclass(frozen=True, slots=True)
+class RangeInterval:
+    """A time that the drone spent in range of a server, or within a hair of it; the last one has no end."""
+
+    server: str
+    from_s: float
+    to_s: float = math.inf
+
+
+async def observe(
+    autopilot: ModelAutopilot, areas: Mapping[str, Circle], stays: list[RangeInterval]
+) -> NoReturn:
+    """Adds each stay as it begins, and ends it, until cancelled."""
+    wider = {name: Circle(area.centre, area.radius_m + _HAIR_M) for name, area in areas.items()}
+    ranges, circles = Ranges(wider), list(wider.values())
+    begun: dict[str, int] = {}  # where in the list each stay is that has no end yet
+    while True:
+        now_s = asyncio.get_running_loop().time()
+        for server in ranges.crossed(autopilot.position):
+            if server in begun:
+                number = begun.pop(server)
+                stays[number] = replace(stays[number], to_s=now_s)
+            else:
+                begun[server] = len(stays)
+                stays.append(RangeInterval(server, now_s))
+        await autopilot.border_truly_crossed(circles)

@@ -25,7 +25,7 @@ class Together:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class FlightOutcome:
     """One flight, or one of several drones: then times, bounds and energy are means over those that completed theirs.
 
     The counts of `totals` are of all calls of all drones. `failure` says why it was not completed, which it is where
@@ -48,15 +48,15 @@ class Outcome:
         return self.bound_s if self.fleet is None else self.fleet.bound_shared_s
 
 
-def fly(config: DroneConfig) -> Outcome:
+def fly(config: DroneConfig) -> FlightOutcome:
     """Flies the scenario; raises what `simulate` raises."""
     return _fly_fleet(config) if config.drones else _fly_one(config)
 
 
-def _fly_one(config: DroneConfig) -> Outcome:
+def _fly_one(config: DroneConfig) -> FlightOutcome:
     run = simulate(config)
     bound = bound_of(run, config)
-    return Outcome(
+    return FlightOutcome(
         policy=run.result.policy,
         completed=run.result.completed and not run.failure,
         failure=run.failure,
@@ -68,7 +68,7 @@ def _fly_one(config: DroneConfig) -> Outcome:
     )
 
 
-def _fly_fleet(config: DroneConfig) -> Outcome:
+def _fly_fleet(config: DroneConfig) -> FlightOutcome:
     fleet, runs = fleet_of(config), simulate_drones(config)
     _, bound = bounds_of(list(runs.values()), fleet)
     found = outcome_of(runs, config)
@@ -78,7 +78,7 @@ def _fly_fleet(config: DroneConfig) -> Outcome:
     if bound is not None and found.worst_s is not None:
         jain = 1.0 if found.jain is None else found.jain
         together = Together(len(completed), found.worst_s, jain, bound.shared_s)
-    return Outcome(
+    return FlightOutcome(
         policy=" ".join(dict.fromkeys(each.policy.name for each in fleet)),
         completed=together is not None and not failure,
         failure=failure,

@@ -35,27 +35,22 @@ from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
-from upwash.lab.observer import DroneObserver, Seen
-from upwash.lab.range_intervals import RangeInterval, observe
+from upwash.lab.observer import DroneObserver, RangeInterval, Seen, observe
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Camera, Dialer, Network
 from upwash.rpc.service import spec_of
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.sim.camera import ModelCamera, RenderedCamera
+from upwash.sim.camera import ModelCamera, RenderedCamera, eventful
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
-from upwash.sim.events import eventful
 from upwash.sim.faults import Faults
-from upwash.sim.joining import JoinedSlowly, Joining
 from upwash.sim.journal import MemoryJournal
-from upwash.sim.life import Life, lived
-from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.link import Life, ModelDialer, Switchboard, lived
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
 from upwash.sim.runtime import Computer, ModelRuntime
-from upwash.sim.sleeping import sleeps_reported
-from upwash.sim.vehicle import Manner
-from upwash.sim.world import DroneComputer, Radio, Wire
+from upwash.sim.turns import sleeps_reported
+from upwash.sim.vehicle import Manner, Plain
+from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio, Wire
 from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
 from upwash.vehicle.ardupilot import airframe as arducopter
@@ -332,7 +327,7 @@ def _radios(
 ) -> tuple[list[Network], Dialer]:
     """The networks in the drone's reach, for each of its radios, and the way to whoever is there."""
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
-    radio = Radio(
+    radio = ModelRadio(
         areas,
         truths,
         config.services,

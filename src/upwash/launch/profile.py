@@ -19,8 +19,8 @@ from upwash.launch.drone import (
 from upwash.missions.bundled import LoadedService
 from upwash.ports import InstanceSpec
 from upwash.profiling.profiler import (
+    CallSample,
     OnboardProfile,
-    Sample,
     ServerProfile,
     Watch,
     profile_onboard,
@@ -34,7 +34,7 @@ _MAX_MESSAGE_BYTES = 16 * 2**20
 
 
 async def profile_on_this_computer(
-    service: LoadedService, found: Sequence[Sample], *, calls: int, start_timeout_s: float, watch: Watch
+    service: LoadedService, found: Sequence[CallSample], *, calls: int, start_timeout_s: float, watch: Watch
 ) -> OnboardProfile:
     """Measures the service in instances such as the drone's own."""
     own = onboard(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES)
@@ -52,7 +52,7 @@ async def profile_on_this_computer(
 
 
 async def profile_at(
-    server: ServerConfig, config: DroneConfig, found: Sequence[Sample], *, calls: int, watch: Watch
+    server: ServerConfig, config: DroneConfig, found: Sequence[CallSample], *, calls: int, watch: Watch
 ) -> ServerProfile:
     """Measures a service at one of the drone's servers, with the drone's certificate."""
     require_address(server)

@@ -26,7 +26,7 @@ from upwash.launch.photos import Look, look
 from upwash.launch.trials import call_limit_s, requests_of, trials
 from upwash.missions.bundled import load_specs
 from upwash.ports import Network
-from upwash.profiling.profiler import Sample, require_answer
+from upwash.profiling.profiler import CallSample, require_answer
 from upwash.real.link.link import GrpcDialer
 from upwash.real.network.finding import Finding
 from upwash.rpc.service import ServiceSpec
@@ -50,7 +50,7 @@ class _Wanted:
     photos: Mapping[str, bytes]
     dialer: GrpcDialer
 
-    def of(self, endpoint: ServerEndpoint) -> list[Sample]:
+    def of(self, endpoint: ServerEndpoint) -> list[CallSample]:
         """The calls that a flight may make there."""
         return [
             sample
@@ -131,7 +131,9 @@ def _started(server: ServerConfig, services: Sequence[str], *, running: bool, to
     return f"{did} {', '.join(services) or 'nothing that the drone wants'} in {took_s:.1f} s ({key} = {believed_s:g})"
 
 
-async def _called(session: ServerSession, server: ServerConfig, wanted: _Wanted, found: list[Sample]) -> str:
+async def _called(
+    session: ServerSession, server: ServerConfig, wanted: _Wanted, found: list[CallSample]
+) -> str:
     """Makes each call, over the way that a flight's calls take; returns what the first of each operation took."""
     said: dict[str, str] = {}
     for sample, photo, request in requests_of(found):
@@ -152,7 +154,9 @@ async def _called(session: ServerSession, server: ServerConfig, wanted: _Wanted,
     return "".join(said.values())
 
 
-async def _call(session: ServerSession, wanted: _Wanted, sample: Sample, photo: str, request: bytes) -> float:
+async def _call(
+    session: ServerSession, wanted: _Wanted, sample: CallSample, photo: str, request: bytes
+) -> float:
     now_s, operation = asyncio.get_running_loop().time, sample.operation
     began_s = now_s()
     limit_s = call_limit_s(wanted.estimates.local_s(operation))
@@ -177,7 +181,7 @@ async def _probed(session: ServerSession) -> None:
         raise Unreachable(f"{error}: {_OTHER_PORTS}") from error
 
 
-def _measured(server: ServerConfig, sample: Sample) -> str:
+def _measured(server: ServerConfig, sample: CallSample) -> str:
     service = sample.operation.service
     return command(
         "upwash", "profile", service, "--config", "CONFIG", "--server", server.name, "--photos", "DIR"

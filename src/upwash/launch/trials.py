@@ -13,7 +13,7 @@ from upwash.errors import UpwashError, UsageError
 from upwash.launch.drone import onboard
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec
-from upwash.profiling.profiler import Sample, require_answer, samples
+from upwash.profiling.profiler import CallSample, require_answer, samples
 from upwash.real.instances.runtime import OwnProcesses
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import ServiceSpec, spec_of
@@ -21,7 +21,7 @@ from upwash.rpc.service import ServiceSpec, spec_of
 _LEAST_CALL_S = 60.0  # the first call after a start may have much to load
 
 
-def trials(spec: ServiceSpec, estimates: Estimates, photos: Mapping[str, bytes]) -> list[Sample]:
+def trials(spec: ServiceSpec, estimates: Estimates, photos: Mapping[str, bytes]) -> list[CallSample]:
     """The operations that a flight may call, each with these photos; none for a service that takes no photo."""
     if not photos:
         return []
@@ -53,7 +53,12 @@ async def services_in_trouble(config: DroneConfig, photos: Mapping[str, bytes]) 
 
 
 async def _try_out(
-    config: DroneConfig, own: OwnProcesses, spec: InstanceSpec, found: list[Sample], *, estimates: Estimates
+    config: DroneConfig,
+    own: OwnProcesses,
+    spec: InstanceSpec,
+    found: list[CallSample],
+    *,
+    estimates: Estimates,
 ) -> None:
     instance = await started(own, spec, within_s=config.start_timeout_s)
     try:
@@ -70,7 +75,7 @@ async def _try_out(
         await instance.stop()
 
 
-def requests_of(found: list[Sample]) -> Iterator[tuple[Sample, str, bytes]]:
+def requests_of(found: list[CallSample]) -> Iterator[tuple[CallSample, str, bytes]]:
     """Each request, with its operation and the name of its photo."""
     for sample in found:
         for photo, request in sample.requests.items():

@@ -24,14 +24,13 @@ from upwash.core.planning.order import Order
 from upwash.drone.preparation import make_estimates, order_of
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
-from upwash.lab.campaign import Fly
+from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
-from upwash.preflight.coverage import Coverage, coverage, uncovered
-from upwash.preflight.placement import Place
+from upwash.preflight.placement import SuggestedPlace
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
-from upwash.preflight.way_home import Farthest, farthest
+from upwash.preflight.waypoints import Farthest, ServerCoverage, coverage, farthest, uncovered
 
 
 class CheckInput(Struct, frozen=True):
@@ -42,7 +41,7 @@ class CheckInput(Struct, frozen=True):
     config: DroneConfig
 
 
-class Check(Struct, frozen=True, kw_only=True):
+class MissionCheck(Struct, frozen=True, kw_only=True):
     """What was found: the one object that `upwash check --json` prints.
 
     `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` what the simulated one gives
@@ -56,14 +55,14 @@ class Check(Struct, frozen=True, kw_only=True):
     waypoints: int
     order: str = ""
     uncovered: tuple[int, ...]
-    servers: tuple[Coverage, ...]
+    servers: tuple[ServerCoverage, ...]
     predictions: tuple[Prediction, ...]
     usable_s: float | None
     usable_wh: float | None = None
     farthest: Farthest
     warnings: tuple[PreflightWarning, ...]
     notices: tuple[str, ...] = ()
-    places: tuple[Place, ...] = ()
+    places: tuple[SuggestedPlace, ...] = ()
     demanding_share: float | UnsetType = UNSET
 
 
@@ -78,7 +77,9 @@ def missions_to_fly(plan: CheckInput, seeds: int) -> int:
     return len(dict(cases(plan.document, plan.config))) * seeds
 
 
-def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None] = lambda _: None) -> Check:
+def check(
+    plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None] = lambda _: None
+) -> MissionCheck:
     """Flies each case of the mission in simulation with the seeds 1 to `seeds`, and says what was found.
 
     Raises UpwashError for a mission that is not completed even with every call on the drone.
@@ -96,7 +97,7 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
     predictions = predict(
         dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown
     )
-    return Check(
+    return MissionCheck(
         config=str(plan.file),
         waypoints=len(places),
         order=order.why,

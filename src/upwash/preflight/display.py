@@ -14,14 +14,13 @@ from rich.text import Text
 
 from upwash.config import DroneConfig, drone_config, told_pace
 from upwash.eventlog.narration import counted, spans
-from upwash.lab.campaign import Fly
-from upwash.lab.figures import Wanted
-from upwash.preflight.check import Check, CheckInput, check, missions_to_fly
-from upwash.preflight.coverage import Coverage
-from upwash.preflight.placement import Place, missions_to_place, place
+from upwash.lab.campaigns.campaign import Fly
+from upwash.lab.figures import FigureFiles
+from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
+from upwash.preflight.placement import SuggestedPlace, missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
 from upwash.preflight.warnings import is_for_flight
-from upwash.preflight.way_home import Farthest
+from upwash.preflight.waypoints import Farthest, ServerCoverage
 from upwash.sim.chance import plays_a_part
 from upwash.support.sentences import say
 
@@ -37,7 +36,7 @@ def show_check(
     seeds: int,
     servers_to_place: int = 0,
     as_json: bool = False,
-    figures: Wanted | None = None,
+    figures: FigureFiles | None = None,
     fly: Fly,
 ) -> bool:
     """Checks the file and prints what was found; returns whether there is nothing to warn of."""
@@ -70,13 +69,13 @@ def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
         yield lambda flown: progress.advance(task, flown)
 
 
-def _draw(config: DroneConfig, figures: Wanted) -> None:
+def _draw(config: DroneConfig, figures: FigureFiles) -> None:
     from upwash.lab.figures.coverage import draw_coverage
 
     draw_coverage(config, figures.files("coverage"))
 
 
-def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Console) -> None:
+def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, console: Console) -> None:
     say(
         f"{found.config} is understood: {counted(found.waypoints, 'waypoint')}, "
         f"{counted(len(config.services), 'service')}, {counted(len(config.servers), 'server')}",
@@ -118,7 +117,7 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
         console.print(Text("nothing to warn of", style="green"))
 
 
-def _coverage_table(servers: tuple[Coverage, ...], waypoints: int) -> Table:
+def _coverage_table(servers: tuple[ServerCoverage, ...], waypoints: int) -> Table:
     table = Table(box=None, padding=(0, 2))
     table.add_column("server", overflow="fold")
     table.add_column("covers", justify="right", no_wrap=True)
@@ -134,11 +133,11 @@ def _coverage_table(servers: tuple[Coverage, ...], waypoints: int) -> Table:
     return table
 
 
-def _measured(server: Coverage, waypoints: int) -> str:
+def _measured(server: ServerCoverage, waypoints: int) -> str:
     return f"no range: measured at {len(server.measured)} of {waypoints}"
 
 
-def _prediction_table(found: Check) -> Table:
+def _prediction_table(found: MissionCheck) -> Table:
     local_only_s = next((each.mission_time_s for each in found.predictions if each.case == LOCAL_ONLY), None)
     table = Table(box=None, padding=(0, 2))
     table.add_column("predicted", overflow="fold")
@@ -154,7 +153,7 @@ def _prediction_table(found: Check) -> Table:
     return table
 
 
-def _prediction_cells(prediction: Prediction, local_only_s: float | None, found: Check) -> list[Text]:
+def _prediction_cells(prediction: Prediction, local_only_s: float | None, found: MissionCheck) -> list[Text]:
     time_s = prediction.mission_time_s
     if time_s is None:
         return [Text(prediction.case), Text("not completed", style="red")]
@@ -172,12 +171,12 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
     return cells
 
 
-def _are_lighter(found: Check) -> bool:
+def _are_lighter(found: MissionCheck) -> bool:
     """Whether calls may be, so that it is worth a column."""
     return any(each.lighter is not None for each in found.predictions)
 
 
-def _how_sure(found: Check, config: DroneConfig) -> str:
+def _how_sure(found: MissionCheck, config: DroneConfig) -> str:
     missions = found.predictions[0].missions
     if plays_a_part(config):
         sure = f"means of {missions} simulated missions each, ± 95 % confidence"
@@ -197,7 +196,7 @@ def _farthest_line(far: Farthest, config: DroneConfig) -> str:
     )
 
 
-def _place_line(place: Place) -> str:
+def _place_line(place: SuggestedPlace) -> str:
     return (
         f"one more server helps most at {place.east_m:.0f} m east, {place.north_m:.0f} m north "
         f"({place.server}): {place.mission_time_s / 60:.2f} min"

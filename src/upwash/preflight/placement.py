@@ -12,13 +12,13 @@ from msgspec import Struct
 from upwash.config import Document, DroneConfig, waypoints
 from upwash.core.geo import Position
 from upwash.errors import UsageError
-from upwash.lab.campaign import Fly
+from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.prediction import AS_CONFIGURED, changed, predict
 
 STEPS = 6  # candidates along each side of the field
 
 
-class Place(Struct, frozen=True, kw_only=True):
+class SuggestedPlace(Struct, frozen=True, kw_only=True):
     """Where one more server helps most, and the mission time that is predicted with it and those before it."""
 
     server: str
@@ -40,7 +40,7 @@ def place(
     servers: int,
     fly: Fly,
     flown: Callable[[int], None] = lambda _: None,
-) -> tuple[list[Place], Document]:
+) -> tuple[list[SuggestedPlace], Document]:
     """Puts one server after the other where the mission is then fastest; also returns the document with them.
 
     Each is like the first one of the file, which stays with the others where it is, and is tried at STEPS by STEPS
@@ -50,7 +50,7 @@ def place(
     if not config.servers:
         raise UsageError("--place needs one [[server]] in the file: the servers to be placed are like it")
     field = candidates([waypoint.position for waypoint in waypoints(config.mission)])
-    placed: list[Place] = []
+    placed: list[SuggestedPlace] = []
     for name in itertools.islice(_free_names(config), servers):
         trials = {str(index): _with_server(document, name, at) for index, at in enumerate(field)}
         documents = {AS_CONFIGURED: document, **trials}
@@ -64,7 +64,9 @@ def place(
         if best == AS_CONFIGURED:
             break
         at = field[int(best)]
-        placed.append(Place(server=name, east_m=at.east_m, north_m=at.north_m, mission_time_s=times_s[best]))
+        placed.append(
+            SuggestedPlace(server=name, east_m=at.east_m, north_m=at.north_m, mission_time_s=times_s[best])
+        )
         document = trials[best]
     return placed, document
 

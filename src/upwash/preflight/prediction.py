@@ -9,8 +9,8 @@ from pathlib import Path
 from msgspec import Struct
 
 from upwash.config import Document, DroneConfig
-from upwash.lab.campaign import Fly, fly_sweep
-from upwash.lab.sweep import Combination, Sweep
+from upwash.lab.campaigns.campaign import Fly, fly_sweep
+from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 
 LOCAL_ONLY, AS_CONFIGURED, ALONE = "local-only", "as configured", "without any server"
 
@@ -74,7 +74,7 @@ def predict(
 ) -> list[Prediction]:
     """Flies each of the named documents with the seeds 1 to `seeds`."""
     combinations = tuple(Combination((case,), document) for case, document in documents.items())
-    summaries = fly_sweep(Sweep(file, (), combinations, seeds), fly=fly, flown=flown)
+    summaries = fly_sweep(ParameterSweep(file, (), combinations, seeds), fly=fly, flown=flown)
     return [
         Prediction(
             case=summary.values[0],

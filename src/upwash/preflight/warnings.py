@@ -19,9 +19,8 @@ from upwash.config import (
 )
 from upwash.config.values import MDNS
 from upwash.core.policies.policy import WaitRule
-from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
-from upwash.preflight.way_home import PX4_LOW_PERCENT, farthest
+from upwash.preflight.waypoints import PX4_LOW_PERCENT, ServerCoverage, farthest
 
 _LATE_S = 1.0  # less is what the forecast of the last calls was off
 _WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happened to begin
@@ -56,7 +55,7 @@ def _level_percent(config: DroneConfig, energy: EnergyConfig) -> float:
 
 def warnings(
     config: DroneConfig,
-    covered: Sequence[Coverage],
+    covered: Sequence[ServerCoverage],
     beliefs: Sequence[Belief],
     predictions: Sequence[Prediction],
 ) -> list[PreflightWarning]:
@@ -88,7 +87,7 @@ def is_for_flight(config: DroneConfig) -> bool:
 
 
 def _range_concerns(
-    servers: Sequence[ServerConfig], covered: Sequence[Coverage]
+    servers: Sequence[ServerConfig], covered: Sequence[ServerCoverage]
 ) -> Iterator[PreflightWarning]:
     checks = {server.name: server for server in servers}
     for each in covered:

@@ -33,7 +33,7 @@ _UNDECODABLE = (
 
 
 @dataclass(frozen=True)
-class Sample:
+class CallSample:
     """One operation, and a request of it for each photo, by the photo's name."""
 
     operation: Operation
@@ -50,7 +50,7 @@ class Sample:
 class CallProfile:
     """What calls of one operation took: the first of a new instance, those after it, and the mean size of a reply."""
 
-    sample: Sample
+    sample: CallSample
     first_s: float
     call_s: tuple[float, ...]
     reply_bytes: int
@@ -92,14 +92,14 @@ class ServerProfile:
 Watch = Callable[[str], None]  # told what is done next, once per call
 
 
-def samples(spec: ServiceSpec, photos: Mapping[str, bytes]) -> list[Sample]:
+def samples(spec: ServiceSpec, photos: Mapping[str, bytes]) -> list[CallSample]:
     """Every operation that can be called with a photo, for photos by their names; UsageError where there is none.
 
     That is a method with one parameter of bytes; the profile argument takes each of its values, and any other
     parameter has a default.
     """
     found = [
-        Sample(
+        CallSample(
             Operation(spec.name, method.name, key),
             method,
             {called: method.encode((), {name: photo, **arguments})[1] for called, photo in photos.items()},
@@ -134,14 +134,14 @@ def values_of(spec: ServiceSpec, setting: str) -> tuple[str, ...]:
     )
 
 
-def calls_to_make(found: Sequence[Sample], calls: int) -> int:
+def calls_to_make(found: Sequence[CallSample], calls: int) -> int:
     """How often a Watch is told of a call while these are measured."""
     return len(found) * (calls + 1)
 
 
 async def profile_onboard(
     spec: InstanceSpec,
-    found: Sequence[Sample],
+    found: Sequence[CallSample],
     *,
     calls: int,
     drone: str,
@@ -175,7 +175,7 @@ async def profile_onboard(
 
 async def profile_server(
     endpoint: ServerEndpoint,
-    found: Sequence[Sample],
+    found: Sequence[CallSample],
     *,
     calls: int,
     start_timeout_s: float,
@@ -209,11 +209,11 @@ async def profile_server(
     )
 
 
-Request = Callable[[Sample, bytes], Awaitable[bytes]]
+Request = Callable[[CallSample, bytes], Awaitable[bytes]]
 
 
 def _over(link: Link) -> Request:
-    def request(sample: Sample, body: bytes) -> Awaitable[bytes]:
+    def request(sample: CallSample, body: bytes) -> Awaitable[bytes]:
         path = service_path(sample.operation.service, sample.operation.method)
         return link.request(path, body, timeout_s=LONGEST_CALL_S)
 
@@ -221,14 +221,14 @@ def _over(link: Link) -> Request:
 
 
 def _to(session: ServerSession) -> Request:
-    def request(sample: Sample, body: bytes) -> Awaitable[bytes]:
+    def request(sample: CallSample, body: bytes) -> Awaitable[bytes]:
         operation = sample.operation
         return session.call(operation.service, operation.method, body, deadline_s=LONGEST_CALL_S)
 
     return request
 
 
-async def _measure(sample: Sample, request: Request, *, calls: int, watch: Watch) -> CallProfile:
+async def _measure(sample: CallSample, request: Request, *, calls: int, watch: Watch) -> CallProfile:
     delays_s, replies_bytes = [], []
     for photo in itertools.islice(itertools.cycle(sample.requests), calls + 1):
         watch(str(sample.operation))
@@ -240,7 +240,7 @@ async def _measure(sample: Sample, request: Request, *, calls: int, watch: Watch
     return CallProfile(sample, delays_s[0], tuple(delays_s[1:]), round(statistics.fmean(replies_bytes)))
 
 
-def require_answer(sample: Sample, photo: str, reply: bytes) -> None:
+def require_answer(sample: CallSample, photo: str, reply: bytes) -> None:
     """Raises UsageError, with the photo's name, for a reply that is an exception of the service."""
     try:
         sample.method.result(sample.method.decode(reply))
@@ -248,7 +248,7 @@ def require_answer(sample: Sample, photo: str, reply: bytes) -> None:
         raise UsageError(f"{sample.operation} failed on {photo}: {error}") from error
 
 
-async def _measure_transfer(sample: Sample, request: Request) -> tuple[float, float | None]:
+async def _measure_transfer(sample: CallSample, request: Request) -> tuple[float, float | None]:
     """The delay of a request that nothing is computed for, and the goodput that its size makes of it."""
     sizes_bytes = 1, sample.request_bytes
     delays_s: dict[int, list[float]] = {size_bytes: [] for size_bytes in sizes_bytes}

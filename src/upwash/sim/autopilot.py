@@ -1,4 +1,4 @@
-"""The program's side of a vehicle on paper: verbs behind the latch, on the event loop's clock."""
+"""The program's side of a simulated vehicle: its verbs, on the event loop's clock."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.errors import AutopilotRefused, AutopilotTimeout
-from upwash.ports import DeadMan, VehicleLimits, VehicleNews
-from upwash.sim.battery import Battery
-from upwash.sim.dead_man import ModelDeadMan
+from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
-from upwash.sim.hearing import Hearing
-from upwash.sim.incidents import Incidents
+from upwash.sim.incidents import Incidents, ModelBattery
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
+from upwash.sim.vehicle_link import ModelVehicleLink
 from upwash.support.waiting import first
 from upwash.vehicle.ardupilot.airframe import TURN_DEG_S
 from upwash.vehicle.body.kinematics import Phase, duration_s, stretched
@@ -77,7 +75,7 @@ class ModelAutopilot:
         self._turned_to_deg: float | None = None
         self._ground_m = self._vehicle.home.altitude_m  # below the take-off, above the sea
         self._reached = reached
-        self._hearing = Hearing(self._vehicle, is_off=self._is_off)
+        self._hearing = ModelVehicleLink(self._vehicle, is_off=self._is_off)
         Incidents(
             incidents,
             self._vehicle,
@@ -86,7 +84,7 @@ class ModelAutopilot:
             jumped_unheard=jumped_unheard,
         )
         self._hearing.take()
-        self._battery = Battery(self._vehicle, self._hearing, energy=energy, endurance_s=endurance_s)
+        self._battery = ModelBattery(self._vehicle, self._hearing, energy=energy, endurance_s=endurance_s)
 
     @property
     def position(self) -> Position:
@@ -439,3 +437,21 @@ def _bearing_deg(start: Position, end: Position, otherwise_deg: float) -> float:
     """Clockwise from north; `otherwise_deg` for a way straight up or down."""
     east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
     return math.degrees(math.atan2(east_m, north_m)) % 360 if east_m or north_m else otherwise_deg
+
+
+class ModelDeadMan:
+    """Always ready, and never needed: a simulated program does not die without a word."""
+
+    async def missing(self) -> str:
+        """Nothing."""
+        return ""
+
+    async def install(self) -> str:
+        """It is there."""
+        return ""
+
+    async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
+        """At once."""
+
+    async def release(self) -> None:
+        """At once."""

@@ -1,4 +1,4 @@
-"""Cameras without a lens: one renders what lies below the drone, one returns nothing worth looking at."""
+"""Cameras without a lens, and the waypoints at which their photos show an event."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from upwash.core.geo import Position, ground_distance_m
+from upwash.config import EventConfig
+from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.ports import Photo
-from upwash.sim.replies import EVENT
+from upwash.sim.chance import Chance
+from upwash.sim.runtime import EVENT
 from upwash.support.loading import extra
 
 if TYPE_CHECKING:
@@ -66,3 +68,16 @@ class RenderedCamera:
         view = self._view(at.east_m, at.north_m, at.altitude_m)
         render = functools.partial(self._render, view, shot=next(self._shots))
         return await asyncio.to_thread(render) if self._in_thread else render()
+
+
+def eventful(event: EventConfig | None, waypoints: Sequence[Waypoint], chance: Chance) -> list[Waypoint]:
+    """The waypoints with an event; by a probability each draws for itself, so that an order changes none."""
+    if event is None:
+        return []
+    if event.every is not None:
+        return [each for each in waypoints if each.index % event.every == event.offset]
+    return [
+        each
+        for each in waypoints
+        if chance.stream(f"event/{each.index}").random() < (event.probability or 0.0)
+    ]

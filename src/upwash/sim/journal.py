@@ -12,7 +12,7 @@ from upwash.eventlog.fitting import fitted
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.schema import Event
 from upwash.sim.energy import EnergyMeter
-from upwash.sim.life import Life
+from upwash.sim.link import Life
 
 
 class MemoryJournal:

@@ -1,15 +1,14 @@
-"""Links between programs in one process: a request is a coroutine of the other program."""
+"""Links between programs of one process, and whether the computer at their end still runs."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Protocol
 
 from upwash.core.admission.clients import Client
-from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable
-from upwash.sim.life import Life
+from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable, UpwashError
 from upwash.support.background import begin
 from upwash.support.text import printable
 
@@ -135,3 +134,36 @@ class ModelLink:
     async def _get_through(self) -> None:
         if self._life.is_over or not self._air.connected(self._server):
             await asyncio.get_running_loop().create_future()  # until the caller's deadline
+
+
+class Life:
+    """Of one drone's computer; whatever would be heard of it asks here first."""
+
+    def __init__(self) -> None:
+        self.is_over = False
+
+
+async def lived(program: Coroutine[object, object, None], life: Life, *, until_s: float | None) -> None:
+    """Runs the drone's program to its end, or until its life is over; raises what it raises until then.
+
+    What the program still does on its way out, once it is cancelled, must reach nobody.
+    """
+    if until_s is None:
+        await program
+        return
+    here = asyncio.current_task()
+    assert here is not None  # noqa: S101 - a coroutine runs in a task
+
+    def end() -> None:
+        life.is_over = True
+        here.cancel()
+
+    ending = asyncio.get_running_loop().call_at(until_s, end)
+    try:
+        await program
+    except (UpwashError, asyncio.CancelledError):
+        if not life.is_over:
+            raise
+        here.uncancel()
+    finally:
+        ending.cancel()

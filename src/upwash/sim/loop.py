@@ -20,7 +20,7 @@ from contextvars import Context
 from typing import Any, NoReturn, TypeVar
 
 from upwash.errors import UpwashError
-from upwash.sim.turns import Interrupts, MissionTurn, OverstayedError, Turn, Turns
+from upwash.sim.turns import Interrupts, MissionTurn, OverstayedError, ThreadTurn, ThreadTurns
 
 T = TypeVar("T")
 
@@ -89,7 +89,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         self._numbers = itertools.count()  # of timers
         self._cancelled = 0  # timers that are still in the heap
         self._rounds = 0  # since time last went on
-        self.turns = Turns()
+        self.turns = ThreadTurns()
         self.failure: BaseException | None = None  # the first unhandled one
 
     def time(self) -> float:
@@ -153,14 +153,14 @@ class VirtualLoop(base_events.BaseEventLoop):
         except OverstayedError as error:
             raise LivelockError(f"{error}, and at {self._now_s:.3f} s everything else waits for it") from None
 
-    def _run_until(self, turn: Turn) -> None:
+    def _run_until(self, turn: ThreadTurn) -> None:
         """Runs rounds in this thread until it is its turn to do something else, or the loop is stopped."""
         while not self._run_round(turn):
             if self._stopping:  # type: ignore[attr-defined]
                 self.turns.next = self.turns.own
                 return
 
-    def _run_round(self, turn: Turn) -> bool:
+    def _run_round(self, turn: ThreadTurn) -> bool:
         """Runs what is ready now, and returns early, and True, where a turn has been given."""
         if not self._left:
             self._begin_round()

@@ -1,8 +1,8 @@
-"""Which thread of a simulation runs: the loop's own, or a mission's, one at a time.
+"""Which thread of a simulation runs: the loop's own, or a mission's, one at a time; and missions that sleep.
 
 A mission's thread begins a verb and then runs the loop itself until the verb has ended, instead of waking another
-thread and waiting: a change of thread costs more than all else that a verb does. Only where the verb of another
-mission ends first do two threads change. The loop's own thread waits meanwhile, and watches that missions go on:
+thread and waiting: a change of thread costs more than everything else in a verb. Two threads change only where the
+verb of another mission ends first. The loop's own thread waits meanwhile, and watches that missions go on:
 
     loop's own      runs ──give──┐                                     ┌─end── runs
     mission 1                    code ─wait─ runs ─give─ code ─wait─ ──┘
@@ -11,10 +11,14 @@ mission ends first do two threads change. The loop's own thread waits meanwhile,
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import signal
 import sys
 import threading
-from collections.abc import Callable
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from typing import SupportsIndex
 
 from upwash.errors import UpwashError
 
@@ -26,7 +30,7 @@ class OverstayedError(UpwashError):
     """A mission's code goes on for ever."""
 
 
-class Turn:
+class ThreadTurn:
     """The turn of one thread."""
 
     __slots__ = ("come",)
@@ -36,12 +40,12 @@ class Turn:
         self.come.acquire()
 
 
-class Turns:
+class ThreadTurns:
     """Hands the turn from thread to thread; `next` is whose turn it is after the callback that runs now."""
 
     def __init__(self) -> None:
-        self.own = Turn()
-        self.next: Turn | None = None
+        self.own = ThreadTurn()
+        self.next: ThreadTurn | None = None
         self._holder = self.own
         self._runs_loop = True  # the holder does, rather than a mission's code
         self._begun = 0  # turns of missions' code
@@ -85,7 +89,7 @@ class Turns:
         self._runs_loop = False
         self._begun += 1
 
-    def end_code(self, turn: Turn) -> bool:
+    def end_code(self, turn: ThreadTurn) -> bool:
         """In a mission's thread: the loop may run; False where the turn was taken from it."""
         with self._changing:
             if self._holder is not turn:
@@ -93,7 +97,7 @@ class Turns:
             self._runs_loop = True
             return True
 
-    def leave(self, turn: Turn) -> None:
+    def leave(self, turn: ThreadTurn) -> None:
         """In a mission's thread that ran the loop: has the next one go on; returns when it is its own turn again."""
         if self.next is turn:
             self.next = None
@@ -139,14 +143,14 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
-        self._turns: Turns | None = None
+        self._turns: ThreadTurns | None = None
         self._came = False
         self._handles = (
             threading.current_thread() is threading.main_thread()
             and signal.getsignal(signal.SIGINT) is signal.default_int_handler
         )
 
-    def end(self, turns: Turns) -> None:
+    def end(self, turns: ThreadTurns) -> None:
         """From now on it ends what takes these turns."""
         self._turns = turns
 
@@ -169,12 +173,14 @@ class Interrupts:
             self._turns.interrupt()
 
 
-class MissionTurn(Turn):
+class MissionTurn(ThreadTurn):
     """The turn of a mission's thread, which is outside the loop while its code runs."""
 
     __slots__ = ("_loop", "_run_until", "_turns")
 
-    def __init__(self, turns: Turns, loop: asyncio.BaseEventLoop, run_until: Callable[[Turn], None]) -> None:
+    def __init__(
+        self, turns: ThreadTurns, loop: asyncio.BaseEventLoop, run_until: Callable[[ThreadTurn], None]
+    ) -> None:
         super().__init__()
         self._turns = turns
         self._loop = loop
@@ -212,3 +218,59 @@ class MissionTurn(Turn):
         """In the mission's thread, last of all."""
         if self._turns.end_code(self):
             self._turns.leave_for_good()
+
+
+_MISSION_THREAD = "mission"  # as mission.py names it
+
+
+class _SleepWatch:
+    """Stands in for `time.sleep` while any simulation of the process runs."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._simulations = 0
+        self._sleep = time.sleep
+
+    @contextlib.contextmanager
+    def on(self) -> Iterator[None]:
+        with self._lock:
+            if self._simulations == 0:
+                self._sleep, time.sleep = time.sleep, self.sleep
+            self._simulations += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._simulations -= 1
+                if self._simulations == 0:
+                    time.sleep = self._sleep
+
+    def sleep(self, seconds: float | SupportsIndex, /) -> None:
+        """Sleeps, but in a simulated mission: there it warns instead.
+
+        A mission that imports the name while a simulation runs keeps this for good, so it looks each time.
+        """
+        if self._simulations == 0 or not _is_missions_code():
+            self._sleep(seconds)
+            return
+        caller = sys._getframe(1)
+        warnings.warn(
+            f"time.sleep({seconds}) in {caller.f_code.co_name}(), line {caller.f_lineno} of "
+            f"{caller.f_code.co_filename}, is skipped: in simulation time stands still while the mission's own code "
+            "runs, so this pause is missing from the mission's time",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+
+def _is_missions_code() -> bool:
+    """Whether this is a mission's thread, and it runs no loop."""
+    return threading.current_thread().name == _MISSION_THREAD and asyncio._get_running_loop() is None
+
+
+_watch = _SleepWatch()
+
+
+def sleeps_reported() -> contextlib.AbstractContextManager[None]:
+    """While it is on, a simulated mission that calls `time.sleep` is warned by name, and goes on at once."""
+    return _watch.on()

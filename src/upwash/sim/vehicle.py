@@ -1,4 +1,4 @@
-"""A vehicle on paper: its mode, its motors and how it moves. It obeys every command, whoever it belongs to.
+"""A simulated vehicle: its mode, its motors and how it moves. It obeys every command, no matter who owns it.
 
 The vehicle steers by its own estimate of its position, and all of its motions are in terms of that estimate. The
 estimate is the true position until it jumps.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
 import msgspec
@@ -17,7 +18,7 @@ from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.control import Heartbeat
 from upwash.core.vehicle.way_home import WayHome
 from upwash.sim.borders import Borders
-from upwash.vehicle.body.kinematics import Motion, Phase
+from upwash.vehicle.body.kinematics import Motion, Phase, braking, duration_s, leg, steadily
 
 GUIDED, LOITER, RETURN, LAND, STABILIZE = "GUIDED", "LOITER", "RTL", "LAND", "STABILIZE"
 
@@ -328,3 +329,55 @@ def _falling(start: Position) -> tuple[Phase, ...]:
     """From rest to the ground, without the air's resistance."""
     lasts_s = math.sqrt(2 * start.altitude_m / _GRAVITY_M_S2)
     return (Phase(start, Velocity(up_m_s=-1.0), 0.0, _GRAVITY_M_S2, lasts_s),)
+
+
+_AT_ONCE = 1e9  # metres a second, and more of them each second
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """Speeds up and brakes alike, and takes off, returns and lands in given times whatever the distance."""
+
+    acceleration_m_s2: float
+    takeoff_s: float
+    return_and_land_s: float
+
+    @property
+    def returning(self) -> WayHome:
+        """In its time, whatever the distance."""
+        return WayHome(
+            altitude_m=0.0,
+            climb_m_s=_AT_ONCE,
+            speed_m_s=_AT_ONCE,
+            acceleration_m_s2=_AT_ONCE,
+            hover_s=self.return_and_land_s,
+            descent_m_s=_AT_ONCE,
+            slowly_below_m=0.0,
+            landing_m_s=_AT_ONCE,
+        )
+
+    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
+        """Straight up in its time."""
+        return steadily(
+            ground, Position(ground.east_m, ground.north_m, altitude_m), duration_s=self.takeoff_s
+        )
+
+    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
+        """From rest to rest, under one acceleration."""
+        return leg(start, end, cruise_m_s=ground_speed_m_s, acceleration_m_s2=self.acceleration_m_s2)
+
+    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+        """Straight ahead, under the same acceleration."""
+        return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
+
+    def arrival_s(self, phases: tuple[Phase, ...]) -> float:
+        """At rest."""
+        return duration_s(phases)
+
+    def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
+        """Straight home in its time."""
+        return steadily(start, home, duration_s=self.return_and_land_s)
+
+    def landing(self, start: Position) -> tuple[Phase, ...]:
+        """Straight down in the time of a return."""
+        return steadily(start, Position(start.east_m, start.north_m), duration_s=self.return_and_land_s)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -29,6 +29,12 @@ def mean_of(observations: Sequence[float]) -> Mean:
         return Mean(count, value, math.inf)
     standard_error = statistics.stdev(observations) / math.sqrt(count)
     return Mean(count, value, student_quantile(count - 1) * standard_error)
+
+
+def mean_saving(before: Mapping[int, float], after: Mapping[int, float]) -> Mean | None:
+    """The mean of `before` less `after` over the keys of both; None where no key is in both."""
+    savings = [before[key] - value for key, value in after.items() if key in before]
+    return mean_of(savings) if savings else None
 
 
 @cache

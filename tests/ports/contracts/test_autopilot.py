@@ -16,8 +16,7 @@ from upwash.ports import Autopilot
 from upwash.real.mavlink import FlightSettings, Patience, connect_autopilot
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.sim.plain import Plain
-from upwash.sim.vehicle import Manner
+from upwash.sim.vehicle import Manner, Plain
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings

@@ -17,7 +17,7 @@ from upwash.config import DroneConfig, read_drone_config
 from upwash.core.geo import Position
 from upwash.emulation.emulate import make_radio
 from upwash.emulation.enclosure import settle_in
-from upwash.emulation.field import Field, Link, Radio
+from upwash.emulation.field import EmulatedLink, EmulatedRadio, Field
 from upwash.emulation.namespaces import enter, inside, make_namespace
 from upwash.emulation.request import RadioKind, emulated
 
@@ -45,7 +45,7 @@ def with_range(range_m: float) -> DroneConfig:
     return msgspec.structs.replace(config, servers=servers)
 
 
-def measure(radio: Radio, link: Link, distance_m: int) -> dict[str, float]:
+def measure(radio: EmulatedRadio, link: EmulatedLink, distance_m: int) -> dict[str, float]:
     radio.move(link.drone, Position(distance_m, 0.0))
     time.sleep(TAKES_EFFECT_S)
     answered = subprocess.run(
@@ -58,7 +58,7 @@ def measure(radio: Radio, link: Link, distance_m: int) -> dict[str, float]:
     return {"answers": True, "goodput_mbit_s": goodput_mbit_s(link)}
 
 
-def goodput_mbit_s(link: Link) -> float:
+def goodput_mbit_s(link: EmulatedLink) -> float:
     ready, took_s = threading.Event(), []
 
     def receive() -> None:

@@ -20,15 +20,14 @@ from tests.system.faults.strikes import Strike, Striker
 
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.emulation.computers import NamespaceComputers
+from upwash.emulation.emulate import Mover
 from upwash.emulation.enclosure import settle_in
 from upwash.emulation.field import Field, drone_namespace, server_namespace
-from upwash.emulation.mover import Mover
 from upwash.emulation.namespaces import inside
-from upwash.emulation.programs import daemon_file, drone_file
+from upwash.emulation.programs import NamespaceComputers, daemon_file, drone_file
+from upwash.emulation.radios import ShapedRadio
 from upwash.emulation.request import EmulationRequest
-from upwash.emulation.shaped import ShapedRadio
-from upwash.emulation.tracking import tracked
+from upwash.emulation.vehicles import tracked
 from upwash.launch.processes import ready_vehicle
 from upwash.real.trust.authority import make_keys
 

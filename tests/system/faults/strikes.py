@@ -16,9 +16,8 @@ import msgspec
 from tests.system.faults.crew import Daemon, DroneProgram
 from tests.system.faults.plan import Fault, Moment
 
-from upwash.emulation.field import Link
-from upwash.emulation.namespaces import End, inside
-from upwash.emulation.tools import command
+from upwash.emulation.field import EmulatedLink
+from upwash.emulation.namespaces import LinkEnd, command, inside
 
 _LOOK_S = 0.005
 _MOMENT_WITHIN_S = 8.0  # or it happens between two moments
@@ -79,7 +78,9 @@ _MOMENTS: Mapping[Moment, Callable[[Mapping[str, Any]], bool]] = {
 class Striker:
     """Carries a plan out against one drone and the daemons."""
 
-    def __init__(self, drone: DroneProgram, daemons: Mapping[str, Daemon], links: Mapping[str, Link]) -> None:
+    def __init__(
+        self, drone: DroneProgram, daemons: Mapping[str, Daemon], links: Mapping[str, EmulatedLink]
+    ) -> None:
         self.strikes: list[Strike] = []
         self._drone = drone
         self._daemons = daemons
@@ -167,7 +168,7 @@ def _signal(processes: Sequence[int], number: signal.Signals) -> None:
 
 
 @contextlib.contextmanager
-def _losing(link: Link, percent: int) -> Iterator[None]:
+def _losing(link: EmulatedLink, percent: int) -> Iterator[None]:
     """Loses that share of the frames, both ways; no program is told."""
     chance = "" if percent == 100 else f"numgen random mod 100 < {percent}"
     for end in (link.drone_end, link.server_end):
@@ -185,7 +186,7 @@ def _losing(link: Link, percent: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _switched_off(end: End) -> Iterator[None]:
+def _switched_off(end: LinkEnd) -> Iterator[None]:
     """Takes a device down, as when a radio is switched off."""
     command("ip", "-n", end.namespace, "link", "set", end.device, "down")
     try:

@@ -23,9 +23,9 @@ from upwash.eventlog.log import decode
 from upwash.eventlog.results import read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import promises
+from upwash.lab.faults.history import calls_of
 from upwash.lab.faults.promises import Promise
-from upwash.lab.faults.promises.history import calls_of
-from upwash.lab.faults.promises.recovery import spells_of
+from upwash.lab.faults.selection_promises import spells_of
 from upwash.lab.run import Run
 
 _OF_CALLS = (Promise.BOUNDED_CALLS, Promise.ONE_ANSWER, Promise.TRUTHFUL_ERRORS)

@@ -16,7 +16,7 @@ from upwash.cli.demonstration.following import followed
 from upwash.cli.demonstration.outcome import Outcome, outcome_of, print_outcomes
 from upwash.cli.live import shown_live
 from upwash.config import DroneConfig, waypoints
-from upwash.emulation.files import write_drone_file
+from upwash.emulation.programs import write_drone_file
 from upwash.errors import MissionStopped
 from upwash.eventlog.fleet import FleetProgress
 from upwash.launch.flight_program import INTERRUPTED, FlightProgram

@@ -13,8 +13,8 @@ import msgspec
 
 from upwash.config import DroneConfig
 from upwash.config.problems import Document
+from upwash.lab.faults.history import calls_of
 from upwash.lab.faults.promises import Broken, History, Promise, broken_promises
-from upwash.lab.faults.promises.history import calls_of
 from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs, moment_of
 from upwash.lab.observer import Seen
 from upwash.lab.run import Run, simulate_fleet
@@ -23,7 +23,7 @@ _NEVER_S = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class FlownWorld:
     """A world that was flown: the drones' scenarios with their faults, what became of them, what an observer saw."""
 
     documents: list[Document]
@@ -33,7 +33,7 @@ class Flown:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class WorldVerdict:
     """What one world came to: the longest call with its bound, and the least that a call left of its bound."""
 
     seed: int
@@ -44,17 +44,17 @@ class Verdict:
     spare_s: float
 
 
-def judge(seed: int, *, replay: bool = False) -> Verdict:
+def judge(seed: int, *, replay: bool = False) -> WorldVerdict:
     """Flies the world of the seed and tests its promises; with `replay` twice, which must leave the same log."""
     try:
         flown = fly_world(seed)
         broken = flown.broken or (_differences(seed, flown) if replay else [])
     except Exception as error:  # noqa: BLE001 - whatever breaks out of a simulation breaks the first promise
         why = "".join(traceback.format_exception(error))
-        return Verdict(seed, [Broken(Promise.AUTONOMY, seed, None, why)], 0, 0, (0.0, 0.0), math.inf)
+        return WorldVerdict(seed, [Broken(Promise.AUTONOMY, seed, None, why)], 0, 0, (0.0, 0.0), math.inf)
     calls = [call for run in flown.runs for call in calls_of(run.events)]
     bounds_s = [(call.ended.delay_s, call.bound_s) for call in calls]
-    return Verdict(
+    return WorldVerdict(
         seed,
         broken,
         drones=len(flown.runs),
@@ -64,7 +64,7 @@ def judge(seed: int, *, replay: bool = False) -> Verdict:
     )
 
 
-def fly_world(seed: int) -> Flown:
+def fly_world(seed: int) -> FlownWorld:
     """The world of the seed, flown with its faults; without them where that breaks a promise already."""
     calm = _fly_calm((seed - 1) // SEEDS_PER_SCENARIO)
     if calm.broken:
@@ -77,7 +77,7 @@ def fly_world(seed: int) -> Flown:
 
 
 @dataclass(frozen=True, slots=True)
-class _Calm(Flown):
+class _Calm(FlownWorld):
     """A scenario flown without faults, and by each drone alone without servers."""
 
     alone: list[Run]
@@ -99,14 +99,14 @@ def _alone(config: DroneConfig) -> Run:
     return simulate_fleet([by_itself], computing=True)[0]
 
 
-def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> Flown:
+def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> FlownWorld:
     fleet, seen = configs(documents), list[Seen]()
     runs = simulate_fleet(fleet, computing=True, seen=seen)
     broken: list[Broken] = []
     for config, run, by_itself in zip(fleet, runs, alone, strict=True):
         history = History(config, run, seen, None if _is_delayed(config) else by_itself)
         broken += broken_promises(history, seed=seed)
-    return Flown(documents, runs, seen, broken)
+    return FlownWorld(documents, runs, seen, broken)
 
 
 def _is_delayed(config: DroneConfig) -> bool:
@@ -114,7 +114,7 @@ def _is_delayed(config: DroneConfig) -> bool:
     return any(fault.target == "autopilot" for fault in config.faults)
 
 
-def _differences(seed: int, first: Flown) -> list[Broken]:
+def _differences(seed: int, first: FlownWorld) -> list[Broken]:
     """What is not the same when the world is flown again."""
     runs = simulate_fleet(configs(first.documents), computing=True, seen=[])
     for one, other in zip(first.runs, runs, strict=True):

@@ -13,7 +13,7 @@ import msgspec
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-from upwash.lab.faults.campaign import Flown, Verdict, fly_world, judge
+from upwash.lab.faults.campaign import FlownWorld, WorldVerdict, fly_world, judge
 from upwash.lab.faults.promises import Broken
 from upwash.lab.faults.worlds import as_toml
 from upwash.lab.processes import in_processes
@@ -37,7 +37,7 @@ class Summary(msgspec.Struct):
     broken: list[Broken] = msgspec.field(default_factory=list)
     took_s: float = 0.0
 
-    def add(self, verdict: Verdict) -> None:
+    def add(self, verdict: WorldVerdict) -> None:
         """Takes in one world."""
         self.worlds += 1
         self.flights += verdict.drones
@@ -53,7 +53,7 @@ def is_replayed(seed: int) -> bool:
     return seed % _REPLAYED_EVERY == 0
 
 
-def judge_all(seeds: Sequence[int]) -> list[Verdict]:
+def judge_all(seeds: Sequence[int]) -> list[WorldVerdict]:
     """Flies the worlds of the seeds one after the other."""
     with _quiet_daemons():
         return [judge(seed, replay=is_replayed(seed)) for seed in seeds]
@@ -127,7 +127,7 @@ def replay(seed: int, log: Path | None) -> bool:
     return not flown.broken
 
 
-def _write(flown: Flown, log: Path) -> Iterator[Path]:
+def _write(flown: FlownWorld, log: Path) -> Iterator[Path]:
     for document, run in zip(flown.documents, flown.runs, strict=True):
         first = run is flown.runs[0]
         own = log if first else log.with_name(f"{log.stem}-{document['name']}{log.suffix}")

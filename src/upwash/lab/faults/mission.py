@@ -33,7 +33,7 @@ class Sighting:
     digits: list[int]
 
 
-class Heard(msgspec.Struct, frozen=True, kw_only=True):
+class CallReport(msgspec.Struct, frozen=True, kw_only=True):
     """What came of the call with that number, as the mission tells its user."""
 
     asked: int
@@ -41,7 +41,7 @@ class Heard(msgspec.Struct, frozen=True, kw_only=True):
     raised: str = ""
 
 
-class Done(msgspec.Struct, frozen=True, kw_only=True):
+class ActionReport(msgspec.Struct, frozen=True, kw_only=True):
     """What the answer of that number demanded is done, as the mission tells its user, where the drone is."""
 
     done: int
@@ -115,23 +115,23 @@ class _Visit:
 
     def demands(self, sighting: Sighting) -> bool:
         """Tells the user at once, wherever the drone is."""
-        self._tell(Heard(asked=self.number, answer=msgspec.to_builtins(sighting)))
+        self._tell(CallReport(asked=self.number, answer=msgspec.to_builtins(sighting)))
         return demands_something(self.number)
 
     def act(self, _: Sighting) -> None:
-        self.drone.user.notify(Done(done=self.number), at=self.drone.autopilot.position)
+        self.drone.user.notify(ActionReport(done=self.number), at=self.drone.autopilot.position)
 
     def fail(self, error: Exception) -> None:
         if not isinstance(error, Blurred):
             raise error
-        self._tell(Heard(asked=self.number, raised=repr(error)))
-        self.drone.user.notify(Done(done=self.number), at=self.drone.autopilot.position)
+        self._tell(CallReport(asked=self.number, raised=repr(error)))
+        self.drone.user.notify(ActionReport(done=self.number), at=self.drone.autopilot.position)
 
-    def _tell(self, heard: Heard) -> None:
+    def _tell(self, heard: CallReport) -> None:
         self.drone.user.notify(heard, at=self.waypoint)
 
 
-def expected(program: str, mode: Mode, number: int) -> Heard:
+def expected(program: str, mode: Mode, number: int) -> CallReport:
     """What a mission of this module must hear when it asks about the number."""
     both = program.endswith(":look_and_read")
     ask: Callable[[], object] = (
@@ -157,9 +157,9 @@ def _tell(drone: Drone, waypoint: Waypoint, number: int, ask: Callable[[int], ob
     drone.user.notify(_hear(number, lambda: ask(number)), at=waypoint)
 
 
-def _hear(number: int, ask: Callable[[], object]) -> Heard:
+def _hear(number: int, ask: Callable[[], object]) -> CallReport:
     try:
         answer = ask()
     except (Blurred, ValueError) as error:
-        return Heard(asked=number, raised=repr(error))
-    return Heard(asked=number, answer=msgspec.to_builtins(answer))
+        return CallReport(asked=number, raised=repr(error))
+    return CallReport(asked=number, answer=msgspec.to_builtins(answer))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class FigureFiles:
     """Where figures go, and in which formats: png, pdf, svg."""
 
     folder: Path

@@ -1,19 +1,26 @@
-"""The calls of a mission as figures show them: what each took, where it ran, and whether it waited."""
+"""The delays of a mission's calls by waypoint, drawn beside a mission that offloads nothing: figure 4.5's form."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
 
 from upwash.core.geo import Position
 from upwash.core.knowledge.servers import CHECKING
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
+from upwash.lab.figures.style import PAGE_IN, SHAPES, grid, in_style, legend, new_figure, write
+from upwash.report.palette import LIGHT
 
 
-class Wait(Enum):
+class DrawnWait(Enum):
     """What was decided about a server that was not ready yet, and what came of it."""
 
     NOT_ASKED = ""
@@ -29,7 +36,7 @@ class CallPoint:
     waypoint: int
     delay_s: float
     server: str | None  # None for the drone
-    wait: Wait
+    wait: DrawnWait
 
 
 def read_call_points(events: Iterable[Event]) -> Iterator[CallPoint]:
@@ -47,12 +54,12 @@ def read_call_points(events: Iterable[Event]) -> Iterator[CallPoint]:
                 decided = None
 
 
-def _wait(decided: schema.Decided, call: schema.Call) -> Wait:
+def _wait(decided: schema.Decided, call: schema.Call) -> DrawnWait:
     if call.wait:
-        return Wait.IN_VAIN if call.wait == "failed" else Wait.WAITED
+        return DrawnWait.IN_VAIN if call.wait == "failed" else DrawnWait.WAITED
     if decided.decision == "local" and decided.state in CHECKING:
-        return Wait.DECLINED
-    return Wait.NOT_ASKED
+        return DrawnWait.DECLINED
+    return DrawnWait.NOT_ASKED
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,3 +100,125 @@ def _runs(waypoints: Iterable[int]) -> list[tuple[int, int]]:
         else:
             found.append((waypoint, waypoint))
     return found
+
+
+_DELAYS_IN, _STRIP_IN, _REST_IN = 1.9, 0.17, 0.9
+_BAND = (5, 95)  # percent of the missions
+_WAITS: Mapping[DrawnWait, Mapping[str, Any]] = {  # marks around the call's own: each has a shape
+    DrawnWait.WAITED: {
+        "marker": "o",
+        "s": 62,
+        "facecolors": "none",
+        "edgecolors": LIGHT.ink,
+        "linewidths": 0.9,
+    },
+    DrawnWait.IN_VAIN: {
+        "marker": "s",
+        "s": 70,
+        "facecolors": "none",
+        "edgecolors": LIGHT.ink,
+        "linewidths": 0.9,
+    },
+    DrawnWait.DECLINED: {"marker": "x", "s": 34, "color": LIGHT.ink, "linewidths": 1.0},
+}
+
+
+@in_style
+def draw_call_delays(
+    events: Sequence[Event],
+    *,
+    reference: Iterable[Event],
+    files: Iterable[Path],
+    title: str = "",
+    others: Sequence[Sequence[Event]] = (),
+) -> None:
+    """Draws the mission with its local-only `reference`, and the spread of `others`, flown with other seeds.
+
+    Beneath the delays each server has a strip: pale where a waypoint is in its range, full where the call ran there.
+    """
+    calls, alone = list(read_call_points(events)), list(read_call_points(reference))
+    servers = strips(events, calls)
+    strips_in = _STRIP_IN * max(1, len(servers))
+    figure = new_figure(PAGE_IN, _DELAYS_IN + strips_in + _REST_IN)
+    delays, beneath = figure.subplots(2, 1, sharex=True, height_ratios=(_DELAYS_IN, strips_in))
+    _draw_spread(delays, [list(read_call_points(each)) for each in others])
+    _draw_delays(delays, calls, alone, [strip.server for strip in servers])
+    _draw_strips(beneath, servers)
+    last = max((call.waypoint for call in calls + alone), default=0)
+    delays.set_xlim(-1.5, last + 1.5)
+    delays.set_title(title)
+    beneath.set_xlabel(
+        "waypoint; strips: pale where it is in range of the server, full where its call ran there"
+    )
+    legend(figure, columns=4)
+    write(figure, files)
+
+
+def _draw_delays(
+    axes: Axes, calls: Sequence[CallPoint], alone: Sequence[CallPoint], servers: Sequence[str]
+) -> None:
+    axes.plot(*_line(alone), color=LIGHT.places[0], linestyle=(0, (3, 1.5)), label="every call on the drone")
+    axes.plot(*_line(calls), color=LIGHT.soft, linewidth=0.8)
+    for place in (None, *servers):
+        own = [call for call in calls if call.server == place]
+        if not own:
+            continue
+        index = 0 if place is None else servers.index(place)
+        axes.scatter(
+            *_line(own),
+            s=11,
+            marker="o" if place is None else SHAPES[index % len(SHAPES)],
+            color=LIGHT.places[0] if place is None else LIGHT.of_server(index),
+            linewidths=0,
+            zorder=3,
+            label="on the drone" if place is None else f"on {place}",
+        )
+    for wait, look in _WAITS.items():
+        own = [call for call in calls if call.wait is wait]
+        if own:
+            axes.scatter(*_line(own), zorder=4, label=wait.value, **look)
+    highest_s = max((call.delay_s for call in (*calls, *alone)), default=1.0)
+    axes.set_ylim(0, 1.1 * highest_s)
+    axes.set_ylabel("call delay (s)")
+    axes.tick_params(axis="x", length=0)
+    grid(axes, along="y")
+
+
+def _line(calls: Sequence[CallPoint]) -> tuple[list[int], list[float]]:
+    return [call.waypoint for call in calls], [call.delay_s for call in calls]
+
+
+def _draw_spread(axes: Axes, missions: Sequence[Sequence[CallPoint]]) -> None:
+    """Within what most of the missions lie at each waypoint."""
+    by_waypoint: dict[int, list[float]] = {}
+    for call in (call for mission in missions for call in mission):
+        by_waypoint.setdefault(call.waypoint, []).append(call.delay_s)
+    if not by_waypoint:
+        return
+    waypoints = sorted(by_waypoint)
+    low_s, high_s = np.array([np.percentile(by_waypoint[each], _BAND) for each in waypoints]).T
+    axes.fill_between(
+        waypoints,
+        low_s,
+        high_s,
+        step="mid",
+        color=LIGHT.line,
+        linewidth=0,
+        label=f"{_BAND[0]} to {_BAND[1]} % of {len(missions)} missions",
+    )
+
+
+def _draw_strips(axes: Axes, servers: Sequence[Strip]) -> None:
+    for row, strip in enumerate(servers):
+        for runs, height, opacity in ((strip.in_range, 0.76, 0.25), (strip.used, 0.4, 1.0)):
+            axes.broken_barh(
+                [(first - 0.5, last - first + 1) for first, last in runs],
+                (row - height / 2, height),
+                color=LIGHT.of_server(row),
+                alpha=opacity,
+                linewidth=0,
+            )
+    axes.set_ylim(max(1, len(servers)) - 0.4, -0.6)
+    axes.set_yticks(range(len(servers)), [strip.server for strip in servers])
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)

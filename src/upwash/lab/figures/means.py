@@ -18,7 +18,7 @@ _MINUTE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class DrawnMean:
     """The missions of one case in one group: how long they took, and how much less than the first case's.
 
     `saved_s` are the means of the differences to the missions of the group's first case that have the same seeds.
@@ -32,7 +32,7 @@ class Row:
 
 
 @in_style
-def draw_means(rows: Sequence[Row], files: Iterable[Path]) -> None:
+def draw_means(rows: Sequence[DrawnMean], files: Iterable[Path]) -> None:
     """Draws the mission times, and the paired differences beside them."""
     groups = [list(group) for _, group in groupby(rows, key=lambda row: row.group)]
     height_in = _REST_IN + _GROUP_IN * len(groups) + _ROW_IN * len(rows)
@@ -87,7 +87,7 @@ def _draw_mean(axes: Axes, mean: Mean, y: float, number: int) -> None:
     )
 
 
-def _draw_bound(axes: Axes, group: Sequence[Row], y: float) -> None:
+def _draw_bound(axes: Axes, group: Sequence[DrawnMean], y: float) -> None:
     """A line over the group's rows."""
     bound_s = group[0].bound_s
     if bound_s is None:
@@ -104,7 +104,9 @@ def _draw_bound(axes: Axes, group: Sequence[Row], y: float) -> None:
 
 
 @in_style
-def draw_sweep(values: Sequence[float], rows: Sequence[Row], files: Iterable[Path], *, key: str) -> None:
+def draw_sweep(
+    values: Sequence[float], rows: Sequence[DrawnMean], files: Iterable[Path], *, key: str
+) -> None:
     """Draws the mission times over one numeric setting: mean, 95 % confidence, and the theoretical minimum."""
     figure = new_figure(PAGE_IN / 2, 2.6)
     axes = figure.subplots()

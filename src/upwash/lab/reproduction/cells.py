@@ -21,7 +21,7 @@ from upwash.eventlog.results import CallResult
 from upwash.lab import processes
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
-from upwash.lab.simulation import with_policy
+from upwash.lab.scenario import with_policy
 
 Mode = Literal["light", "heavy"]
 PolicyName = Literal["local-only", "location-aware", "opportunistic"]
@@ -47,7 +47,7 @@ EXPERIMENTS = tuple(Experiment(mode, slow_s2) for slow_s2 in (False, True) for m
 NAIVE = Experiment("heavy", slow_s2=True)  # where the thesis estimates what its naive selection would cost
 
 
-class Cell(NamedTuple):
+class ThesisCell(NamedTuple):
     """What is flown once per seed. Without offloading s2's load makes no difference, so it is flown without."""
 
     setup: str
@@ -60,15 +60,15 @@ def unchanged(config: DroneConfig) -> DroneConfig:
     return config
 
 
-class Flight(NamedTuple):
+class CellFlight(NamedTuple):
     """One mission: a cell, with a seed, and what is otherwise in its scenario (a function that can be pickled)."""
 
-    cell: Cell
+    cell: ThesisCell
     seed: int
     change: Callable[[DroneConfig], DroneConfig] = unchanged
 
 
-class Flown(NamedTuple):
+class CellResult(NamedTuple):
     """What one mission came to; `s2_calls` ran on s2 and took `s2_call_s` on the average, without waits."""
 
     mission_min: float
@@ -86,28 +86,28 @@ class Flown(NamedTuple):
         return self.local_call_s * len(self.waited_calls_s) - sum(self.waited_calls_s)
 
 
-def cells() -> tuple[Cell, ...]:
+def cells() -> tuple[ThesisCell, ...]:
     """Everything that has to be flown, in each set-up."""
     return tuple(
-        cell for setup in SETUPS for cell in (*timed_cells(setup), Cell(setup, NAIVE, "opportunistic"))
+        cell for setup in SETUPS for cell in (*timed_cells(setup), ThesisCell(setup, NAIVE, "opportunistic"))
     )
 
 
-def timed_cells(setup: str) -> Iterator[Cell]:
+def timed_cells(setup: str) -> Iterator[ThesisCell]:
     """The cells of a set-up whose mission times Table 4.1 prints."""
     for experiment in EXPERIMENTS:
         if not experiment.slow_s2:
-            yield Cell(setup, experiment, "local-only")
+            yield ThesisCell(setup, experiment, "local-only")
     for experiment in EXPERIMENTS:
-        yield Cell(setup, experiment, "location-aware")
+        yield ThesisCell(setup, experiment, "location-aware")
 
 
-def local_only(setup: str, experiment: Experiment) -> Cell:
+def local_only(setup: str, experiment: Experiment) -> ThesisCell:
     """The cell without offloading that an experiment is compared with."""
-    return Cell(setup, Experiment(experiment.mode, slow_s2=False), "local-only")
+    return ThesisCell(setup, Experiment(experiment.mode, slow_s2=False), "local-only")
 
 
-def scenario(cell: Cell, *, seed: int) -> DroneConfig:
+def scenario(cell: ThesisCell, *, seed: int) -> DroneConfig:
     """The cell's scenario: its set-up's parameters, with the cell's mode, policy and load on s2."""
     config = with_policy(parameters(cell.setup), cell.policy)
     mode, slow_s2 = cell.experiment
@@ -125,16 +125,16 @@ def parameters(setup: str) -> DroneConfig:
         return read_drone_config(file)
 
 
-def fly(cell: Cell, seed: int) -> Run:
+def fly(cell: ThesisCell, seed: int) -> Run:
     """Simulates the cell's mission; raises UpwashError where it was not completed."""
-    return _fly(Flight(cell, seed), scenario(cell, seed=seed))
+    return _fly(CellFlight(cell, seed), scenario(cell, seed=seed))
 
 
 def fly_all(
-    flights: Sequence[Flight], *, workers: int | None = None, progress: Callable[[], None] = lambda: None
-) -> list[Flown]:
+    flights: Sequence[CellFlight], *, workers: int | None = None, progress: Callable[[], None] = lambda: None
+) -> list[CellResult]:
     """What each flight came to, in their order, flown on all cores or so many; calls `progress` after each."""
-    flown: dict[int, Flown] = {}
+    flown: dict[int, CellResult] = {}
     with processes.here_first(_numbered, list(enumerate(flights)), workers=workers) as results:
         for number, result in results:
             flown[number] = result
@@ -152,7 +152,7 @@ def _loaded(server: ServerConfig) -> ServerConfig:
     return msgspec.structs.replace(server, truth=truth)
 
 
-def _fly(flight: Flight, config: DroneConfig) -> Run:
+def _fly(flight: CellFlight, config: DroneConfig) -> Run:
     run = simulate(config)
     if not run.result.completed:
         cell = flight.cell
@@ -161,18 +161,18 @@ def _fly(flight: Flight, config: DroneConfig) -> Run:
     return run
 
 
-def _numbered(part: tuple[int, Flight]) -> tuple[int, Flown]:
+def _numbered(part: tuple[int, CellFlight]) -> tuple[int, CellResult]:
     number, flight = part
     return number, _flown(flight)
 
 
-def _flown(flight: Flight) -> Flown:
+def _flown(flight: CellFlight) -> CellResult:
     config = flight.change(scenario(flight.cell, seed=flight.seed))
     run = _fly(flight, config)
     result, bound = run.result, bound_of(run, config)
     assert bound is not None  # noqa: S101 - _fly() saw it completed
     on_s2_s = [_net_s(call) for call in result.calls if call.server == _LOADED]
-    return Flown(
+    return CellResult(
         mission_min=result.mission_time_s / 60,
         bound_min=bound.free_s / 60,
         service_delay_s=result.totals.service_delay_s,

@@ -1,28 +1,30 @@
-"""The figures that the thesis gives, as they come out of the missions flown, beside what it prints."""
+"""The figures that the thesis gives, as simulated missions have them, beside those that it prints."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
 from typing import NamedTuple
 
 from upwash.lab.reproduction.cells import (
     EXPERIMENTS,
     NAIVE,
     SETUPS,
-    Cell,
+    CellFlight,
+    CellResult,
     Experiment,
-    Flight,
-    Flown,
+    ThesisCell,
     cells,
     fly_all,
     local_only,
 )
-from upwash.lab.reproduction.printed import printed_figures
 from upwash.support.confidence import Mean, mean_of
 
 
-class Quantity(NamedTuple):
+class ThesisQuantity(NamedTuple):
     """A figure, and the name that it has in printed.csv."""
 
     name: str
@@ -30,24 +32,28 @@ class Quantity(NamedTuple):
     unit: str
 
 
-LOCAL_ONLY = Quantity("mission_time_local_only", "mission time, no offloading", "min")
-OFFLOADING = Quantity("mission_time_offloading", "mission time, offloading", "min")
-_GAIN = Quantity("time_gain", "time gain", "percent")
-_BOUND = Quantity("mission_time_over_the_bound", "  above the theoretical minimum", "percent")
-_RATIO = Quantity("total_service_delay_local_over_offloading", "service delay, local / offl.", "ratio")
-_WAITS = Quantity("waits_decided", "decisions to wait", "count")
-_IN_VAIN = Quantity("waits_in_vain", "  of them wasted", "count")
-_SAVED = Quantity(
+LOCAL_ONLY = ThesisQuantity("mission_time_local_only", "mission time, no offloading", "min")
+OFFLOADING = ThesisQuantity("mission_time_offloading", "mission time, offloading", "min")
+_GAIN = ThesisQuantity("time_gain", "time gain", "percent")
+_BOUND = ThesisQuantity("mission_time_over_the_bound", "  above the theoretical minimum", "percent")
+_RATIO = ThesisQuantity("total_service_delay_local_over_offloading", "service delay, local / offl.", "ratio")
+_WAITS = ThesisQuantity("waits_decided", "decisions to wait", "count")
+_IN_VAIN = ThesisQuantity("waits_in_vain", "  of them wasted", "count")
+_SAVED = ThesisQuantity(
     "saving_of_waiting_over_local_at_those_waypoints", "service delay saved by waiting", "percent"
 )
-_SAVED_THERE = Quantity("saving_of_waiting_at_those_waypoints_alone", "  of the calls that waited", "percent")
-_NAIVE_DELAY = Quantity("naive_selection_extra_service_delay", "naive, logs: service delay", "percent")
-_NAIVE_MIN = Quantity("naive_selection_extra_mission_time", "naive, logs: longer mission", "min")
-_NAIVE_SHARE = Quantity("naive_selection_extra_mission_time_share", "naive, logs: longer mission", "percent")
+_SAVED_THERE = ThesisQuantity(
+    "saving_of_waiting_at_those_waypoints_alone", "  of the calls that waited", "percent"
+)
+_NAIVE_DELAY = ThesisQuantity("naive_selection_extra_service_delay", "naive, logs: service delay", "percent")
+_NAIVE_MIN = ThesisQuantity("naive_selection_extra_mission_time", "naive, logs: longer mission", "min")
+_NAIVE_SHARE = ThesisQuantity(
+    "naive_selection_extra_mission_time_share", "naive, logs: longer mission", "percent"
+)
 _FLOWN = "_flown"  # what the thesis estimated from logs
-_NAIVE_DELAY_FLOWN = Quantity(_NAIVE_DELAY.name + _FLOWN, "naive, flown: service delay", "percent")
-_NAIVE_MIN_FLOWN = Quantity(_NAIVE_MIN.name + _FLOWN, "naive, flown: longer mission", "min")
-_NAIVE_SHARE_FLOWN = Quantity(_NAIVE_SHARE.name + _FLOWN, "naive, flown: longer mission", "percent")
+_NAIVE_DELAY_FLOWN = ThesisQuantity(_NAIVE_DELAY.name + _FLOWN, "naive, flown: service delay", "percent")
+_NAIVE_MIN_FLOWN = ThesisQuantity(_NAIVE_MIN.name + _FLOWN, "naive, flown: longer mission", "min")
+_NAIVE_SHARE_FLOWN = ThesisQuantity(_NAIVE_SHARE.name + _FLOWN, "naive, flown: longer mission", "percent")
 
 _FORMS = {"min": "{:.2f} min", "ratio": "{:.2f} x", "count": "{:.1f}", "percent": "{:.1f} %"}
 
@@ -58,7 +64,7 @@ class Comparison:
 
     setup: str
     experiment: Experiment
-    quantity: Quantity
+    quantity: ThesisQuantity
     values: Sequence[float]
     printed: float | None
 
@@ -92,8 +98,8 @@ def reproduce(
     *, seeds: int, workers: int | None = None, progress: Callable[[], None] = lambda: None
 ) -> list[Comparison]:
     """Flies every cell with seeds 1 to `seeds`, calling `progress` after each of `missions(seeds)` missions."""
-    flights = [Flight(cell, seed) for cell in cells() for seed in range(1, seeds + 1)]
-    flown: dict[Cell, list[Flown]] = {cell: [] for cell in cells()}
+    flights = [CellFlight(cell, seed) for cell in cells() for seed in range(1, seeds + 1)]
+    flown: dict[ThesisCell, list[CellResult]] = {cell: [] for cell in cells()}
     for flight, result in zip(flights, fly_all(flights, workers=workers, progress=progress), strict=True):
         flown[flight.cell].append(result)
     return list(_compare(flown))
@@ -104,7 +110,7 @@ def missions(seeds: int) -> int:
     return len(cells()) * seeds
 
 
-def _compare(flown: Mapping[Cell, Sequence[Flown]]) -> Iterator[Comparison]:
+def _compare(flown: Mapping[ThesisCell, Sequence[CellResult]]) -> Iterator[Comparison]:
     printed = printed_figures()
     for setup in SETUPS:
         for experiment in EXPERIMENTS:
@@ -116,10 +122,10 @@ def _compare(flown: Mapping[Cell, Sequence[Flown]]) -> Iterator[Comparison]:
 
 
 def _quantities(
-    flown: Mapping[Cell, Sequence[Flown]], setup: str, experiment: Experiment
-) -> Iterator[tuple[Quantity, list[float]]]:
+    flown: Mapping[ThesisCell, Sequence[CellResult]], setup: str, experiment: Experiment
+) -> Iterator[tuple[ThesisQuantity, list[float]]]:
     local = flown[local_only(setup, experiment)]
-    aware = flown[Cell(setup, experiment, "location-aware")]
+    aware = flown[ThesisCell(setup, experiment, "location-aware")]
     pairs = list(zip(local, aware, strict=True))
     if not experiment.slow_s2:
         yield LOCAL_ONLY, [each.mission_min for each in local]
@@ -137,9 +143,9 @@ def _quantities(
             [100 * each.saved_s / (each.local_call_s * len(each.waited_calls_s)) for each in waiting],
         )
     if experiment == NAIVE:
-        equal = flown[Cell(setup, Experiment(experiment.mode, slow_s2=False), "location-aware")]
+        equal = flown[ThesisCell(setup, Experiment(experiment.mode, slow_s2=False), "location-aware")]
         yield from _naive(
-            flown[Cell(setup, experiment, "opportunistic")],
+            flown[ThesisCell(setup, experiment, "opportunistic")],
             (_NAIVE_DELAY_FLOWN, _NAIVE_MIN_FLOWN, _NAIVE_SHARE_FLOWN),
             aware,
         )
@@ -148,8 +154,10 @@ def _quantities(
 
 
 def _naive(
-    naive: Sequence[Flown], quantities: tuple[Quantity, Quantity, Quantity], aware: Sequence[Flown]
-) -> Iterator[tuple[Quantity, list[float]]]:
+    naive: Sequence[CellResult],
+    quantities: tuple[ThesisQuantity, ThesisQuantity, ThesisQuantity],
+    aware: Sequence[CellResult],
+) -> Iterator[tuple[ThesisQuantity, list[float]]]:
     more_delay, more_min, more_share = quantities
     pairs = list(zip(naive, aware, strict=True))
     yield more_delay, [100 * (ours.service_delay_s / its.service_delay_s - 1) for ours, its in pairs]
@@ -157,9 +165,70 @@ def _naive(
     yield more_share, [100 * (ours.mission_min / its.mission_min - 1) for ours, its in pairs]
 
 
-def _with_slow_calls(log: Flown, slow: Flown) -> Flown:
+def _with_slow_calls(log: CellResult, slow: CellResult) -> CellResult:
     """The mission with equal servers, had its calls on s2 taken as long as with s2 slow: the thesis's estimate."""
     longer_s = log.s2_calls * (slow.s2_call_s - log.s2_call_s)
     return log._replace(
         mission_min=log.mission_min + longer_s / 60, service_delay_s=log.service_delay_s + longer_s
+    )
+
+
+_ROUNDED_AWAY = 0.5  # percent that a printed gain may be from that of the printed times
+
+
+class Key(NamedTuple):
+    """What a printed figure is of."""
+
+    experiment: str
+    setup: str
+    quantity: str
+
+
+class Printed(NamedTuple):
+    """One figure, and where it is printed."""
+
+    key: Key
+    value: float
+    unit: str
+    source: str
+
+
+def printed_figures() -> dict[tuple[str, str, str], float]:
+    """The thesis's figures by experiment, set-up and quantity; of two for one, its table's."""
+    return {each.key: each.value for each in reversed(_printed())}
+
+
+def contradictions() -> Iterator[str]:
+    """Where the thesis prints two figures of one thing, or a gain that its own times do not make."""
+    figures, sources = printed_figures(), {each.key: each.source for each in reversed(_printed())}
+    for each in _printed():
+        where = f"{each.key.experiment}, {each.key.setup}"
+        ruling = figures[each.key]
+        if each.value != ruling:
+            what = each.key.quantity.replace("_", " ")
+            yield f"{where}: {what} is {ruling:g} {each.unit} in {sources[each.key]}, {each.value:g} in {each.source}"
+        elif each.key.quantity == _GAIN.name:
+            local, offloading = (
+                figures[each.key._replace(quantity=quantity)]
+                for quantity in (LOCAL_ONLY.name, OFFLOADING.name)
+            )
+            own = 100 * (1 - offloading / local)
+            if abs(own - each.value) > _ROUNDED_AWAY:
+                yield (
+                    f"{where}: {each.source} prints a gain of {each.value:g} %; "
+                    f"its own times, {offloading:g} instead of {local:g} min, make {own:.1f} %"
+                )
+
+
+@lru_cache
+def _printed() -> tuple[Printed, ...]:
+    text = (files("upwash.lab.reproduction") / "thesis" / "printed.csv").read_text(encoding="utf-8")
+    return tuple(
+        Printed(
+            Key(row["experiment"], row["setup"], row["quantity"]),
+            float(row["value"]),
+            row["unit"],
+            row["source"],
+        )
+        for row in csv.DictReader(text.splitlines())
     )

@@ -10,7 +10,15 @@ from typing import NamedTuple
 import msgspec
 
 from upwash.config import DroneConfig, HeatConfig, NoiseConfig, pace_in_numbers
-from upwash.lab.reproduction.cells import SETUPS, Cell, Flight, fly_all, scenario, timed_cells, unchanged
+from upwash.lab.reproduction.cells import (
+    SETUPS,
+    CellFlight,
+    ThesisCell,
+    fly_all,
+    scenario,
+    timed_cells,
+    unchanged,
+)
 
 _SEEDS = 4
 _replace = msgspec.structs.replace
@@ -61,7 +69,7 @@ def moved(
 ) -> list[Moved]:
     """Flies every cell as it is and in each variation, calling `progress` after each of `missions()` missions."""
     flights = _flights(seeds)
-    times_min: dict[tuple[str, Cell], list[float]] = {}
+    times_min: dict[tuple[str, ThesisCell], list[float]] = {}
     for (label, flight), flown in zip(
         flights,
         fly_all([flight for _, flight in flights], workers=workers, progress=progress),
@@ -70,7 +78,7 @@ def moved(
         times_min.setdefault((label, flight.cell), []).append(flown.mission_min)
     means = {key: fmean(values) for key, values in times_min.items()}
 
-    def percent(label: str, cell: Cell) -> float:
+    def percent(label: str, cell: ThesisCell) -> float:
         as_it_is = means[_AS_IT_IS.label, cell]
         return 100 * (means.get((label, cell), as_it_is) / as_it_is - 1)
 
@@ -88,10 +96,10 @@ def missions(seeds: int = _SEEDS) -> int:
     return len(_flights(seeds))
 
 
-def _flights(seeds: int) -> list[tuple[str, Flight]]:
+def _flights(seeds: int) -> list[tuple[str, CellFlight]]:
     """What has to be flown, by the labels of the variations."""
     return [
-        (each.label, Flight(cell, seed, each.change))
+        (each.label, CellFlight(cell, seed, each.change))
         for each in (_AS_IT_IS, *variations())
         for cell in _cells()
         if each is _AS_IT_IS or _concerns(each, cell)
@@ -99,7 +107,7 @@ def _flights(seeds: int) -> list[tuple[str, Flight]]:
     ]
 
 
-def _concerns(variation: Variation, cell: Cell) -> bool:
+def _concerns(variation: Variation, cell: ThesisCell) -> bool:
     """Whether it can change the mission: without offloading, servers may be anywhere and anything."""
     config = scenario(cell, seed=1)
     changed = variation.change(config)
@@ -107,7 +115,7 @@ def _concerns(variation: Variation, cell: Cell) -> bool:
     return cell.policy != "local-only" or beside_the_servers != config
 
 
-def _cells() -> list[Cell]:
+def _cells() -> list[ThesisCell]:
     return [cell for setup in SETUPS for cell in timed_cells(setup)]
 
 

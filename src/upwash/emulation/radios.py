@@ -1,18 +1,94 @@
-"""The radio as ns-3 simulates it in real time: a ghost station for each drone and server on each server's network."""
+"""The emulated radios: cables shaped by a table of goodput, or ns-3 in real time.
+
+A shaped cable is as fast as the table says at the drone's distance, and cut out of range. ns-3 has a ghost station
+for each drone and server on each server's network.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
-from upwash.core.geo import Position
-from upwash.emulation.field import Link
-from upwash.emulation.namespaces import End, give_address
+from upwash.config import true_range_m
+from upwash.core.geo import Position, ground_distance_m
+from upwash.emulation.field import EmulatedLink
+from upwash.emulation.namespaces import LinkEnd, command, give_address, join_by_cable
 from upwash.emulation.native import native_program, wifi_of
 from upwash.errors import NetworkError
+from upwash.sim.radio import read_goodput
 from upwash.support.background import thread
+
+_FRAME_PER_PAYLOAD = 1514 / 1448  # bytes of a full TCP segment on the cable by those that goodput counts
+_FASTEST_BIT_S = 1e9
+_BURST_BYTES = 8_000  # what may pass at once: a few frames
+_QUEUE_BYTES = (
+    2_000_000  # several photos: one lost here would cost a timeout that no table of goodput knows of
+)
+_WORTH_A_CHANGE = 0.02  # of the rate
+
+
+class ShapedRadio:
+    """A cable for each link, shaped alike at both ends."""
+
+    lag_s = 0.0  # the kernel shapes
+
+    def __init__(self, links: Iterable[EmulatedLink]) -> None:
+        self._links: dict[str, list[_ShapedLink]] = {}
+        for link in links:
+            join_by_cable(link.drone_end, link.server_end)
+            self._links.setdefault(link.drone, []).append(_ShapedLink(link))
+
+    def move(self, drone: str, position: Position) -> None:
+        """Shapes the drone's links anew."""
+        for link in self._links[drone]:
+            link.move(position)
+
+    def close(self) -> None:
+        """The cables go with their namespaces."""
+
+
+class _ShapedLink:
+    def __init__(self, link: EmulatedLink) -> None:
+        self._link = link
+        self._table = read_goodput(link.server.truth.radio)
+        self._rate_bit_s = -1.0
+        self._shape(0.0)
+
+    def move(self, position: Position) -> None:
+        rate_bit_s = (
+            self._goodput_bit_s(ground_distance_m(position, self._link.server_at)) * _FRAME_PER_PAYLOAD
+        )
+        if abs(rate_bit_s - self._rate_bit_s) > _WORTH_A_CHANGE * self._rate_bit_s or not rate_bit_s:
+            self._shape(rate_bit_s)
+
+    def _goodput_bit_s(self, distance_m: float) -> float:
+        server = self._link.server
+        if distance_m > true_range_m(server):
+            return 0.0
+        if self._table is not None:
+            return self._table.at(distance_m)
+        return server.bandwidth_bit_s or _FASTEST_BIT_S
+
+    def _shape(self, rate_bit_s: float) -> None:
+        if rate_bit_s == self._rate_bit_s:
+            return
+        self._rate_bit_s = rate_bit_s
+        for end in (self._link.drone_end, self._link.server_end):
+            command(*_queue(end), *_discipline(rate_bit_s))
+
+
+def _queue(end: LinkEnd) -> tuple[str, ...]:
+    return ("tc", "-n", end.namespace, "qdisc", "replace", "dev", end.device, "root")
+
+
+def _discipline(rate_bit_s: float) -> tuple[str, ...]:
+    """A queue of that rate; one of rate 0 loses every frame, as the air does."""
+    if rate_bit_s == 0:
+        return ("blackhole",)
+    return ("tbf", "rate", f"{rate_bit_s:.0f}bit", "burst", str(_BURST_BYTES), "limit", str(_QUEUE_BYTES))
+
 
 _PREFIX_BITS = 24
 _SERVER_DEVICE = "air"  # one for all drones, as they share the network
@@ -30,9 +106,9 @@ _STOP_S = 2.0
 class GhostRadio:
     """One ns-3 process with all stations; its devices in the namespaces go with it."""
 
-    def __init__(self, links: Sequence[Link]) -> None:
+    def __init__(self, links: Sequence[EmulatedLink]) -> None:
         self.lag_s = 0.0
-        self._links: dict[str, list[Link]] = {}
+        self._links: dict[str, list[EmulatedLink]] = {}
         for link in links:
             self._links.setdefault(link.drone, []).append(link)
         self._process = subprocess.Popen(  # noqa: S603 - our own program
@@ -63,7 +139,7 @@ class GhostRadio:
             self._process.kill()
             self._process.wait()
 
-    def _begin(self, links: Sequence[Link]) -> None:
+    def _begin(self, links: Sequence[EmulatedLink]) -> None:
         ends = {_name(end): end for link in links for end in (link.drone_end, _server_end(link))}
         self._tell("\n".join(dict.fromkeys(_description(links))))
         self._tell("go")
@@ -92,7 +168,7 @@ class GhostRadio:
             raise NetworkError(f"ns-3 has ended (exit code {self._process.wait()})") from error
 
 
-def _description(links: Sequence[Link]) -> Iterator[str]:
+def _description(links: Sequence[EmulatedLink]) -> Iterator[str]:
     """The lines that say what there is, some more than once."""
     for link in links:
         cell = link.server.name
@@ -102,11 +178,11 @@ def _description(links: Sequence[Link]) -> Iterator[str]:
         yield _station(link.drone_end, link.server.name, Position(0.0, 0.0))
 
 
-def _station(end: End, cell: str, position: Position) -> str:
+def _station(end: LinkEnd, cell: str, position: Position) -> str:
     return f"station {_name(end)} {cell} /run/netns/{end.namespace} {end.device} {_place(position)}"
 
 
-def _name(end: End) -> str:
+def _name(end: LinkEnd) -> str:
     return f"{end.namespace}/{end.device}"
 
 
@@ -114,5 +190,5 @@ def _place(position: Position) -> str:
     return f"{position.east_m:.2f} {position.north_m:.2f}"
 
 
-def _server_end(link: Link) -> End:
-    return End(link.server_end.namespace, _SERVER_DEVICE, link.server_end.address)
+def _server_end(link: EmulatedLink) -> LinkEnd:
+    return LinkEnd(link.server_end.namespace, _SERVER_DEVICE, link.server_end.address)

@@ -1,4 +1,4 @@
-"""What the program hears of a vehicle on paper, and what it knows by that: whose the vehicle is, and where."""
+"""What the program receives from a simulated vehicle, and what that says of its owner and its position."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CRITICAL = SEVERITIES.index("critical")
 _FLOWN_M_S = 1e9  # between two jumps: no bound on what was flown there
 
 
-class Hearing:
+class ModelVehicleLink:
     """Takes in the vehicle's reports while its link is not silent, and feeds the latch with them.
 
     `is_off` is whether the link is down. `lost` is done once the vehicle is not the program's any more.

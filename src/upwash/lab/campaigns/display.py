@@ -1,8 +1,8 @@
-"""What a person sees of a campaign in a terminal: progress while it lasts, a summary at the end."""
+"""What a person sees of a campaign: progress while it lasts, then a summary and a figure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -11,11 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.eventlog.narration import counted
-from upwash.lab.campaign import CombinationSummary, Cost, Fly, run_campaign
-from upwash.lab.campaign_file import CampaignFile
-from upwash.lab.figures import Wanted
-from upwash.lab.sweep import Sweep
-from upwash.support.confidence import Mean
+from upwash.lab.campaigns.campaign import CombinationSummary, Cost, Fly, run_campaign
+from upwash.lab.campaigns.file import CampaignFile, CampaignRow
+from upwash.lab.campaigns.sweep import ParameterSweep
+from upwash.lab.figures import FigureFiles
+from upwash.support.confidence import Mean, mean_saving
 from upwash.support.sentences import say
 
 _LONGEST_SETTING = 14  # columns that it has in any case
@@ -32,14 +32,19 @@ class _Rate(ProgressColumn):
 
 
 def show_campaign(
-    sweep: Sweep, out: Path | None, *, fly: Fly, workers: int | None, figures: Wanted | None = None
+    sweep: ParameterSweep,
+    out: Path | None,
+    *,
+    fly: Fly,
+    workers: int | None,
+    figures: FigureFiles | None = None,
 ) -> bool:
     """Runs the campaign, prints what it came to and draws it; returns whether every run was completed.
 
     `workers` is how many missions fly at a time, None where that is not known.
     """
     if figures is not None:
-        import upwash.lab.figures.campaign  # noqa: F401 - a missing matplotlib is reported before, not after
+        import upwash.lab.figures.means  # noqa: F401 - a missing matplotlib is reported before, not after
     out = out or Path("runs") / f"{sweep.file.stem}-{sweep.fingerprint}.csv"
     file = CampaignFile.open(out, sweep)
     console = Console()
@@ -63,8 +68,6 @@ def show_campaign(
             say(line, console)
     say(f"each run: {out}", console)
     if figures is not None:
-        from upwash.lab.figures.campaign import draw_campaign
-
         draw_campaign(sweep, summaries, file.rows, figures.files("campaign"))
     return not any(summary.failures for summary in summaries)
 
@@ -84,14 +87,15 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < _FEW_HOURS_S else f"{seconds / 3600:.1f} h"
 
 
-def _verdict(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> str:
+def _verdict(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> str:
     """Which combination is the quickest, and whether any mission failed."""
     flown = [(mean.value, each) for each in summaries if (mean := each.mission_time_s) is not None]
     if not flown:
         return "no mission was completed"
     mean_s, best = min(flown, key=lambda each: each[0])
-    settings = ", ".join(f"{key}={value}" for key, value in zip(sweep.keys, best.values, strict=True))
-    which = f"quickest with {settings}: " if len(summaries) > 1 else "mean mission time "
+    which = (
+        f"quickest with {', '.join(_settings(sweep, best))}: " if len(summaries) > 1 else "mean mission time "
+    )
     bound_s = best.bound_s
     above = (
         f", {_above(mean_s, bound_s)} above the theoretical minimum of {bound_s / 60:.2f}" if bound_s else ""
@@ -101,14 +105,21 @@ def _verdict(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> str:
     return f"{which}{mean_s / 60:.2f} min{above}{failures}"
 
 
+def _settings(sweep: ParameterSweep, summary: CombinationSummary) -> list[str]:
+    return [f"{key}={value}" for key, value in zip(sweep.keys, summary.values, strict=True)]
+
+
 def _above(mean_s: float, bound_s: float) -> str:
     return f"{100 * (mean_s / bound_s - 1):.1f} %"
 
 
-def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
+def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Table:
     metered = any(summary.energy_wh for summary in summaries)
     together = any(summary.worst_s for summary in summaries)
-    table = Table(box=None, padding=(0, 1), caption=_caption(together), caption_justify="left")
+    caption = "± 95 % confidence"
+    if together:
+        caption += "; fairness: Jain's index of what each drone saved, 1 where all saved the same"
+    table = Table(box=None, padding=(0, 1), caption=caption, caption_justify="left")
     for key, values in zip(sweep.keys, zip(*(each.values for each in summaries), strict=True), strict=True):
         parts = key.replace(".", ".\n")
         longest = max(map(len, (*parts.splitlines(), *values)))
@@ -132,13 +143,6 @@ def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
     return table
 
 
-def _caption(together: bool) -> str:
-    fairness = (
-        "; fairness: Jain's index of what each drone saved, 1 where all saved the same" if together else ""
-    )
-    return f"± 95 % confidence{fairness}"
-
-
 def _minutes(mean: Mean) -> str:
     margin = f" ± {mean.margin / 60:.2f}" if mean.count > 1 else ""
     return f"{mean.value / 60:.2f}{margin} min"
@@ -157,10 +161,56 @@ def _drawn(mean: Mean | None) -> str:
     return f"{mean.value:.2f}{margin} Wh"
 
 
-def _failures(sweep: Sweep, summary: CombinationSummary) -> list[Text]:
-    settings = "".join(f"{key}={value} " for key, value in zip(sweep.keys, summary.values, strict=True))
+def _failures(sweep: ParameterSweep, summary: CombinationSummary) -> list[Text]:
+    settings = "".join(f"{setting} " for setting in _settings(sweep, summary))
     failures = list(summary.failures.items())
     lines = [Text(f"{settings}seed {seed}: {why}", style="red") for seed, why in failures[:_FAILURES_SHOWN]]
     if len(failures) > _FAILURES_SHOWN:
         lines.append(Text(f"{settings}and {len(failures) - _FAILURES_SHOWN} more failed", style="red"))
     return lines
+
+
+def draw_campaign(
+    sweep: ParameterSweep,
+    summaries: Sequence[CombinationSummary],
+    rows: Sequence[CampaignRow],
+    files: Iterable[Path],
+) -> None:
+    """Draws the mission times of every combination that has a completed mission; nothing where none has.
+
+    Over one numeric setting they are a line, over other settings a dot for each combination.
+    """
+    from upwash.lab.figures.means import DrawnMean, draw_means, draw_sweep
+
+    flown = [each for each in summaries if each.mission_time_s is not None]
+    if not flown:
+        return
+    first_s = _times_s(rows, summaries[0])
+    drawn = [
+        DrawnMean(
+            sweep.file.stem,
+            ", ".join(_settings(sweep, summary)),
+            summary.mission_time_s,
+            None if summary is summaries[0] else mean_saving(first_s, _times_s(rows, summary)),
+            summary.bound_s,
+        )
+        for summary in flown
+        if summary.mission_time_s is not None
+    ]
+    try:
+        numbers = [float(summary.values[0]) for summary in flown] if len(sweep.keys) == 1 else []
+    except ValueError:
+        numbers = []
+    if len(numbers) > 1:
+        draw_sweep(numbers, drawn, files, key=sweep.keys[0])
+    else:
+        draw_means(drawn, files)
+
+
+def _times_s(rows: Sequence[CampaignRow], summary: CombinationSummary) -> dict[int, float]:
+    """The mission times of the combination's completed missions, by seed."""
+    return {
+        row.seed: row.mission_time_s
+        for row in rows
+        if row.values == summary.values and row.completed and row.mission_time_s is not None
+    }

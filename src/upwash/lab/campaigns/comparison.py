@@ -18,10 +18,10 @@ from upwash.config.values import repeated
 from upwash.core.policies.names import POLICIES
 from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes
-from upwash.lab.outcome import Outcome, fly
-from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, Cell, scenario
-from upwash.lab.simulation import name_of, read_scenario, with_policy
-from upwash.support.confidence import Mean, mean_of
+from upwash.lab.outcome import FlightOutcome, fly
+from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, ThesisCell, scenario
+from upwash.lab.scenario import name_of, read_scenario, with_policy
+from upwash.support.confidence import Mean, mean_of, mean_saving
 
 _NOISE = NoiseConfig(
     call=0.03, leg=0.02
@@ -65,7 +65,7 @@ ENTRANTS = (
 )
 
 
-class Flight(NamedTuple):
+class ComparedFlight(NamedTuple):
     """One mission to be flown."""
 
     scenario: NamedScenario
@@ -73,13 +73,13 @@ class Flight(NamedTuple):
     seed: int
 
 
-class Flown(NamedTuple):
+class ComparedResult(NamedTuple):
     """What one flight came to."""
 
     scenario: str
     entrant: str
     seed: int
-    outcome: Outcome
+    outcome: FlightOutcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +146,8 @@ def compare(
     named = [*(thesis_scenarios() if thesis else []), *read_scenarios(scenarios, overrides=overrides)]
     if seeds < 1:
         raise UsageError(f"{seeds} seeds are none: give a number from 1 on")
-    flights = [Flight(*each) for each in product(named, entrants, range(1, seeds + 1))]
-    missions: list[Flown] = []
+    flights = [ComparedFlight(*each) for each in product(named, entrants, range(1, seeds + 1))]
+    missions: list[ComparedResult] = []
     with processes.here_first(_fly, flights, workers=workers) as results:
         for mission in results:
             missions.append(mission)
@@ -179,7 +179,8 @@ def thesis_scenarios() -> list[NamedScenario]:
     """The eight cells of the thesis's experiments."""
     return [
         NamedScenario(
-            f"thesis, {experiment.name}, {setup}", scenario(Cell(setup, experiment, "location-aware"), seed=1)
+            f"thesis, {experiment.name}, {setup}",
+            scenario(ThesisCell(setup, experiment, "location-aware"), seed=1),
         )
         for setup, experiment in product(SETUPS, EXPERIMENTS)
     ]
@@ -199,14 +200,14 @@ def _with_noise(config: DroneConfig) -> DroneConfig:
     return msgspec.structs.replace(config, noise=_NOISE) if config.noise == NoiseConfig() else config
 
 
-def _fly(flight: Flight) -> Flown:
+def _fly(flight: ComparedFlight) -> ComparedResult:
     config = msgspec.structs.replace(flight.entrant.enters(flight.scenario.config), seed=flight.seed)
     outcome = fly(config)
     if not outcome.completed and not _has_battery(config):
         raise UpwashError(
             f"{flight.scenario.name}, {flight.entrant.name}, seed {flight.seed}: {outcome.failure}"
         )
-    return Flown(flight.scenario.name, flight.entrant.name, flight.seed, outcome)
+    return ComparedResult(flight.scenario.name, flight.entrant.name, flight.seed, outcome)
 
 
 def _has_battery(config: DroneConfig) -> bool:
@@ -226,7 +227,9 @@ def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:
     )
 
 
-def _rows(scenario: str, entrants: Sequence[Entrant], missions: Sequence[Flown]) -> Iterator[ComparedPolicy]:
+def _rows(
+    scenario: str, entrants: Sequence[Entrant], missions: Sequence[ComparedResult]
+) -> Iterator[ComparedPolicy]:
     own = [mission for mission in missions if mission.scenario == scenario]
     bounds_s = sorted(
         bound_s
@@ -236,10 +239,7 @@ def _rows(scenario: str, entrants: Sequence[Entrant], missions: Sequence[Flown])
     first_s = _times_s(own, entrants[0])
     for entrant in entrants:
         flown = [mission.outcome for mission in own if mission.entrant == entrant.name]
-        saved_s = [
-            first_s[seed] - time_s for seed, time_s in _times_s(own, entrant).items() if seed in first_s
-        ]
-        saved = mean_of(saved_s) if saved_s and entrant is not entrants[0] else None
+        saved = None if entrant is entrants[0] else mean_saving(first_s, _times_s(own, entrant))
         completed = [outcome for outcome in flown if outcome.completed]
         times_s = [each.mission_time_s for each in completed if each.mission_time_s is not None]
         time_s = _mean(times_s)
@@ -267,7 +267,7 @@ def _rows(scenario: str, entrants: Sequence[Entrant], missions: Sequence[Flown])
         )
 
 
-def _times_s(missions: Sequence[Flown], entrant: Entrant) -> dict[int, float]:
+def _times_s(missions: Sequence[ComparedResult], entrant: Entrant) -> dict[int, float]:
     """Those of its completed missions, by seed."""
     return {
         mission.seed: mission.outcome.mission_time_s

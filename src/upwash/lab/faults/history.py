@@ -1,4 +1,4 @@
-"""What is known of a flight when it is over, as the checks of all promises read it."""
+"""What is known of a flight after its end, for the checks of all promises."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ import msgspec
 from upwash.config import Document, drone_config
 from upwash.errors import MissionFailed, UsageError
 from upwash.lab import processes
-from upwash.lab.campaign_file import CampaignFile, Row
+from upwash.lab.campaigns.file import CampaignFile, CampaignRow
+from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 from upwash.lab.outcome import fly
-from upwash.lab.sweep import Combination, Sweep
 from upwash.support.confidence import Mean, mean_of
 from upwash.support.loading import extra
 
@@ -63,7 +63,7 @@ class Cost:
     mission_s: float
 
 
-Fly = Callable[[Sequence[Chunk]], contextlib.AbstractContextManager[Iterator[list[Row]]]]
+Fly = Callable[[Sequence[Chunk]], contextlib.AbstractContextManager[Iterator[list[CampaignRow]]]]
 
 
 def run_campaign(
@@ -107,17 +107,17 @@ def _measure(file: CampaignFile, sample: Sequence[Chunk], flown: Callable[[int],
     return Cost(left, fmean(took_s[1:] or took_s))  # the first one loads what all need
 
 
-def _sample(sweep: Sweep, done: Iterable[Row]) -> list[Chunk]:
+def _sample(sweep: ParameterSweep, done: Iterable[CampaignRow]) -> list[Chunk]:
     """Some runs, spread over all that are left to be flown."""
     left = list(_chunks(sweep, done, 1))
     return left[:: max(1, len(left) // _SAMPLE_RUNS)][:_SAMPLE_RUNS]
 
 
 def fly_sweep(
-    sweep: Sweep, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
+    sweep: ParameterSweep, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
 ) -> list[CombinationSummary]:
     """Flies the whole sweep and keeps no file of it; returns and tells what `run_campaign` does."""
-    rows: list[Row] = []
+    rows: list[CampaignRow] = []
     with fly(list(_chunks(sweep, (), _CHUNK_RUNS))) as chunks:
         for some in chunks:
             rows += some
@@ -141,7 +141,7 @@ def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
         import distributed
 
     @contextlib.contextmanager
-    def fly(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+    def fly(chunks: Sequence[Chunk]) -> Generator[Iterator[list[CampaignRow]]]:
         try:
             client = distributed.Client(  # type: ignore[no-untyped-call]
                 address, timeout=answer_s, set_as_default=False
@@ -158,7 +158,7 @@ def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
                 first, loop=client.loop, with_results=True
             )
 
-            def results() -> Iterator[list[Row]]:
+            def results() -> Iterator[list[CampaignRow]]:
                 for _, rows in flown:
                     for chunk in itertools.islice(left, 1):
                         flown.add(client.submit(fly_chunk, chunk, pure=False))  # type: ignore[no-untyped-call]
@@ -169,19 +169,19 @@ def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
     return fly
 
 
-def fly_chunk(chunk: Chunk) -> list[Row]:
+def fly_chunk(chunk: Chunk) -> list[CampaignRow]:
     """Flies the runs one after the other; a run that fails is a row too."""
     return [_fly(chunk, seed) for seed in chunk.seeds]
 
 
-def _fly(chunk: Chunk, seed: int) -> Row:
+def _fly(chunk: Chunk, seed: int) -> CampaignRow:
     config = msgspec.structs.replace(drone_config(chunk.document, Path(chunk.file)), seed=seed)
     try:
         flown = fly(config)
     except MissionFailed as error:  # this run's failure, not the others'
-        return Row(chunk.values, seed, config.policy.name, failure=_one_line(str(error)))
+        return CampaignRow(chunk.values, seed, config.policy.name, failure=_one_line(str(error)))
     totals, energy, fleet = flown.totals, flown.energy, flown.fleet
-    return Row(
+    return CampaignRow(
         chunk.values,
         seed,
         flown.policy,
@@ -218,7 +218,7 @@ def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _chunks(sweep: Sweep, done: Iterable[Row], runs: int) -> Iterator[Chunk]:
+def _chunks(sweep: ParameterSweep, done: Iterable[CampaignRow], runs: int) -> Iterator[Chunk]:
     flown = {(row.values, row.seed) for row in done}
     for combination in sweep.combinations:
         missing = (seed for seed in range(1, sweep.seeds + 1) if (combination.values, seed) not in flown)
@@ -226,14 +226,14 @@ def _chunks(sweep: Sweep, done: Iterable[Row], runs: int) -> Iterator[Chunk]:
             yield Chunk(str(sweep.file), combination.values, combination.document, seeds)
 
 
-def _summaries(sweep: Sweep, rows: Sequence[Row]) -> list[CombinationSummary]:
-    by_values: dict[tuple[str, ...], list[Row]] = {each.values: [] for each in sweep.combinations}
+def _summaries(sweep: ParameterSweep, rows: Sequence[CampaignRow]) -> list[CombinationSummary]:
+    by_values: dict[tuple[str, ...], list[CampaignRow]] = {each.values: [] for each in sweep.combinations}
     for row in rows:
         by_values[row.values].append(row)
     return [_summary(combination, by_values[combination.values]) for combination in sweep.combinations]
 
 
-def _summary(combination: Combination, own: Sequence[Row]) -> CombinationSummary:
+def _summary(combination: Combination, own: Sequence[CampaignRow]) -> CombinationSummary:
     completed = [row for row in own if row.completed]
     bounds_s = [row.bound_s if row.bound_shared_s is None else row.bound_shared_s for row in completed]
     known_s = [bound_s for bound_s in bounds_s if bound_s is not None]

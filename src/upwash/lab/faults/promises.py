@@ -13,17 +13,18 @@ from enum import IntEnum
 
 import msgspec
 
-from upwash.lab.faults.promises.admission import admission
-from upwash.lab.faults.promises.answers import answers
-from upwash.lab.faults.promises.calls import bounded_calls, one_answer, truthful_errors
-from upwash.lab.faults.promises.history import Breach, History
-from upwash.lab.faults.promises.liars import unswayed
-from upwash.lab.faults.promises.missions import autonomy, no_harm
-from upwash.lab.faults.promises.recovery import recovered
-from upwash.lab.faults.promises.replacement import replaced
-from upwash.lab.faults.promises.servers import in_range, one_selection, respect
-from upwash.lab.faults.promises.turns import turns
-from upwash.lab.faults.promises.vehicle import arrived_truly, named_truly, pilot_wins, vehicle_first
+from upwash.lab.faults.call_promises import answers, bounded_calls, one_answer, truthful_errors
+from upwash.lab.faults.flight_promises import (
+    arrived_truly,
+    autonomy,
+    named_truly,
+    no_harm,
+    pilot_wins,
+    vehicle_first,
+)
+from upwash.lab.faults.history import Breach, History
+from upwash.lab.faults.selection_promises import in_range, one_selection, recovered, respect
+from upwash.lab.faults.server_promises import admission, replaced, turns, unswayed
 
 __all__ = ["CHECKS", "Broken", "History", "Promise", "broken_promises"]
 

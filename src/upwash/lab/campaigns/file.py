@@ -15,12 +15,12 @@ import msgspec
 
 from upwash.config import Document
 from upwash.errors import NotWritten, UsageError
-from upwash.lab.sweep import Sweep
+from upwash.lab.campaigns.sweep import ParameterSweep
 from upwash.support.loading import extra
 from upwash.support.output_files import append_whole, flush_to_disk, write_file
 
 
-class Row(msgspec.Struct, frozen=True):
+class CampaignRow(msgspec.Struct, frozen=True):
     """One run; what it came to is empty where the run broke off without a result."""
 
     values: tuple[str, ...]  # of the settings
@@ -59,7 +59,7 @@ _FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
 _LIGHTER = ("lighter",)
 _GOING = ("went_on", "turned_back", "hidden_s")
 _COLUMNS = tuple(
-    name for name in Row.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET, *_LIGHTER, *_GOING)
+    name for name in CampaignRow.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET, *_LIGHTER, *_GOING)
 )
 
 
@@ -74,7 +74,9 @@ class Note(msgspec.Struct, frozen=True):
 class CampaignFile:
     """The rows of a campaign, in memory and in its file."""
 
-    def __init__(self, csv_file: Path, parquet_file: Path | None, sweep: Sweep, rows: list[Row]) -> None:
+    def __init__(
+        self, csv_file: Path, parquet_file: Path | None, sweep: ParameterSweep, rows: list[CampaignRow]
+    ) -> None:
         self.rows = rows
         self._csv_file = csv_file
         self._parquet_file = parquet_file
@@ -87,7 +89,7 @@ class CampaignFile:
         self._columns = (*_COLUMNS, *metered, *together, *timed, *goes)
 
     @classmethod
-    def open(cls, out: Path, sweep: Sweep) -> CampaignFile:
+    def open(cls, out: Path, sweep: ParameterSweep) -> CampaignFile:
         """Begins the file or continues it; `out` ends in .csv or .parquet, which is written from a .csv beside it.
 
         Raises UsageError for a file of another campaign, or of none.
@@ -114,7 +116,7 @@ class CampaignFile:
             )
         return file
 
-    def append(self, rows: Iterable[Row]) -> None:
+    def append(self, rows: Iterable[CampaignRow]) -> None:
         """Keeps these rows: from now on no interruption loses them."""
         new = list(rows)
         try:
@@ -135,7 +137,7 @@ class CampaignFile:
     def _header(self) -> list[str]:
         return [*self.sweep.keys, *self._columns]
 
-    def _cells(self, row: Row) -> list[str]:
+    def _cells(self, row: CampaignRow) -> list[str]:
         return [*row.values, *(_cell(getattr(row, column)) for column in self._columns)]
 
     def _claim(self) -> None:
@@ -167,7 +169,7 @@ def _described(note: Note | None) -> str:
     return f"another campaign, or of another state of its scenario ({note.scenario}{settings})"
 
 
-def _read(csv_file: Path, columns: Sequence[str], *, settings: int) -> list[Row]:
+def _read(csv_file: Path, columns: Sequence[str], *, settings: int) -> list[CampaignRow]:
     with csv_file.open(newline="", encoding="utf-8") as lines:
         rows = list(csv.reader(lines))[1:]
     try:
@@ -176,10 +178,10 @@ def _read(csv_file: Path, columns: Sequence[str], *, settings: int) -> list[Row]
         raise UsageError(f"{csv_file} was changed by hand: {error}; remove it and begin again") from None
 
 
-def _row(cells: Sequence[str], columns: Sequence[str], settings: int) -> Row:
+def _row(cells: Sequence[str], columns: Sequence[str], settings: int) -> CampaignRow:
     named = dict(zip(columns, cells[settings:], strict=True))
     texts = {name: cell for name, cell in named.items() if cell or name == "failure"}
-    return msgspec.convert({"values": cells[:settings], **texts}, Row, strict=False)
+    return msgspec.convert({"values": cells[:settings], **texts}, CampaignRow, strict=False)
 
 
 def _cell(value: object) -> str:

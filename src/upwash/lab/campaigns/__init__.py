@@ -1,0 +1,1 @@
+"""Many simulated missions: campaigns over seeds and settings, and policies compared."""

@@ -1,0 +1,167 @@
+"""Scenarios as they are simulated: read, and changed by key, policy and seed."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from upwash.config import Document, DroneConfig, drone_config, impossible_values, read_document
+from upwash.config.problems import refuse_first
+from upwash.errors import ConfigError
+
+_DRONES = "drones"
+
+
+def with_value(document: Document, file: Path, key: str, value: object) -> Document:
+    """The document with one value changed or added.
+
+    A step of the key names a table's key; in an array of tables it is the `name` of one, or its number from 0. The
+    key `drones` leaves so many of the `[[drone]]` tables, the first ones. Raises ConfigError where the key leads
+    nowhere.
+    """
+    changed = copy.deepcopy(document)
+    if key == _DRONES:
+        drones = changed.get("drone")
+        changed["drone"] = _first_drones(drones if isinstance(drones, list) else [], value, file)
+        return changed
+    _set(changed, key, value, file=file, walked="")
+    return changed
+
+
+def _first_drones(drones: list[Any], count: object, file: Path) -> list[Any]:
+    if type(count) is not int or count < 1:
+        raise ConfigError(
+            str(file), _DRONES, f"expected a number of drones from 1 on, found {written(count)}"
+        )
+    if count > len(drones):
+        raise ConfigError(
+            str(file),
+            _DRONES,
+            f"{count} are asked for, and the file has {len(drones)} [[drone]] tables: add some, or ask for fewer",
+        )
+    return drones[:count]
+
+
+def _set(table: Any, key: str, value: object, *, file: Path, walked: str) -> None:
+    step, rest = _first_step(table, key)
+    here = f"{walked}.{step}" if walked else step
+    match table:
+        case dict() if not rest:
+            table[step] = value
+            return
+        case dict():
+            inner = table.setdefault(step, {})
+        case list() if rest:
+            inner = _element(table, step, file, walked)
+        case list():
+            raise ConfigError(str(file), here, "is a whole table: set one of its keys")
+        case _:
+            raise ConfigError(str(file), walked, f'is no table: it has no key "{step}" to be set')
+    _set(inner, rest, value, file=file, walked=here)
+
+
+def _first_step(table: object, key: str) -> tuple[str, str]:
+    """The first step of a key and the rest of it; a name in an array may itself have dots."""
+    names = [each for each in _names(table) if f"{key}.".startswith(f"{each}.")]
+    step = max(names, key=len) if names else key.partition(".")[0]
+    return step, key[len(step) + 1 :]
+
+
+def _names(table: object) -> list[str]:
+    if not isinstance(table, list):
+        return []
+    return [str(each["name"]) for each in table if isinstance(each, dict) and "name" in each]
+
+
+def _element(tables: list[Any], step: str, file: Path, walked: str) -> Any:
+    names = _names(tables)
+    if step in names:
+        return tables[names.index(step)]
+    if not names and step.isdecimal() and int(step) < len(tables):
+        return tables[int(step)]
+    allowed = ", ".join(names) or f"the numbers from 0 to {len(tables) - 1}"
+    raise ConfigError(str(file), walked, f'there is no "{step}"; allowed: {allowed}')
+
+
+def written(value: object) -> str:
+    """The value as a setting has it: JSON, with strings in no quotes."""
+    if value == math.inf:  # which JSON has no number for
+        return "inf"
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
+
+
+_UNNAMED = Path("scenario")  # what a scenario without a file is called in errors
+
+
+def read_scenario(
+    scenario: str | os.PathLike[str] | Mapping[str, object],
+    *,
+    policy: str | None = None,
+    seed: int | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> DroneConfig:
+    """The scenario as `simulate` flies it; a policy that is given is every drone's. Raises ConfigError."""
+    if isinstance(scenario, Mapping):
+        file = _UNNAMED
+        document: Document = _plain(dict(scenario), "", file)
+    else:
+        file = Path(scenario)
+        document = read_document(file)
+    if policy is not None:
+        document = _without_own_policies(document)
+    instead = {"policy.name": policy, "seed": seed}
+    changes = {**(overrides or {}), **{key: value for key, value in instead.items() if value is not None}}
+    for key, value in changes.items():
+        document = with_value(document, file, key, _plain(value, key, file))
+    return drone_config(document, file)
+
+
+def _without_own_policies(document: Document) -> Document:
+    """The document with the file's policy for all of its drones."""
+    drones = document.get("drone")
+    if not isinstance(drones, list):
+        return document
+    return document | {
+        "drone": [
+            {key: value for key, value in drone.items() if key != "policy"}
+            if isinstance(drone, dict)
+            else drone
+            for drone in drones
+        ]
+    }
+
+
+def _plain(value: object, key: str, file: Path) -> Any:
+    """The value as a TOML file would have it: a notebook's are tuples, paths and numpy's numbers too."""
+    refuse_first(file, impossible_values(value, key))
+    try:
+        plain = msgspec.to_builtins(value, enc_hook=_plainer, str_keys=True)
+        return msgspec.msgpack.decode(msgspec.msgpack.encode(plain))  # which makes lists of tuples
+    except (TypeError, ValueError) as error:
+        raise ConfigError(str(file), key, f"expected numbers, strings, lists and tables ({error})") from None
+
+
+def _plainer(value: object) -> object:
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if hasattr(value, "tolist"):  # of numpy
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is none of these")
+
+
+def name_of(scenario: str | os.PathLike[str] | Mapping[str, object]) -> str:
+    """What a scenario is called: as its file is, without the ending."""
+    return str(_UNNAMED) if isinstance(scenario, Mapping) else Path(scenario).stem
+
+
+def with_policy(config: DroneConfig, name: str) -> DroneConfig:
+    """The same scenario under another policy, which must be one of PolicyConfig's, for all of its drones."""
+    policy = msgspec.convert({**msgspec.structs.asdict(config.policy), "name": name}, type(config.policy))
+    drones = tuple(msgspec.structs.replace(drone, policy=None) for drone in config.drones)
+    return msgspec.structs.replace(config, policy=policy, drones=drones)
