@@ -23,7 +23,7 @@ from bench.results import FOLDER, Result, leave
 from rich.console import Console
 from rich.table import Table
 
-from upwash.cli.flying import read_log
+from upwash import read_log, read_result
 from upwash.config import DroneConfig, GridConfig, ServerConfig
 from upwash.emulation.programs import write_drone_file
 from upwash.emulation.request import (
@@ -147,7 +147,7 @@ def fly(cell: ThesisCell, field: Field, folder: Path, photos: Path, *, quick: bo
     outcome = read_outcome(folder)
     if outcome is None or not outcome.completed:
         return None
-    return figures_of(cell, field, read_log(folder / "drone.jsonl"), outcome, quick=quick)
+    return figures_of(cell, field, read_result(read_log(folder / "drone.jsonl")), outcome, quick=quick)
 
 
 def figures_of(

@@ -106,7 +106,7 @@ print("called", flush=True)
 sys.stdin.read()
 """
 PROGRAMS = {  # what each imports before it is asked for anything that not every flight needs
-    "upwash fly": "upwash.cli.main upwash.cli.flying",
+    "upwash fly": "upwash.cli.main upwash.cli.fly",
     "its service": "upwash.real.instances.instance",
 }
 

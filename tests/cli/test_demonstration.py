@@ -12,9 +12,15 @@ import pytest
 from rich.console import Console
 from tests.events import event, line
 
-from upwash.cli.demonstration.configuration import fleet_of, read_demonstration, start_of
-from upwash.cli.demonstration.following import followed
-from upwash.cli.demonstration.outcome import Outcome, outcome_of, print_outcomes, together
+from upwash.cli.demonstration import read_demonstration
+from upwash.cli.demonstration_fleet import (
+    DemonstratedFlight,
+    fleet_of,
+    followed,
+    print_results,
+    start_of,
+    summary,
+)
 from upwash.cli.main import main
 from upwash.config import DroneConfig, server_areas, waypoints
 from upwash.core.geo import Position, ground_distance_m
@@ -145,18 +151,18 @@ def flown(log: Path, *, ended_s: float, remote_s: float) -> Path:
 
 def test_each_drone_has_its_row_and_all_have_a_mean_and_a_worst(tmp_path: Path) -> None:
     (tmp_path / "empty.jsonl").touch()
-    outcomes = {
-        "drone-1": outcome_of(flown(tmp_path / "1.jsonl", ended_s=10.0, remote_s=1.0), 0),
-        "drone-2": outcome_of(flown(tmp_path / "2.jsonl", ended_s=14.0, remote_s=2.5), 0),
-        "drone-3": outcome_of(tmp_path / "empty.jsonl", 1),
+    flights = {
+        "drone-1": DemonstratedFlight.of(flown(tmp_path / "1.jsonl", ended_s=10.0, remote_s=1.0), 0),
+        "drone-2": DemonstratedFlight.of(flown(tmp_path / "2.jsonl", ended_s=14.0, remote_s=2.5), 0),
+        "drone-3": DemonstratedFlight.of(tmp_path / "empty.jsonl", 1),
     }
-    assert together(outcomes.values()) == (
+    output = io.StringIO()
+    print_results(flights, ["s1", "s2"], Console(file=output, width=80))
+    *_, last = lines = output.getvalue().splitlines()
+    assert last == (
         "2 of 3 flights completed; mission time: mean 12.0 s, worst 14.0 s; saved: mean 1.2 s, least 0.5 s"
     )
-    output = io.StringIO()
-    print_outcomes(outcomes, ["s1", "s2"], Console(file=output, width=80))
-    rows = [text.split() for text in output.getvalue().splitlines() if text.strip().startswith("drone-")]
-    assert rows == [
+    assert [text.split() for text in lines if text.strip().startswith("drone-")] == [
         ["drone-1", "completed", "10.0", "s", "2.0", "s", "1", "1", "0", "0", "0"],
         ["drone-2", "completed", "14.0", "s", "0.5", "s", "1", "1", "0", "0", "0"],
         ["drone-3", "exit", "code", "1"],
@@ -166,7 +172,7 @@ def test_each_drone_has_its_row_and_all_have_a_mean_and_a_worst(tmp_path: Path) 
 def test_a_flight_that_was_stopped_is_not_among_those_that_were_completed(tmp_path: Path) -> None:
     log = tmp_path / "stopped.jsonl"
     log.write_bytes(line("mission_started", 0.0, policy="look-ahead", waypoints=2) + call(4.0, "local", 3.0))
-    stopped = outcome_of(log, INTERRUPTED)
+    stopped = DemonstratedFlight.of(log, INTERRUPTED)
     assert stopped.in_words == "ended early"
-    assert Outcome(INTERRUPTED, None, None).in_words == "did not begin"
-    assert together([stopped]) == "none of 1 flights was completed"
+    assert DemonstratedFlight(INTERRUPTED, None).in_words == "did not begin"
+    assert summary([stopped.result]) == "none of 1 flights was completed"

@@ -50,7 +50,7 @@ def test_each_end_of_a_flight_has_its_code(
     def flown(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("upwash.cli.flying.fly_with_progress", flown)
+    monkeypatch.setattr("upwash.cli.fly.fly_with_progress", flown)
     (tmp_path / "drone.toml").write_text(CONFIG)
     assert main(["fly", "--config", str(tmp_path / "drone.toml"), "--log", str(tmp_path / "log")]) == code
     assert str(error).removeprefix("mission: ") in capsys.readouterr().err

@@ -18,10 +18,9 @@ import pytest
 from tests.system.thresholds import waits_at_their_threshold
 from tests.waiting import wait_for
 
-from upwash.cli.demonstration.configuration import read_demonstration
-from upwash.cli.demonstration.score import score_photos
-from upwash.cli.flying import read_log
-from upwash.eventlog.results import RunResult
+from upwash.cli.demonstration import read_demonstration, score_photos
+from upwash.eventlog.log import EventLog
+from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.run import simulate
 
 pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.long, pytest.mark.timeout(240)]
@@ -106,13 +105,13 @@ class Demonstration:
 
     def flown(self, log: str = "events.jsonl") -> RunResult:
         """What the flight of that log came to; checks that the mission was whole."""
-        result = read_log(self.folder / log)
+        result = read_result(EventLog(self.folder / log))
         assert result.completed
         assert [call.waypoint for call in result.calls] == list(range(WAYPOINTS)), (
             "one result for every photo"
         )
         assert result.undone == []
-        score = score_photos(self.folder / log)
+        score = score_photos([self.folder / log])
         assert score.photos == WAYPOINTS
         assert score.found >= 0.9 * score.true, "each photo's own faults were found"
         return result

@@ -21,7 +21,7 @@ from tests.system.ns3 import require_ns3
 from tests.system.thresholds import waits_at_their_threshold
 from tests.waiting import wait_for
 
-from upwash.cli.flying import read_log
+from upwash import read_log, read_result
 from upwash.config import read_drone_config
 from upwash.emulation.containers import require_containers
 from upwash.emulation.enclosure import clean, run_enclosed
@@ -218,7 +218,7 @@ def expect_as_simulated(emulation: Emulation) -> None:
     lateness, waits = emulation.folder.parent / "lateness", emulation.folder.parent / "waits"
     with noting_lateness(lateness), noting_waits(waits, emulation.in_calls):  # all of ordinary priority
         emulation.finish_in_time()
-    flown = read_log(emulation.folder / "drone.jsonl")
+    flown = read_result(read_log(emulation.folder / "drone.jsonl"))
     run = simulate(emulated(read_drone_config(DEMONSTRATION)))
     assert flown.completed and len(flown.calls) == len(run.result.calls)
     assert {call.place for call in flown.calls} == {"local", "s1", "s2"}
@@ -252,7 +252,7 @@ def test_a_call_is_cut_when_the_drone_leaves_the_range_and_answered_on_the_drone
 ) -> None:
     emulation = emulate(str(EMULATED / "leaving.toml"), "--radio", radio, "--in", computers)
     emulation.finish_in_time()
-    _, cut = read_log(emulation.folder / "drone.jsonl").calls
+    _, cut = read_result(read_log(emulation.folder / "drone.jsonl")).calls
     assert cut.place == "local" and cut.decision != "no server selected"
     out_of_range_after_s, local_s = 3.5, 5.0
     assert local_s < cut.delay_s < out_of_range_after_s + local_s + 0.5
@@ -266,7 +266,7 @@ def test_several_drones_fly_at_once_and_share_the_servers(emulate: Callable[...,
     output = emulation.finish()
     assert "late" in output
     for drone in ("drone-1", "drone-2", "drone-3"):
-        assert read_log(emulation.folder / f"{drone}.jsonl").completed
+        assert read_result(read_log(emulation.folder / f"{drone}.jsonl")).completed
 
 
 @pytest.mark.flight
@@ -281,7 +281,7 @@ def test_a_vehicle_of_the_machine_itself_is_flown_from_inside(emulate: Callable[
         address = vehicle.stdout.readline().split()[-1]
         emulation = emulate(str(EMULATED / "leaving.toml"), "--autopilot", address)
         emulation.finish()
-        assert read_log(emulation.folder / "drone.jsonl").completed
+        assert read_result(read_log(emulation.folder / "drone.jsonl")).completed
         assert not (emulation.folder / "drone-vehicle.log").exists()
     finally:
         with vehicle:

@@ -21,7 +21,7 @@ from tests.scenarios import scenario
 from tests.system.browser import Browser, browser, why_not
 from tests.waiting import wait_for
 
-from upwash.cli.flying import read_log
+from upwash import read_log, read_result
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.reasons import explained_calls
@@ -540,7 +540,7 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         page.wait_until(
             lambda: rows(page, ".delays")
         )  # the browser tells the page of the click when it gets to it
-        result = read_log(log)
+        result = read_result(read_log(log))
         assert [row[4] for row in rows(page, ".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
         assert f"the mission took {result.mission_time_s:.1f} s" in page.text(".summary")
         assert page.errors() == []

@@ -5,32 +5,23 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
+import sys
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from upwash.config import DroneConfig
-    from upwash.lab.figures import FigureFiles
+from msgspec.structs import replace
 
-    Commands = argparse._SubParsersAction[argparse.ArgumentParser]  # what `add` adds its command to
+from upwash.config import DroneConfig, plan_notices
+from upwash.errors import UsageError
+from upwash.mavlink.connection import parse_connection
+from upwash.support.loading import extra
+
+if TYPE_CHECKING:  # a flight does without the room of simulations
+    from upwash.lab.figures import FigureFiles
 
 LIVE_PORT = 8720
 _FORMATS = ("png", "pdf", "svg")
-
-
-def place(text: str) -> tuple[float, float]:
-    """A latitude and a longitude in degrees, written LAT,LON."""
-    try:
-        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not LAT,LON in degrees, such as 39.3666,22.9507"
-        ) from None
-    if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is no place: latitudes go from -90 to 90, longitudes to 180 degrees"
-        )
-    return latitude_deg, longitude_deg
 
 
 def count(text: str) -> int:
@@ -49,8 +40,15 @@ def port(text: str) -> int:
     return int(text)
 
 
+def add_config(parser: argparse.ArgumentParser, whose: str) -> None:
+    """Add the option that names a configuration."""
+    parser.add_argument(
+        "--config", type=Path, required=True, help=f"the {whose}'s configuration, a TOML file"
+    )
+
+
 def add_policy(parser: argparse.ArgumentParser, *, instead_of: str) -> None:
-    """Adds the option that flies by another policy."""
+    """Add the option that flies by another policy."""
     parser.add_argument(
         "--policy",
         choices=("local-only", "opportunistic", "location-aware", "look-ahead"),
@@ -58,17 +56,8 @@ def add_policy(parser: argparse.ArgumentParser, *, instead_of: str) -> None:
     )
 
 
-def add_stay_or_go(parser: argparse.ArgumentParser) -> None:
-    """Adds the option that flies on before answers are there, or does not."""
-    parser.add_argument(
-        "--stay-or-go",
-        choices=("stay", "go", "learn"),
-        help="whether to fly on before an answer is there, instead of policy.stay_or_go",
-    )
-
-
 def add_seeds(parser: argparse.ArgumentParser, what: str, *, default: int | None = None) -> None:
-    """Adds the option by which every command flies the seeds 1 to N."""
+    """Add the option that flies the seeds 1 to N."""
     parser.add_argument(
         "--seeds",
         type=count,
@@ -80,7 +69,7 @@ def add_seeds(parser: argparse.ArgumentParser, what: str, *, default: int | None
 
 
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Adds the options that draw `what` into a folder."""
+    """Add the options that draw `what` into a folder."""
     parser.add_argument("--figures", type=Path, metavar="DIR", help=f"draw {what} there")
     parser.add_argument(
         "--format", type=_formats, default=("png",), dest="formats", metavar="F1,F2",
@@ -89,9 +78,8 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def figures_of(options: argparse.Namespace) -> FigureFiles | None:
-    """Those that --figures and --format ask for; raises UsageError at once where nothing can draw them."""
+    """What --figures and --format ask for; raises UsageError at once where matplotlib is missing."""
     from upwash.lab.figures import FigureFiles
-    from upwash.support.loading import extra
 
     if options.figures is None:
         return None
@@ -102,16 +90,21 @@ def figures_of(options: argparse.Namespace) -> FigureFiles | None:
 
 def _formats(text: str) -> tuple[str, ...]:
     wanted = tuple(dict.fromkeys(text.split(",")))
-    for each in wanted:
-        if each not in _FORMATS:
+    for name in wanted:
+        if name not in _FORMATS:
             raise argparse.ArgumentTypeError(
-                f"{each!r} is no format of figures: choose of {', '.join(_FORMATS)}"
+                f"{name!r} is no format of figures: choose of {', '.join(_FORMATS)}"
             )
     return wanted
 
 
+def add_folder(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the folder of a run."""
+    parser.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
+
+
 def add_live(parser: argparse.ArgumentParser) -> None:
-    """Adds the option that shows a flight on a page while it lasts."""
+    """Add the option that shows a flight on a page while it lasts."""
     parser.add_argument(
         "--live",
         type=port,
@@ -123,26 +116,24 @@ def add_live(parser: argparse.ArgumentParser) -> None:
 
 
 def flown_by(config: DroneConfig, connection: str | None) -> DroneConfig:
-    """The configuration with another connection to the vehicle, where one is given; raises UsageError."""
-    import msgspec
-
-    from upwash.errors import UsageError
-    from upwash.mavlink.connection import parse_connection
-
+    """The configuration with the vehicle of --autopilot, if given; raises UsageError."""
     if connection is None:
         return config
     try:
         parse_connection(connection)
     except ValueError as error:
         raise UsageError(f"--autopilot: {error}") from None
-    autopilot = msgspec.structs.replace(config.autopilot, connection=connection)
-    return msgspec.structs.replace(config, autopilot=autopilot)
+    return replace(config, autopilot=replace(config.autopilot, connection=connection))
+
+
+def warn_of_plans(config: DroneConfig) -> None:
+    """Print to standard error what of the plans is flown differently, or not at all."""
+    for notice in plan_notices(config):
+        sys.stderr.write(f"upwash: notice: {notice}\n")
 
 
 def new_run_folder() -> Path:
-    """A folder in runs/ that is named after the time and was not there before."""
-    from datetime import datetime
-
+    """Make a new folder in runs/, named after the time."""
     name = datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
     for number in itertools.count(1):
         folder = Path("runs") / (name if number == 1 else f"{name}_{number}")
@@ -153,5 +144,5 @@ def new_run_folder() -> Path:
 
 
 def announce(text: str) -> None:
-    """Prints a line at once, also where standard output is a pipe that someone waits at."""
+    """Print a line at once, also into a pipe."""
     print(text, flush=True)

@@ -4,44 +4,37 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from upwash.cli.arguments import count
 from upwash.errors import UsageError
-
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
+from upwash.lab.faults.display import replay, show_chaos
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    chaos = commands.add_parser("chaos", help="simulate worlds full of faults and test what upwash promises")
-    which = chaos.add_mutually_exclusive_group(required=True)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument(
-        "--seeds",
-        type=seeds,
-        metavar="N|A..B",
+        "--seeds", type=seeds, metavar="N|A..B",
         help="fly the worlds of the seeds 1 to N, or A to B, on all cores",
-    )
+    )  # fmt: skip
     which.add_argument("--seed", type=count, metavar="N", help="fly one world, as a failure was reported")
-    chaos.add_argument("--minutes", type=float, metavar="N", help="with --seeds: begin no more after so long")
-    chaos.add_argument(
+    parser.add_argument(
+        "--minutes", type=float, metavar="N", help="with --seeds: begin no more after so long"
+    )
+    parser.add_argument(
         "--workers", type=count, metavar="N", help="with --seeds: processes (default: one per core)"
     )
-    chaos.add_argument(
+    parser.add_argument(
         "--out", type=Path, metavar="FILE", help="with --seeds: leave what they came to there, as JSON"
     )
-    chaos.add_argument(
+    parser.add_argument(
         "--log", type=Path, metavar="FILE",
         help="with --seed: the event log; the scenario is written beside it, as .toml",
     )  # fmt: skip
-    chaos.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Flies them; whether no promise was broken."""
-    from upwash.lab.faults.display import replay, show_chaos
-
+    """Fly them; true where no promise was broken."""
     if options.seed is not None:
         if (options.minutes, options.workers, options.out) != (None, None, None):
             raise UsageError("--minutes, --workers and --out go with --seeds")

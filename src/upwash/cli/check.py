@@ -4,77 +4,74 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+from rich.console import Console
 
 from upwash.cli.arguments import add_figures, add_seeds, count, figures_of, flown_by
+from upwash.config import read_drone_config, refuse_several
 from upwash.errors import UsageError
+from upwash.lab.campaigns.campaign import here_first
+from upwash.preflight.capacity import show_capacity
+from upwash.preflight.check import read_plan
+from upwash.preflight.display import show_check
+from upwash.preflight.fleet import show_fleet_check
 
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
-    from upwash.preflight.check import CheckInput
 
-
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    check = commands.add_parser("check", help="predict a mission, and warn of problems, before take-off")
-    check.add_argument("config", type=Path, help="the drone's configuration or a scenario, a TOML file")
-    add_seeds(check, "where there is noise, fly each prediction", default=5)
-    check.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("config", type=Path, help="the drone's configuration or a scenario, a TOML file")
+    add_seeds(parser, "where there is noise, fly each prediction", default=5)
+    parser.add_argument(
         "--workers", type=count, metavar="N", help="processes, where they pay (default: one per core)"
     )
-    check.add_argument(
+    parser.add_argument(
         "--place", type=count, default=0, metavar="N", help="suggest where N more servers would help most"
     )
-    add_figures(check, "the coverage")
-    what = check.add_mutually_exclusive_group()
-    check.add_argument("--json", action="store_true", help="print what was found as one JSON object")
-    what.add_argument(
-        "--capacity",
-        action="store_true",
+    add_figures(parser, "the coverage")
+    parser.add_argument("--json", action="store_true", help="print what was found as one JSON object")
+    only = parser.add_mutually_exclusive_group()
+    only.add_argument(
+        "--capacity", action="store_true",
         help="only fly the mission with more and more drones at once, and say how many the servers carry",
-    )
-    what.add_argument(
+    )  # fmt: skip
+    only.add_argument(
         "--networks", action="store_true", help="only see whether each server's network can be joined"
     )
-    what.add_argument(
-        "--servers",
-        action="store_true",
+    only.add_argument(
+        "--servers", action="store_true",
         help="only join each server's network, have it start the drone's services, and call them as a flight does",
-    )
-    what.add_argument(
-        "--vehicle",
-        action="store_true",
+    )  # fmt: skip
+    only.add_argument(
+        "--vehicle", action="store_true",
         help="only connect to the vehicle, and see whether its dead man is ready",
-    )
-    what.add_argument(
-        "--install-dead-man",
-        action="store_true",
+    )  # fmt: skip
+    only.add_argument(
+        "--install-dead-man", action="store_true",
         help="connect to the vehicle, which stands disarmed, and put the dead man into its autopilot",
+    )  # fmt: skip
+    parser.add_argument(
+        "--autopilot", metavar="CONNECTION", help="the vehicle, instead of the configured one"
     )
-    check.add_argument("--autopilot", metavar="CONNECTION", help="the vehicle, instead of the configured one")
-    check.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Checks and prints what it found; whether there is nothing to warn of."""
-    if options.json and (options.networks or options.servers or options.vehicle or options.install_dead_man):
-        raise UsageError("--json prints predictions and capacity only: leave it out")
+    """Check and print what was found; true where there is nothing to warn of."""
     if options.networks or options.servers or options.vehicle or options.install_dead_man:
-        return _look(options)
-    import msgspec
-
-    from upwash.lab.campaigns.campaign import here_first
-    from upwash.preflight.check import read_plan
-    from upwash.preflight.display import show_check
-
+        if options.json:
+            raise UsageError("--json prints predictions and capacity only: leave it out")
+        return _survey(options)
     plan = read_plan(options.config)
-    plan = msgspec.structs.replace(plan, config=flown_by(plan.config, options.autopilot))
+    plan = replace(plan, config=flown_by(plan.config, options.autopilot))
     if options.capacity:
-        from upwash.preflight.capacity import show_capacity
-
         return show_capacity(plan.config, str(plan.file), as_json=options.json)
     if plan.config.drones:
-        return _check_fleet(plan, options)
+        if options.place or options.figures is not None:
+            raise UsageError(
+                "--place and --figures are of one drone's way, and this file has [[drone]] tables: leave them out, "
+                "or check a file with one of the drones"
+            )
+        return show_fleet_check(plan, seeds=options.seeds, as_json=options.json, workers=options.workers)
     return show_check(
         plan,
         seeds=options.seeds,
@@ -85,11 +82,8 @@ def run(options: argparse.Namespace) -> bool:
     )
 
 
-def _look(options: argparse.Namespace) -> bool:
-    """At one thing that a flight needs; whether it is ready."""
-    from rich.console import Console
-
-    from upwash.config import read_drone_config, refuse_several
+def _survey(options: argparse.Namespace) -> bool:
+    """Survey one thing that a flight needs; true where it is ready."""
     from upwash.preflight.surveys import check_networks, check_servers, check_vehicle
 
     config = flown_by(read_drone_config(options.config), options.autopilot)
@@ -100,14 +94,3 @@ def _look(options: argparse.Namespace) -> bool:
     if options.servers:
         return check_servers(config, console)
     return check_vehicle(config, console, install_dead_man=options.install_dead_man)
-
-
-def _check_fleet(plan: CheckInput, options: argparse.Namespace) -> bool:
-    from upwash.preflight.fleet import show_fleet_check
-
-    if options.place or options.figures is not None:
-        raise UsageError(
-            "--place and --figures are of one drone's way, and this file has [[drone]] tables: leave them out, or "
-            "check a file with one of the drones"
-        )
-    return show_fleet_check(plan, seeds=options.seeds, as_json=options.json, workers=options.workers)

@@ -3,49 +3,47 @@
 from __future__ import annotations
 
 import argparse
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from rich.text import Text
 
 from upwash.cli.arguments import add_figures, add_seeds, count, figures_of
 from upwash.errors import UsageError
+from upwash.lab.campaigns.comparison import ComparedPolicy, compare
+from upwash.lab.campaigns.sweep import read_overrides
+from upwash.lab.figures import FigureFiles
+from upwash.support.confidence import Mean
+from upwash.support.sentences import say
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from upwash.cli.arguments import Commands
-    from upwash.lab.campaigns.comparison import ComparedPolicy
-    from upwash.lab.figures import FigureFiles
+Cell = Callable[[ComparedPolicy], str]
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    compare = commands.add_parser("compare", help="fly every policy in the same scenarios, beside the bound")
-    compare.add_argument("scenarios", type=Path, nargs="*", metavar="SCENARIO", help="TOML files")
-    compare.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("scenarios", type=Path, nargs="*", metavar="SCENARIO", help="TOML files")
+    parser.add_argument(
         "--thesis", action="store_true", help="the eight cells of the thesis's experiments too"
     )
-    add_seeds(compare, "fly each policy", default=30)
-    compare.add_argument(
+    add_seeds(parser, "fly each policy", default=30)
+    parser.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
         help="fly the files with that value of a key, such as policy.stay_or_go=go",
     )  # fmt: skip
-    compare.add_argument(
+    parser.add_argument(
         "--markdown", action="store_true", help="tables in Markdown, as into a file or another program"
     )
-    compare.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
-    add_figures(compare, "the mission times with their confidence, and the paired differences,")
-    compare.set_defaults(run=run)
+    parser.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
+    add_figures(parser, "the mission times with their confidence, and the paired differences,")
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Flies them all with a progress bar, and prints what they came to: as Markdown where no person reads it."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from upwash import compare
-    from upwash.cli.compared import in_markdown, print_tables
-    from upwash.lab.campaigns.sweep import read_overrides
-
+    """Fly them all with a progress bar, and print the results; in Markdown where no person reads them."""
     if not options.scenarios and not options.thesis:
         raise UsageError("nothing to compare in: name scenario files, or give --thesis")
     overrides = read_overrides(options.settings)
@@ -71,22 +69,126 @@ def run(options: argparse.Namespace) -> bool:
 
 
 def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:
-    from upwash.lab.figures.means import DrawnMean, draw_means
-    from upwash.support.confidence import Mean
+    from upwash.lab.figures.means import DrawnMean, draw_means  # these need matplotlib
 
-    draw_means(
-        [
-            DrawnMean(
-                row.scenario,
-                row.policy,
-                Mean(row.completed, row.mean_s, row.half_width_s),
+    drawn = []
+    for row in rows:
+        if row.completed:
+            time = Mean(row.completed, row.mean_s, row.half_width_s)
+            saved = (
                 Mean(row.completed, row.saved_s, row.saved_half_width_s or 0.0)
                 if row.saved_s is not None
-                else None,
-                row.bound_s,
+                else None
             )
-            for row in rows
-            if row.completed
-        ],
-        figures.files("compare"),
+            drawn.append(DrawnMean(row.scenario, row.policy, time, saved, row.bound_s))
+    draw_means(drawn, figures.files("compare"))
+
+
+def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
+    """Prints, for each scenario, which policy is the quickest, and a table with a row for each."""
+    for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
+        own = list(group)
+        say(f"{scenario}: {_verdict(own)}", console)
+        table = Table(box=None, padding=(0, 1))
+        columns = {
+            "": lambda row: row.policy,
+            "minutes": _interval,
+            "above the\nminimum": _above_bound,
+            "completed": _completed if any(row.completed < row.missions for row in own) else None,
+            "worst,\nfairness": _fleet_cell if any(row.worst_s is not None for row in own) else None,
+            "turned back,\nmin hidden": _going_cell if any(row.hidden_s is not None for row in own) else None,
+            "Wh": _energy_cell if any(row.energy_wh is not None for row in own) else None,
+        }
+        shown = {title: cell for title, cell in columns.items() if cell is not None}
+        for title in shown:
+            table.add_column(Text(title), justify="right" if title else "left", no_wrap=bool(title))
+        for row in own:
+            table.add_row(*(cell(row) for cell in shown.values()))
+        console.print(table)
+        console.print()
+
+
+def _verdict(rows: Sequence[ComparedPolicy]) -> str:
+    flown = [row for row in rows if row.completed]
+    if not flown:
+        return "no policy completed a mission"
+    best = min(flown, key=lambda row: row.mean_s)
+    others = sum(row is not best and _is_alike(row, best) for row in flown)
+    alike = (
+        f"; {others} more {'is' if others == 1 else 'are'} as quick within the margin of error"
+        if others
+        else ""
     )
+    return (
+        f"{best.policy} is quickest: {_minutes(best.mean_s)} min, {_above_bound(best)} above the theoretical minimum "
+        f"of {_minutes(best.bound_s)}{alike}"
+    )
+
+
+def _is_alike(row: ComparedPolicy, best: ComparedPolicy) -> bool:
+    return row.mean_s - best.mean_s <= row.half_width_s + best.half_width_s
+
+
+def _interval(row: ComparedPolicy) -> str:
+    margin = f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else ""
+    return f"{_minutes(row.mean_s)}{margin}" if row.completed else "-"
+
+
+def _above_bound(row: ComparedPolicy) -> str:
+    return f"{100 * (row.mean_s / row.bound_s - 1):.1f} %" if row.completed else "-"
+
+
+def _completed(row: ComparedPolicy) -> str:
+    return f"{row.completed} of {row.missions}"
+
+
+def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
+    """Tables with a row for each scenario: minutes, and what else is known of fleets, late answers and energy."""
+    policies = list(dict.fromkeys(row.policy for row in rows))
+    yield f"| minutes | bound | {' | '.join(policies)} |"
+    yield f"|---|---|{'---|' * len(policies)}"
+    for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
+        own = list(group)
+        yield f"| {scenario} | {_minutes(own[0].bound_s)} | {' | '.join(map(_cell, own))} |"
+    further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
+        ("worst minutes, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
+        ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),
+        ("Wh", lambda row: row.energy_wh, _energy_cell),
+    )
+    for title, value, cell in further:
+        known = [row for row in rows if value(row) is not None]
+        if known:
+            yield ""
+            yield f"| {title} | {' | '.join(policies)} |"
+            yield f"|---|{'---|' * len(policies)}"
+            for scenario, each in itertools.groupby(known, key=lambda row: row.scenario):
+                yield f"| {scenario} | {' | '.join(map(cell, each))} |"
+
+
+def _cell(row: ComparedPolicy) -> str:
+    if not row.completed:
+        return f"0 of {row.missions} completed"
+    margin = f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else ""
+    ended = "" if row.completed == row.missions else f", {row.completed} of {row.missions} completed"
+    return f"{_minutes(row.mean_s)}{margin} ({100 * (row.mean_s / row.bound_s - 1):+.1f} %){ended}"
+
+
+def _fleet_cell(row: ComparedPolicy) -> str:
+    if row.worst_s is None or row.jain is None:
+        return "-"
+    return f"{_minutes(row.worst_s)}, {row.jain:.3f}"
+
+
+def _going_cell(row: ComparedPolicy) -> str:
+    return "-" if row.turned_back is None else f"{row.turned_back:.1f}, {_minutes(row.hidden_s or 0.0)}"
+
+
+def _energy_cell(row: ComparedPolicy) -> str:
+    if not row.completed or row.energy_wh is None:
+        return "-"
+    margin = f" ± {row.energy_half_width_wh:.2f}" if row.completed > 1 else ""
+    return f"{row.energy_wh:.2f}{margin}"
+
+
+def _minutes(seconds: float) -> str:
+    return "-" if math.isnan(seconds) else f"{seconds / 60:.2f}"

@@ -4,53 +4,43 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import count, new_run_folder
+from upwash.cli.arguments import add_folder, count, new_run_folder
+from upwash.emulation.enclosure import clean, require_root_and_tools
+from upwash.emulation.request import EmulationRequest
+from upwash.errors import UsageError
+from upwash.support.loading import extra
 
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
 
-
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    emulate = commands.add_parser(
-        "emulate",
-        help="fly a scenario in real time, by real programs in network namespaces of their own (root)",
-    )
-    emulate.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument(
         "scenarios", nargs="*", type=Path, metavar="SCENARIO", help="TOML files with the same servers"
     )
-    emulate.add_argument(
+    parser.add_argument(
         "--drones", type=count, default=1, metavar="N", help="fly each scenario with so many at once"
     )
-    emulate.add_argument(
+    parser.add_argument(
         "--radio", choices=("table", "ns3"), default="table",
         help="cables shaped by tables of goodput (default), or ns-3 in real time (make native)",
     )  # fmt: skip
-    emulate.add_argument(
+    parser.add_argument(
         "--in", choices=("namespaces", "containers"), default="namespaces", dest="computers",
         help="what the drones' and the servers' computers are: namespaces (default), or containers of LXD, where "
         "servers run their services in containers, too",
     )  # fmt: skip
-    emulate.add_argument(
+    parser.add_argument(
         "--autopilot", action="append", default=[], dest="autopilots", metavar="CONNECTION",
         help="fly this vehicle instead of a stand-in, such as an ArduPilot's SITL; one for each drone",
     )  # fmt: skip
-    emulate.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
-    emulate.add_argument(
+    add_folder(parser)
+    parser.add_argument(
         "--clean", action="store_true", help="only remove what emulations left whose command was killed"
     )
-    emulate.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Emulates; returns whether every flight was completed, and measured well enough."""
-    from upwash.emulation.enclosure import clean, require_root_and_tools
-    from upwash.emulation.request import EmulationRequest
-    from upwash.errors import UsageError
-    from upwash.support.loading import extra
-
+    """Emulate; true where every flight was completed, and measured well enough."""
     with extra("emulation"):
         import tomli_w  # noqa: F401 - asked here, as the emulation itself is another process
     from upwash.emulation.run import run_emulation

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import IntEnum
 
 
@@ -19,7 +18,7 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
-MEANINGS: Mapping[ExitCode, str] = {
+MEANINGS = {
     ExitCode.DONE: "it did what it should",
     ExitCode.FAILURE: "it failed, or a check warns, or a promise is broken",
     ExitCode.USAGE: "what was typed or configured cannot work; nothing was started",

@@ -1,67 +1,212 @@
-"""upwash fly: flies a mission."""
+"""upwash fly: flies a mission, and shows its course and its result.
+
+Modules that draw are imported by the functions that use them: with rich they take 1.9 MB, which an unwatched flight
+does not need.
+"""
 
 from __future__ import annotations
 
 import argparse
+import asyncio
+import contextlib
 import sys
+from collections.abc import Iterator, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_live, flown_by, new_run_folder
+from upwash.cli.arguments import add_config, add_live, flown_by, new_run_folder, warn_of_plans
 from upwash.cli.exit_codes import MEANINGS
-from upwash.cli.plans import tell_of_plans
+from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
+from upwash.errors import MissionStopped, NotKept, UsageError
+from upwash.eventlog import log as event_log
+from upwash.eventlog.narration import counted
+from upwash.eventlog.results import read_result
+from upwash.eventlog.schema import Event, MissionStarted
+from upwash.launch.flight import fly
+from upwash.launch.processes import ready_program
+from upwash.real.host.journal import Watcher, read_events
+from upwash.real.host.log_file import Unwritten
+from upwash.report.exports import write_result
+from upwash.report.record import record_of
+from upwash.support.loading import extra
+from upwash.support.standard_streams import forgiving_streams
 
 if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
+    from rich.console import Console
+
+_AT_ONCE = (
+    "the program was stopped at once, and sends nothing more: a vehicle in the air goes on with what it was last "
+    "told, take over with the remote control"
+)
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    fly = commands.add_parser(
-        "fly",
-        help="fly a mission",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="\n".join(("exit codes:", *(f"  {code:<4}{meaning}" for code, meaning in MEANINGS.items()))),
+class Show(Enum):
+    """What a flight leaves on standard output: its course and its result for a person, nothing, or one object."""
+
+    PROGRESS = "progress"
+    NOTHING = "nothing"
+    JSON = "json"
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = "\n".join(
+        ("exit codes:", *(f"  {code:<4}{meaning}" for code, meaning in MEANINGS.items()))
     )
-    fly.add_argument(
+    parser.add_argument(
         "mission", nargs="?", help="survey, or path/to/file.py:function (default: as configured)"
     )
-    fly.add_argument("--config", type=Path, required=True, help="the drone's configuration, a TOML file")
-    fly.add_argument("--autopilot", metavar="CONNECTION", help="instead of the configured one")
-    log = fly.add_mutually_exclusive_group()
+    add_config(parser, "drone")
+    parser.add_argument("--autopilot", metavar="CONNECTION", help="instead of the configured one")
+    log = parser.add_mutually_exclusive_group()
     log.add_argument("--log", type=Path, help="where the event log goes (default: runs/TIME/events.jsonl)")
     log.add_argument(
-        "--resume",
-        type=Path,
-        metavar="LOG",
+        "--resume", type=Path, metavar="LOG",
         help="take up the mission that this event log is of, where it broke off",
-    )
-    shown = fly.add_mutually_exclusive_group()
+    )  # fmt: skip
+    shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--quiet", action="store_true", help="print nothing but what goes wrong")
     shown.add_argument(
         "--json", action="store_true", help="print the result as one JSON object at the end, and nothing else"
     )
-    add_live(fly)
-    fly.set_defaults(run=run)
+    add_live(parser)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Flies; returns when the mission is over."""
-    from upwash.cli.flying import Show, fly_with_progress
-    from upwash.config import never_offloaded, read_drone_config, refuse_several
-
+    """Fly; returns when the mission is over."""
     config = flown_by(read_drone_config(options.config), options.autopilot)
     refuse_several(config, options.config, what="a flight")
-    tell_of_plans(config)
+    warn_of_plans(config)
     for problem in never_offloaded(config):
         sys.stderr.write(f"upwash: warning: {problem}\n")
-    log = options.resume or options.log or new_run_folder() / "events.jsonl"
     fly_with_progress(
         config,
         program=options.mission,
-        log=log,
+        log=options.resume or options.log or new_run_folder() / "events.jsonl",
         resumes=options.resume is not None,
         show=Show.JSON if options.json else Show.NOTHING if options.quiet else Show.PROGRESS,
         live_port=options.live,
     )
     return True
+
+
+def fly_with_progress(
+    config: DroneConfig,
+    *,
+    program: str | None = None,
+    log: Path,
+    resumes: bool = False,
+    show: Show = Show.PROGRESS,
+    live_port: int | None = None,
+) -> None:
+    """Fly the mission, and show its course and its result; raises the error that ended it early.
+
+    With `resumes` the flight continues the mission of that log, and the result is that of the whole. What the mission
+    itself prints goes to standard error with Show.JSON. With `live_port` a page on that port of this machine shows
+    the flight while it lasts; 0 is any port. Raises NotKept where the mission was flown, and a part of its log or of
+    its output could not be written.
+    """
+    unwritten, has_begun = Unwritten(), False
+
+    def watch(event: Event) -> None:
+        nonlocal has_begun
+        has_begun = has_begun or isinstance(event, MissionStarted)
+
+    with forgiving_streams() as output:
+
+        def what_is_not_kept() -> list[str]:
+            problems = _show_result(config, log, unwritten, show) if has_begun else []
+            output.flush()
+            if output.trouble:
+                problems.append(f"standard output could not be written ({output.trouble.strerror})")
+            return problems
+
+        if live_port is not None and not resumes:
+            log.parent.mkdir(parents=True, exist_ok=True)
+            log.touch()  # the page shows a flight that has yet to begin
+        try:
+            with shown_live([log], live_port, photos=config.camera.folder), _shown(config, show) as shown:
+                asyncio.run(
+                    fly(
+                        config,
+                        program=program,
+                        log=log,
+                        resumes=resumes,
+                        watchers=(watch, *shown),
+                        unwritten=unwritten,
+                    )
+                )
+        except BaseException as error:
+            for problem in what_is_not_kept():
+                sys.stderr.write(f"upwash: {problem}\n")
+            if isinstance(error, asyncio.CancelledError):
+                raise MissionStopped(_AT_ONCE) from None
+            raise
+        problems = what_is_not_kept()
+    if problems:
+        raise NotKept(f"the mission was flown to its end, but {'; '.join(problems)}")
+
+
+@contextlib.contextmanager
+def shown_live(logs: Sequence[Path], port: int | None, *, photos: Path | None = None) -> Iterator[None]:
+    """Show the logs, which must exist, on a page on that port until the end of the block; 0 is any port.
+
+    The page is served by a process of its own: no flight waits for it. Without a port nothing is shown. `photos` is
+    the folder of the photos that the logs name.
+    """
+    if port is None:
+        yield
+        return
+    with extra("view"):
+        import uvicorn  # noqa: F401 - asked here, as the page is another process's
+
+    arguments = ["view", *map(str, logs), "--port", str(port)]
+    arguments += ["--photos", str(photos)] if photos else []
+    with ready_program(f"{logs[0].stem}-view", logs[0].parent, *arguments) as address:
+        _console(stderr=True).print(f"live view: {address}", soft_wrap=True)
+        yield
+
+
+@contextlib.contextmanager
+def _shown(config: DroneConfig, show: Show) -> Iterator[tuple[Watcher, ...]]:
+    """What follows the events of the flight to show its course."""
+    if show is Show.PROGRESS:
+        from upwash.eventlog.terminal import Progress
+
+        servers = [server.name for server in config.servers]
+        with Progress(servers, len(waypoints(config.mission)), _console()) as progress:
+            yield (progress.follow,)
+    else:
+        with contextlib.redirect_stdout(sys.stderr) if show is Show.JSON else contextlib.nullcontext():
+            yield ()
+
+
+def _show_result(config: DroneConfig, log: Path, unwritten: Unwritten, show: Show) -> list[str]:
+    """Show the result of the flight, by its log and the events that the log lacks; returns the log's problems."""
+    problems = []
+    if unwritten.why:
+        problems.append(
+            f"the event log {log} lacks {counted(len(unwritten), 'event')} at its end ({unwritten.why}): "
+            "the result has them, nothing else does"
+        )
+    try:
+        events = [*read_events(log), *map(event_log.decode, unwritten.lines)]
+        if show is Show.JSON:
+            sys.stdout.write(write_result(record_of(events, log)) + "\n")
+        elif show is Show.PROGRESS:
+            from upwash.eventlog.terminal import print_result
+
+            paced = any(service.local_pace_s for service in config.services)
+            print_result(read_result(events), _console(), paced=paced, servers=bool(config.servers))
+            _console().print(f"event log: {log}", soft_wrap=True)
+    except UsageError as error:
+        problems.append(f"its result cannot be shown: {error}")
+    return problems
+
+
+def _console(*, stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(markup=False, stderr=stderr)

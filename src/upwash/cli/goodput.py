@@ -4,45 +4,32 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress
 
 from upwash.cli.arguments import add_seeds, count
+from upwash.emulation.goodput import Measurement, measure, write_table
+from upwash.emulation.native import WIFI
 
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
 
-
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    goodput = commands.add_parser(
-        "goodput", help="compute a radio's goodput by distance with ns-3 (make native)"
-    )
-    goodput.add_argument("radio", choices=("disc12", "disc54"), help="whose settings")
-    goodput.add_argument("--out", type=Path, required=True, metavar="FILE", help="the csv file to write")
-    goodput.add_argument(
-        "--range",
-        type=count,
-        default=100,
-        dest="range_m",
-        metavar="M",
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("radio", choices=("disc12", "disc54"), help="whose settings")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the csv file to write")
+    parser.add_argument(
+        "--range", type=count, default=100, dest="range_m", metavar="M",
         help="where the radio ends (default: 100)",
-    )
-    goodput.add_argument(
+    )  # fmt: skip
+    parser.add_argument(
         "--request", type=count, default=430_000, dest="request_bytes", metavar="BYTES",
         help="what is transferred (default: 430000)",
     )  # fmt: skip
-    add_seeds(goodput, "measure a transfer at each distance", default=20)
-    goodput.set_defaults(run=run)
+    add_seeds(parser, "measure a transfer at each distance", default=20)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Computes it and writes the file."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from upwash.emulation.goodput import Measurement, measure, write_table
-    from upwash.emulation.native import WIFI
-
+    """Compute the table and write the file."""
     step_m = options.range_m / 20
     measurement = Measurement(
         settings=WIFI[options.radio].ending_at(options.range_m),

@@ -7,13 +7,11 @@ import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from upwash.cli.arguments import announce
 from upwash.errors import UsageError
-
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
+from upwash.real.mavlink.signing import make_signing_key
+from upwash.real.trust.authority import drop_former_authorities, made_in, make_keys, renew_authority, revoke
 
 _MOST_DAYS = 3652
 
@@ -23,7 +21,7 @@ _REVOKED = (
 )
 _NEW_AUTHORITY = (
     "copy authority.pem to every drone and server, and restart the daemons, before certificates of the new authority "
-    "are in use; destroy the former's key once nothing is to be signed with it"
+    "are in use; destroy the former's key once nothing more will be signed with it"
 )
 _DROPPED = "copy authority.pem to every drone and server, and restart the daemons: as yet they believe the former too"
 
@@ -35,57 +33,53 @@ def days(text: str) -> timedelta:
     return timedelta(days=int(text))
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    keys = commands.add_parser(
-        "keys", help="make an authority and certificates for servers and drones, or show them"
-    )
-    keys.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument(
         "folder", type=Path, nargs="?", help="where they go; an authority that is there is used again"
     )
-    keys.add_argument(
+    parser.add_argument(
         "--server", action="append", default=[], metavar="NAME[,NAME]",
         help="a certificate for a daemon that acts as the server, or as each of several",
     )  # fmt: skip
-    keys.add_argument(
+    parser.add_argument(
         "--drone", action="append", default=[], metavar="NAME", help="a certificate for a drone"
     )
-    keys.add_argument(
+    parser.add_argument(
         "--operator", action="append", default=[], metavar="NAME",
         help="a certificate for a person who may ask a daemon for its status",
     )  # fmt: skip
-    keys.add_argument(
+    parser.add_argument(
         "--revoke", action="append", default=[], metavar="NAME",
         help="put the certificate of that name or SHA-256 fingerprint on the list of those that daemons refuse",
     )  # fmt: skip
-    keys.add_argument(
+    parser.add_argument(
         "--days", type=days, metavar="DAYS",
         help="for how long new certificates are valid (default: 730; at most until the authority's own ends)",
     )  # fmt: skip
-    keys.add_argument(
+    parser.add_argument(
         "--signing", type=Path, metavar="FILE",
         help="a key for MAVLink messages; prints the passphrase that gives an autopilot the same one",
     )  # fmt: skip
-    keys.add_argument(
+    parser.add_argument(
         "--new-authority", action="store_true",
         help="make another authority, which signs from now on; what the former signed is believed beside it",
     )  # fmt: skip
-    keys.add_argument(
+    parser.add_argument(
         "--drop-former-authorities", action="store_true",
         help="from now on nothing is believed but what the present authority signed",
     )  # fmt: skip
-    keys.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Does so and says which files were written, and what is left to do with them."""
-    from upwash.real.trust.authority import drop_former_authorities, make_keys, renew_authority, revoke
-
+    """Make, revoke or show, and print which files were written and what is left to do with them."""
     folder = options.folder
     wanted = options.server or options.drone or options.operator
     changes = options.revoke or options.new_authority or options.drop_former_authorities
     if options.signing is not None:
-        _make_signing_key(options.signing)
+        passphrase = make_signing_key(options.signing)
+        announce(str(options.signing))
+        announce(f"passphrase for the ground station, shown once: {passphrase}")
         if not wanted and not changes:
             return True
     if folder is None:
@@ -93,44 +87,34 @@ def run(options: argparse.Namespace) -> bool:
     if not wanted and not changes:
         _show(folder)
     if options.revoke:
-        _tell([revoke(folder, options.revoke)], _REVOKED)
+        _announce([revoke(folder, options.revoke)], _REVOKED)
     if options.new_authority:
-        _tell(renew_authority(folder), _NEW_AUTHORITY)
+        _announce(renew_authority(folder), _NEW_AUTHORITY)
     if wanted:
         servers = [names.split(",") for names in options.server]
-        _tell(
+        _announce(
             make_keys(
                 folder, servers=servers, drones=options.drone, operators=options.operator, lasts=options.days
             )
         )
     if options.drop_former_authorities:
-        _tell([drop_former_authorities(folder)], _DROPPED)
+        _announce([drop_former_authorities(folder)], _DROPPED)
     return True
 
 
 def _show(folder: Path) -> None:
-    from upwash.real.trust.authority import made_in
-
     made = made_in(folder)
     if not made:
         raise UsageError(
             f"{folder}: no certificates here: name at least one --server, --drone or --operator to make"
         )
     now = datetime.now(UTC)
-    for each in made:
-        left = "revoked" if each.is_revoked else f"{(each.ends - now).days} days"
-        announce(f"{each.holder}  {each.role}  until {each.ends:%Y-%m-%d}  {left}  {each.fingerprint}")
+    for key in made:
+        left = "revoked" if key.is_revoked else f"{(key.ends - now).days} days"
+        announce(f"{key.holder}  {key.role}  until {key.ends:%Y-%m-%d}  {left}  {key.fingerprint}")
 
 
-def _make_signing_key(file: Path) -> None:
-    from upwash.real.mavlink.signing import make_signing_key
-
-    passphrase = make_signing_key(file)
-    announce(str(file))
-    announce(f"passphrase for the ground station, shown once: {passphrase}")
-
-
-def _tell(files: Sequence[Path], left_to_do: str = "") -> None:
+def _announce(files: Sequence[Path], left_to_do: str = "") -> None:
     for file in files:
         announce(str(file))
     if left_to_do:

@@ -1,4 +1,7 @@
-"""The command line: which commands there are, and how each of them ends."""
+"""The command line: which commands there are, and how each of them ends.
+
+Only the module of the command that was typed is imported: `upwash.cli.NAME`, with `add` for its arguments and `run`.
+"""
 
 from __future__ import annotations
 
@@ -9,31 +12,9 @@ import functools
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from importlib import import_module
 
-from upwash.cli import (
-    campaign,
-    chaos,
-    check,
-    compare,
-    demo,
-    emulate,
-    explain,
-    fly,
-    goodput,
-    images,
-    init,
-    keys,
-    package,
-    profile,
-    report,
-    reproduce,
-    serve,
-    simulate,
-    status,
-    vehicle,
-    view,
-)
 from upwash.cli.exit_codes import ExitCode
 from upwash.errors import (
     AutopilotNotHeard,
@@ -49,39 +30,39 @@ from upwash.support.loading import look_here
 from upwash.support.standard_streams import forgiving_streams, give_up_output, open_closed_streams
 from upwash.support.text import escaped_lines
 
-_COMMANDS = (
-    init,
-    fly,
-    check,
-    serve,
-    status,
-    keys,
-    package,
-    images,
-    profile,
-    vehicle,
-    demo,
-    simulate,
-    view,
-    report,
-    reproduce,
-    campaign,
-    compare,
-    explain,
-    chaos,
-    emulate,
-    goodput,
-)
+_COMMANDS = {
+    "init": "make a folder with a mission, a service, configurations, keys and a test",
+    "fly": "fly a mission",
+    "check": "predict a mission, and warn of problems, before take-off",
+    "serve": "run an edge daemon",
+    "status": "ask an edge daemon for its leases, instances and refusals",
+    "keys": "make an authority and certificates for servers and drones, or show them",
+    "package": "make the image of a service, to run in containers",
+    "images": "list the services that a daemon can run, and what of",
+    "profile": "measure what a service's calls cost, here or at a server, for a configuration",
+    "vehicle": "run a stand-in vehicle that speaks MAVLink",
+    "demo": "fly the demonstration: a survey over two edge servers, all here",
+    "simulate": "simulate a mission, or several drones', on virtual time",
+    "view": "show flights on a page that moves: live, or played back",
+    "report": "make a page, and files for other tools, from event logs",
+    "reproduce": "fly the thesis's experiments, beside what it printed",
+    "campaign": "simulate many missions, over seeds and settings",
+    "compare": "fly every policy in the same scenarios, beside the bound",
+    "explain": "say why each call of a flight ran where it ran",
+    "chaos": "simulate worlds full of faults and test what upwash promises",
+    "emulate": "fly a scenario in real time, by real programs in network namespaces of their own (root)",
+    "goodput": "compute a radio's goodput by distance with ns-3 (make native)",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command and returns how it ended, as docs/missions.md has it."""
+    """Run one command and return its exit code."""
     open_closed_streams()
     os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # before gRPC is imported: upwash prints its own messages
     with forgiving_streams() as output:
         try:
-            code = _run(arguments)
-        except SystemExit as end:  # of argparse, which has said why
+            code = _run(sys.argv[1:] if arguments is None else arguments)
+        except SystemExit as end:  # of argparse, which has printed why
             output.flush()
             if output.trouble is None:
                 raise
@@ -89,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if output.trouble is None:
         return code
     give_up_output()
-    is_closed = isinstance(output.trouble, BrokenPipeError)  # who closed a pipe has enough
+    is_closed = isinstance(output.trouble, BrokenPipeError)  # the reader of a closed pipe wants no more
     if code != ExitCode.NOT_KEPT and not is_closed:
         _complain(UpwashError(f"standard output cannot be written ({output.trouble.strerror})"), code)
     return code or ExitCode.NOT_KEPT
@@ -101,8 +82,8 @@ def _code_of(end: SystemExit) -> int:
     return ExitCode.DONE if end.code is None else ExitCode.FAILURE
 
 
-def _run(arguments: Sequence[str] | None) -> int:
-    parser = command_line()
+def _run(arguments: Sequence[str]) -> int:
+    parser = command_line(arguments)
     options = parser.parse_args(arguments)
     if "run" not in options:
         parser.print_help(sys.stderr)
@@ -137,8 +118,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         return ExitCode.INTERRUPTED
 
 
-def command_line() -> argparse.ArgumentParser:
-    """What can be typed, command by command."""
+def command_line(words: Collection[str] = tuple(_COMMANDS)) -> argparse.ArgumentParser:
+    """The parser of the command line; only the commands among `words` have their arguments."""
     parser = argparse.ArgumentParser(
         prog="upwash",
         description="Runs a drone's heavy computations on the drone or on an edge server in reach.",
@@ -146,10 +127,13 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument("-V", "--version", action=_Version, nargs=0, help="print the version and end")
     _add_verbose(parser, default=False)
     commands = parser.add_subparsers(metavar="COMMAND")
-    for command in _COMMANDS:
-        command.add(commands)
-    for each in commands.choices.values():
-        _add_verbose(each, default=argparse.SUPPRESS)
+    for name, help_ in _COMMANDS.items():
+        command = commands.add_parser(name, help=help_)
+        if name in words:
+            module = import_module(f"upwash.cli.{name}")
+            module.add(command)
+            command.set_defaults(run=module.run)
+        _add_verbose(command, default=argparse.SUPPRESS)
     return parser
 
 
@@ -164,7 +148,7 @@ def _add_verbose(parser: argparse.ArgumentParser, *, default: object) -> None:
 
 
 class _Version(argparse.Action):
-    """Looks the version up only on demand: the lookup takes longer than all other parsing."""
+    """Look the version up only on demand: the lookup takes longer than all other parsing."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version

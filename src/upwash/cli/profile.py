@@ -1,56 +1,63 @@
-"""upwash profile: measures what a service's calls cost."""
+"""upwash profile: measures what a service's calls cost, and prints the part of a configuration that says so."""
 
 from __future__ import annotations
 
 import argparse
+import asyncio
+import os
+import platform
+from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.table import Table
 
 from upwash.cli.arguments import count
-from upwash.errors import UsageError
+from upwash.config import DroneConfig, ServerConfig, read_drone_config
+from upwash.config.values import START_TIMEOUT_S
+from upwash.errors import InstanceError, NotWritten, UsageError
+from upwash.launch.profile import profile_at, profile_on_this_computer
+from upwash.missions.bundled import LoadedService, load_service_alone, load_services
+from upwash.profiling.profiler import CallSample, OnboardProfile, Watch, calls_to_make, samples, values_of
+from upwash.profiling.report import call_table, chosen_setting, fastest, server_table, service_table
+from upwash.real.camera.camera import read_photos
+from upwash.rpc.service import spec_of
+from upwash.support.output_files import write_file
 
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
-    from upwash.config import DroneConfig
-    from upwash.missions.bundled import LoadedService
+T = TypeVar("T")
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    profile = commands.add_parser(
-        "profile", help="measure what a service's calls cost, here or at a server, for a configuration"
-    )
-    profile.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument(
         "service", help="a service of the configuration, a bundled one, or path/to/file.py:Class"
     )
-    profile.add_argument(
+    parser.add_argument(
         "--photos", type=Path, required=True, metavar="DIR", help="JPEG files to call it with, in turn"
     )
-    profile.add_argument("--config", type=Path, metavar="FILE", help="the drone's configuration")
-    profile.add_argument(
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the drone's configuration")
+    parser.add_argument(
         "--server", metavar="ADDRESS", help="measure it there: a name or an address of the configuration"
     )
-    profile.add_argument(
+    parser.add_argument(
         "--calls", type=count, default=20, metavar="N", help="calls of each operation (default: 20)"
     )
-    profile.add_argument(
+    parser.add_argument(
         "--each",
         metavar="SETTING",
         help="measure it with each value of a setting, such as the detector's engine, and name the fastest",
     )
-    profile.add_argument(
+    parser.add_argument(
         "--out", type=Path, metavar="FILE", help="where the result goes (default: standard output)"
     )
-    profile.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Measures it and prints the part of a configuration."""
-    from upwash.cli.measuring import find_server, measure_each, measure_onboard, measure_server
-    from upwash.config import read_drone_config
-    from upwash.config.values import START_TIMEOUT_S
-    from upwash.real.camera.camera import read_photos
-
+    """Measure the service and print the part of a configuration."""
     if options.server and not options.config:
         raise UsageError(
             "--server needs --config: it has the server's name and address, and the drone's keys"
@@ -60,38 +67,118 @@ def run(options: argparse.Namespace) -> bool:
     config = read_drone_config(options.config) if options.config else None
     start_timeout_s = config.start_timeout_s if config else START_TIMEOUT_S
     service, program = _service(options.service, config)
-    photos = read_photos(options.photos, most=options.calls + 1)
+    found = samples(spec_of(service.cls), read_photos(options.photos, most=options.calls + 1))
+
+    def here(service: LoadedService) -> OnboardProfile:
+        def measure(watch: Watch) -> Coroutine[Any, Any, OnboardProfile]:
+            return profile_on_this_computer(
+                service, found, calls=options.calls, start_timeout_s=start_timeout_s, watch=watch
+            )
+
+        return _watched(found, options.calls, measure)
+
     if config is not None and options.server:
-        server = find_server(config, options.server)
-        measure_server(server, config, service, photos, calls=options.calls, out=options.out)
+        table, text = _at_server(_find_server(config, options.server), config, found, options.calls)
     elif options.each:
-        measure_each(
-            service,
-            photos,
-            setting=options.each,
-            program=program,
-            calls=options.calls,
-            start_timeout_s=start_timeout_s,
-            out=options.out,
-        )
+        table, text = None, _with_each_value(service, options.each, here, program=program)
     else:
-        measure_onboard(
-            service,
-            photos,
-            program=program,
-            calls=options.calls,
-            start_timeout_s=start_timeout_s,
-            out=options.out,
-        )
+        profile = here(service)
+        table = call_table(profile.calls)
+        text = service_table(profile, program=program, computer=_computer(), settings=_settings(service))
+    _print(table, text, options.out)
     return True
 
 
 def _service(name: str, config: DroneConfig | None) -> tuple[LoadedService, str | None]:
     """The service, and the program that a configuration has to name for it."""
-    from upwash.missions.bundled import load_service_alone, load_services
-
-    configured = [each for each in config.services if each.name == name] if config is not None else []
+    configured = [service for service in config.services if service.name == name] if config else []
     if configured:
         return load_services(configured)[name], configured[0].program
     program = str(Path.cwd() / name) if ".py:" in name else name  # the result may be read from anywhere
     return load_service_alone(name), program if ":" in name else None
+
+
+def _find_server(config: DroneConfig, wanted: str) -> ServerConfig:
+    for server in config.servers:
+        if wanted in (server.name, server.address):
+            return server
+    names = ", ".join(server.name for server in config.servers) or "none"
+    raise UsageError(f"the configuration has no server {wanted!r}; it has {names}")
+
+
+def _at_server(
+    server: ServerConfig, config: DroneConfig, found: Sequence[CallSample], calls: int
+) -> tuple[Table, str]:
+    """The table of the calls at the server, and the keys of its [[server]] table."""
+    profile = _watched(
+        found, calls, lambda watch: profile_at(server, config, found, calls=calls, watch=watch)
+    )
+    return call_table(profile.calls), server_table(profile, server=server.name, computer=_computer())
+
+
+def _with_each_value(
+    service: LoadedService,
+    setting: str,
+    measure: Callable[[LoadedService], OnboardProfile],
+    *,
+    program: str | None,
+) -> str:
+    """Measure the service with each value of the setting; returns the [[service]] table of the fastest."""
+    spec = spec_of(service.cls)
+    profiles: dict[str, OnboardProfile] = {}
+    console = Console(stderr=True, markup=False, highlight=False)
+    for value in values_of(spec, setting):
+        settings = {**service.program.settings, setting: value}
+        console.print(f"{setting} = {value}")
+        try:
+            profiles[value] = measure(replace(service, program=replace(service.program, settings=settings)))
+        except InstanceError as error:
+            console.print(f"  left out: {error}")
+            continue
+        Console(stderr=True).print(call_table(profiles[value].calls))
+    if not profiles:
+        raise UsageError(f"service {spec.name!r} starts with no value of {setting}")
+    best = profiles[fastest(profiles)]
+    others = _settings(service, but=setting)
+    table = service_table(best, program=program, computer=_computer(), settings=others)
+    return table + chosen_setting(setting, profiles)
+
+
+def _settings(service: LoadedService, *, but: str | None = None) -> str:
+    """The settings of the measured service, except `but`; "" for a service that has none."""
+    names = [name for name in spec_of(service.cls).settings.__struct_fields__ if name != but]
+    if not names:
+        return ""
+    if given := [name for name in names if name in service.program.settings]:
+        return f"With the configured settings: {', '.join(given)}."
+    return f"With the defaults of its settings ({', '.join(names)}): --config FILE takes those of a configuration."
+
+
+def _watched(
+    found: Sequence[CallSample], calls: int, profile: Callable[[Watch], Coroutine[Any, Any, T]]
+) -> T:
+    """Profile with a progress bar."""
+    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("starting", total=calls_to_make(found, calls))
+        return asyncio.run(profile(lambda what: progress.update(bar, advance=1, description=escape(what))))
+
+
+def _print(table: Table | None, text: str, out: Path | None) -> None:
+    console = Console(markup=False)
+    if table is not None:
+        Console(stderr=True).print(table)
+    if out is not None:
+        try:
+            write_file(out, text.encode())
+        except NotWritten:  # the measurement took minutes: show it
+            console.print(text, end="", soft_wrap=True, highlight=False)
+            raise
+        console.print(f"written: {out}", soft_wrap=True)
+    else:
+        console.print(text, end="", soft_wrap=True, highlight=False)
+
+
+def _computer() -> str:
+    return f"{platform.node()} ({platform.machine()}, {os.cpu_count()} cores)"

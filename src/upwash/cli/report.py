@@ -7,55 +7,45 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from upwash.errors import UsageError
+from upwash.report.exports import write_csv, write_geojson, write_json
+from upwash.report.page import write_page
+from upwash.report.record import Record, read_records
+from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 from upwash.support.standard_streams import print_bytes
 
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
-    from upwash.report.record import Record
-
-    Writer = Callable[[Sequence[Record]], bytes]
-
+Writer = Callable[[Sequence[Record]], bytes]
 
 _PRINTED = Path("-")
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    report = commands.add_parser("report", help="make a page, and files for other tools, from event logs")
-    report.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an event log, flown or simulated")
-    report.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an event log, flown or simulated")
+    parser.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="an HTML page about all of them, side by side"
     )
-    report.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call; - prints it")
-    report.add_argument(
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call; - prints it")
+    parser.add_argument(
         "--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges, calls and photos"
     )
-    report.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
-    report.add_argument(
-        "--photos",
-        type=Path,
-        metavar="DIR",
+    parser.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
+    parser.add_argument(
+        "--photos", type=Path, metavar="DIR",
         help="with -o or --mcap: the folder of the photos that the logs name",
-    )
-    report.add_argument("--json", action="store_true", help="print the results as one JSON array")
-    report.set_defaults(run=run)
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print the results as one JSON array")
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Makes what was asked for."""
-    from upwash.errors import UsageError
-    from upwash.report.exports import write_csv, write_geojson, write_json
-    from upwash.report.page import write_page
-    from upwash.report.record import read_records
-
+    """Make the files that were asked for."""
     files: list[tuple[Path | None, Writer]] = [
         (options.out, _in_utf8(functools.partial(write_page, photos=options.photos))),
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
-        (options.mcap, _recorder(options.photos)),
+        (options.mcap, functools.partial(_recording, photos=options.photos)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
     if options.photos and not (options.mcap or options.out):
@@ -70,28 +60,19 @@ def run(options: argparse.Namespace) -> bool:
     records = read_records(options.logs)
     written = [(file, write(records)) for file, write in wanted]
     for file, content in written:
-        _leave(content, file)
+        if file == _PRINTED:
+            print_bytes(content)
+        else:
+            write_file(file, content)
+            print(f"written: {file}", file=sys.stderr)
     return True
-
-
-def _leave(content: bytes, file: Path) -> None:
-    if file == _PRINTED:
-        print_bytes(content)
-        return
-    write_file(file, content)
-    print(f"written: {file}", file=sys.stderr)
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:
     return lambda records: write(records).encode()
 
 
-def _recorder(photos: Path | None) -> Writer:
-    def write(records: Sequence[Record]) -> bytes:
-        from upwash.support.loading import extra
-
-        with extra("mcap"):
-            from upwash.report.recording import write_mcap
-        return write_mcap(records, folder=photos)
-
-    return write
+def _recording(records: Sequence[Record], *, photos: Path | None) -> bytes:
+    with extra("mcap"):
+        from upwash.report.recording import write_mcap
+    return write_mcap(records, folder=photos)

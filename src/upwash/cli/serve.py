@@ -6,54 +6,43 @@ import argparse
 import asyncio
 import logging
 import os
-from pathlib import Path
-from typing import TYPE_CHECKING
+import resource
 
-from upwash.cli.arguments import announce
-
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
-    from upwash.config import DaemonConfig
+from upwash.cli.arguments import add_config, announce
+from upwash.config import DaemonConfig, read_daemon_config
+from upwash.launch.daemon import serve
+from upwash.real.host.log import log_json, log_text
+from upwash.real.host.service_manager import ServiceManager
+from upwash.real.instances.memory import keep_heaps_few
+from upwash.real.link.hand_over import handed_over
 
 _log = logging.getLogger("upwash.serve")
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    serve = commands.add_parser("serve", help="run an edge daemon")
-    serve.add_argument("--config", type=Path, required=True, help="the daemon's configuration, a TOML file")
-    serve.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_config(parser, "daemon")
+    parser.add_argument(
         "--log-format", choices=("text", "json"), default="text", help="of the log on standard error"
     )
-    serve.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Serves until it is told to stop."""
-    from upwash.real.link.hand_over import handed_over
-
+    """Serve until a signal ends it."""
     before = handed_over(os.environ)
-    service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances have nothing to tell it
-    import resource
-
-    from upwash.config import read_daemon_config
-    from upwash.launch.daemon import serve
-    from upwash.real.host.log import log_json, log_text
-    from upwash.real.host.service_manager import ServiceManager
-    from upwash.real.instances.memory import keep_heaps_few
-
+    service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances do not report to the service manager
     keep_heaps_few()
     config = read_daemon_config(options.config)
     (log_json if options.log_format == "json" else log_text)()
     # Each connection is an open file: as many as the system allows, or a thousand strangers would keep drones out.
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    _say_if_none_is_refused(config)
+    _warn_without_revocations(config)
     names = ", ".join(identity.name for identity in config.identities)
     asyncio.run(
         serve(
             config,
-            read_again=lambda: _say_if_none_is_refused(read_daemon_config(options.config)),
+            read_again=lambda: _warn_without_revocations(read_daemon_config(options.config)),
             ready=lambda address: announce(f"{names} ready at {address}"),
             manager=ServiceManager(service_manager),
             before=before,
@@ -62,8 +51,8 @@ def run(options: argparse.Namespace) -> bool:
     return True
 
 
-def _say_if_none_is_refused(config: DaemonConfig) -> DaemonConfig:
-    """Warns where no list of revoked certificates is read, so that revoking one changes nothing here."""
+def _warn_without_revocations(config: DaemonConfig) -> DaemonConfig:
+    """Warn where no list of revoked certificates is read: revoking a certificate changes nothing here."""
     if config.keys and not config.keys.revoked:
         _log.warning(
             "no list of revoked certificates is read: put the revoked.txt of `upwash keys DIR --revoke NAME` beside "

@@ -3,72 +3,81 @@
 from __future__ import annotations
 
 import argparse
+import itertools
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from upwash.cli.arguments import add_figures, add_policy, figures_of
-from upwash.cli.plans import tell_of_plans
+import msgspec
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from upwash.cli.arguments import add_figures, add_policy, figures_of, warn_of_plans
+from upwash.core.planning.bound import Bound, FleetBound
 from upwash.errors import UpwashError, UsageError
+from upwash.eventlog import schema
+from upwash.eventlog.kept import lines_of
+from upwash.eventlog.results import as_json
+from upwash.eventlog.terminal import print_result
+from upwash.lab.figures import FigureFiles
+from upwash.lab.fleet import FleetSimulation, simulate_fleet
+from upwash.lab.scenario import read_scenario
+from upwash.lab.simulation import Simulation, simulate
+from upwash.support.output_files import write_file
+from upwash.support.sentences import say
 
-if TYPE_CHECKING:
-    from upwash import FleetSimulation, Simulation
-    from upwash.cli.arguments import Commands
-    from upwash.lab.figures import FigureFiles
+_PRINTED = ("scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals", "bound")
+_PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s", "bound")
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    simulate = commands.add_parser("simulate", help="simulate a mission, or several drones', on virtual time")
-    simulate.add_argument("scenario", type=Path, help="the scenario, a TOML file")
-    add_policy(simulate, instead_of="the scenario's")
-    simulate.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
-    simulate.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    simulate.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("scenario", type=Path, help="the scenario, a TOML file")
+    add_policy(parser, instead_of="the scenario's")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.add_argument(
         "--log", type=Path, metavar="FILE",
         help="where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
     )  # fmt: skip
-    simulate.add_argument(
+    parser.add_argument(
         "--keep-coverage", action="store_true",
         help="write what was measured of servers without a range to network.coverage_map, as a flight does",
     )  # fmt: skip
-    add_figures(simulate, "the map and the call delays")
-    simulate.set_defaults(run=run)
+    add_figures(parser, "the map and the call delays")
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Simulates it and prints what it came to."""
-    from upwash.lab.scenario import read_scenario
-
+    """Simulate and print the results."""
     config = read_scenario(options.scenario, policy=options.policy, seed=options.seed)
-    tell_of_plans(config)
-    return _run_fleet(options) if config.drones else _run_one(options)
+    warn_of_plans(config)
+    if config.drones:
+        _run_fleet(options)
+    else:
+        _run_one(options)
+    return True
 
 
-def _run_one(options: argparse.Namespace) -> bool:
-    from upwash import simulate
-    from upwash.cli.simulated import print_json, print_simulation, write_log
-
+def _run_one(options: argparse.Namespace) -> None:
     figures = figures_of(options)
     simulation = simulate(
         options.scenario, policy=options.policy, seed=options.seed, keep_coverage=options.keep_coverage
     )
     if options.json:
-        print_json(simulation)
+        _print_json(_as_object(simulation))
     else:
-        print_simulation(simulation)
+        _print_simulation(simulation)
     if options.log is not None:
-        write_log(options.log, simulation.events, options.scenario, seed=simulation.seed)
+        _write_log(options.log, simulation, options.scenario, seed=simulation.seed)
     if figures is not None:
         _draw(simulation, options.scenario, figures)
     if simulation.failure:
         raise UpwashError(f"the mission was not completed: {simulation.failure}")
-    return True
 
 
-def _run_fleet(options: argparse.Namespace) -> bool:
-    from upwash import simulate_fleet
-    from upwash.cli.simulated import print_fleet, print_fleet_json
-
+def _run_fleet(options: argparse.Namespace) -> None:
     if options.keep_coverage:
         raise UsageError("--keep-coverage keeps one drone's map, and this scenario has several drones")
     if options.figures is not None:
@@ -78,32 +87,104 @@ def _run_fleet(options: argparse.Namespace) -> bool:
         )
     fleet = simulate_fleet(options.scenario, policy=options.policy, seed=options.seed)
     if options.json:
-        print_fleet_json(fleet)
+        drones = {name: _as_object(simulation) for name, simulation in fleet.drones.items()}
+        _print_json({"drones": drones} | {name: getattr(fleet, name) for name in _PRINTED_OF_FLEET})
     else:
-        print_fleet(fleet)
+        console = Console(markup=False)
+        console.print(_drone_table(fleet))
+        for line in _together(fleet):
+            say(line, console)
     if options.log is not None:
-        _write_logs(fleet, options.scenario, options.log)
+        for name, simulation in fleet.drones.items():
+            log = options.log.with_name(f"{options.log.stem}-{name}{options.log.suffix}")
+            _write_log(log, simulation, options.scenario, seed=fleet.seed)
     for name, failure in fleet.failures.items():
         raise UpwashError(f"{name} did not complete its mission: {failure}")
-    return True
-
-
-def _write_logs(fleet: FleetSimulation, scenario: Path, log: Path) -> None:
-    """A log for each drone, named after it; each names the scenario and the seed of all."""
-    from upwash.cli.simulated import write_log
-
-    for name, simulation in fleet.drones.items():
-        write_log(
-            log.with_name(f"{log.stem}-{name}{log.suffix}"), simulation.events, scenario, seed=fleet.seed
-        )
 
 
 def _draw(simulation: Simulation, scenario: Path, figures: FigureFiles) -> None:
-    from upwash import simulate
-    from upwash.lab.figures.calls import draw_call_delays
+    from upwash.lab.figures.calls import draw_call_delays  # these need matplotlib
     from upwash.lab.figures.coverage import draw_coverage
-    from upwash.lab.scenario import read_scenario
 
     draw_coverage(read_scenario(scenario, policy=simulation.policy), figures.files("map"))
     reference = simulate(scenario, policy="local-only", seed=simulation.seed)
     draw_call_delays(simulation.events, reference=reference.events, files=figures.files("call_delay"))
+
+
+def _write_log(file: Path, simulation: Simulation, scenario: Path, *, seed: int) -> None:
+    """Write the log that a flight would have left, after an event that names the scenario and the seed."""
+    named = schema.Simulated(t=0.0, scenario=str(scenario.resolve()), seed=seed, version=schema.VERSION)
+    write_file(file, itertools.chain(lines_of([named]), lines_of(simulation.events)))
+
+
+def _print_json(printed: dict[str, Any]) -> None:
+    sys.stdout.write(msgspec.json.encode(as_json(printed)).decode() + "\n")
+
+
+def _print_simulation(simulation: Simulation) -> None:
+    """Print the calls of one mission, and how far it is from the bound."""
+    console = Console(markup=False)
+    servers = any(isinstance(event, schema.Planned) and event.has_servers for event in simulation.events)
+    print_result(simulation, console, paced=False, servers=servers)
+    if simulation.bound is not None:
+        say(_beside(simulation, simulation.bound), console)
+
+
+def _as_object(simulation: Simulation) -> dict[str, Any]:
+    printed = {name: getattr(simulation, name) for name in _PRINTED}
+    if simulation.energy is not None:
+        printed["energy"] = simulation.energy
+    if simulation.failure:
+        printed["failure"] = simulation.failure
+    if simulation.vanished:
+        printed["vanished"] = True
+    return printed
+
+
+def _beside(simulation: Simulation, bound: Bound) -> str:
+    time_s = simulation.mission_time_s
+    minimum = f"theoretical minimum {_beyond(bound.free_s, time_s)}, with every server ready at once"
+    if simulation.totals.went_on:
+        return f"{minimum} and known beforehand which answers demand something"
+    return f"{minimum}; {_beyond(bound.with_joins_s, time_s)}, with the time that joining networks takes"
+
+
+def _drone_table(fleet: FleetSimulation) -> Table:
+    table = Table(box=None, padding=(0, 2))
+    for title in ("drone", "policy"):
+        table.add_column(title, overflow="fold", min_width=len("location-aware"))
+    for title in ("mission time", "saved", "on servers"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for name, each in fleet.drones.items():
+        time = f"{each.mission_time_s:.1f} s" if each.completed else "vanished" if each.vanished else "failed"
+        saved = f"{fleet.saved_s[name]:.1f} s" if name in fleet.saved_s else "-"
+        remote = f"{sum(each.totals.remote.values())} of {each.totals.calls}"
+        table.add_row(*map(Text, (name, each.policy, time, saved, remote)))
+    return table
+
+
+def _together(fleet: FleetSimulation) -> Iterator[str]:
+    if fleet.mean_s is None or fleet.worst_s is None:
+        yield "no mission was completed"
+        return
+    yield f"mission time: mean {fleet.mean_s:.1f} s, worst {fleet.worst_s:.1f} s"
+    if fleet.jain is not None:
+        yield f"fairness {fleet.jain:.3f} (Jain's index of what each saved: 1 where all saved the same)"
+    left_out = [name for name, each in fleet.drones.items() if not each.completed]
+    if left_out:
+        yield f"not counted, as they did not complete their missions: {', '.join(left_out)}"
+    if fleet.bound is not None:
+        yield _beside_all(fleet.mean_s, fleet.bound)
+
+
+def _beside_all(mean_s: float, bound: FleetBound) -> str:
+    return (
+        f"theoretical minimum of the mean {_beyond(bound.free_s, mean_s)}, with every server ready at once and for "
+        f"each drone alone; {_beyond(bound.shared_s, mean_s)}, with what the servers can compute at a time"
+    )
+
+
+def _beyond(least_s: float, time_s: float) -> str:
+    """The least time, and by how much the time is longer."""
+    beyond = round(100 * (time_s / least_s - 1), 1) + 0.0  # no -0.0
+    return f"{least_s:.1f} s ({beyond:+.1f} %)"

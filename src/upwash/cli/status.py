@@ -4,37 +4,49 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from upwash.cli.arguments import announce
+from upwash.core.admission.clients import (
+    AccountStatus,
+    DroneUsage,
+    InstanceStatus,
+    RefusalStatus,
+    ServerStatus,
+    TeamUsage,
+)
+from upwash.core.admission.limits import Limits
+from upwash.launch.status import ask_status
+from upwash.rpc.protocol import CertificateStatus, StatusReply
+from upwash.support.sentences import say
 
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
+_SOON_DAYS = 30
+_MOST_SHOWN = 20
+_STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    status = commands.add_parser("status", help="ask an edge daemon for its leases, instances and refusals")
-    status.add_argument("address", metavar="ADDRESS", help="of the daemon: host:port, or unix:path")
-    status.add_argument("--server", metavar="NAME", default="", help="a server that the daemon acts as")
-    status.add_argument("--operator", metavar="NAME", default="operator", help="whose certificate to show")
-    status.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument("address", metavar="ADDRESS", help="of the daemon: host:port, or unix:path")
+    parser.add_argument("--server", metavar="NAME", default="", help="a server that the daemon acts as")
+    parser.add_argument("--operator", metavar="NAME", default="operator", help="whose certificate to show")
+    parser.add_argument(
         "--keys", type=Path, metavar="DIR",
         help="where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only",
     )  # fmt: skip
-    status.add_argument("--json", action="store_true", help="print the daemon's answer as JSON, for programs")
-    status.set_defaults(run=run)
+    parser.add_argument("--json", action="store_true", help="print the daemon's answer as JSON, for programs")
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Prints it."""
-    import msgspec
-    from rich.console import Console
-
-    from upwash.cli.daemon_status import print_status
-    from upwash.launch.status import ask_status
-
+    """Ask the daemon, and print its answer."""
     reply = asyncio.run(
         ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
     )
@@ -43,3 +55,192 @@ def run(options: argparse.Namespace) -> bool:
     else:
         print_status(reply, Console(markup=False))
     return True
+
+
+def print_status(status: StatusReply, console: Console) -> None:
+    """Prints the servers with drones and instances, the limits, the last refusals, and the certificates' ends."""
+    say(f"up for {_duration(status.up_s)}", console)
+    if status.closing:
+        say(Text(status.closing, style="bold red"), console)
+    for server in status.servers:
+        _print_server(server, console)
+    _print_limits(status.limits, console)
+    _print_refusals(status.refusals, console)
+    for each in status.at_door:
+        times = _counted(each.times, "connection", "connections")
+        reason = each.reason.replace("_", " ")
+        say(
+            Text(f"at the door {times} refused, {reason}: last {each.last}, {_duration(each.ago_s)} ago"),
+            console,
+        )
+    _print_certificates(status.certificates, console)
+
+
+def _print_server(server: ServerStatus, console: Console) -> None:
+    waiting = sum(each.waits_s is not None for each in server.accounts)
+    crowd = f", {_counted(waiting, 'drone waits', 'drones wait')}" if waiting else ""
+    used = f"{len(server.leases)} of {server.slots} slots in use"
+    say(f"\n{server.name}: {used}{crowd}", console)
+    if server.slots_why:  # of a daemon that knows turns
+        say(Text(f"  {_slots_and_turns(server)}"), console)
+    for line in (*_holders(server), *_waiting(server)):
+        say(Text(f"  {line}"), console)
+    if server.instances:
+        console.print(_instances(server))
+    _print_usage(server, console)
+    for instance in server.instances:
+        if instance.failures:
+            say(Text(f"  {_failed(instance)}", style="yellow"), console)
+        if instance.renewed:
+            times = _counted(instance.renewed, "time", "times")
+            say(Text(f"  {instance.service}: another version took over {times}"), console)
+        if instance.not_renewed:
+            say(Text(f"  {_not_renewed(instance)}", style="yellow"), console)
+
+
+def _slots_and_turns(server: ServerStatus) -> str:
+    slots = f"{_counted(server.slots, 'slot', 'slots')}, as {server.slots_why}"
+    if server.turn_s is None:
+        return f"{slots}; turns have no end"
+    ended = f", {_counted(server.turns_ended, 'has', 'have')} ended so far" if server.turns_ended else ""
+    return f"{slots}; a turn lasts {_duration(server.turn_s)}{ended}"
+
+
+def _holders(server: ServerStatus) -> Iterator[str]:
+    """The drones that have a slot, by name."""
+    accounts = {each.drone: each for each in server.accounts}
+    for lease in server.leases:
+        account = accounts.get(lease.drone)
+        since = ""
+        if account is not None and account.holds_s is not None:
+            since = f"has a slot for {_duration(account.holds_s)}, {_counts_as(account)}; "
+        certificate = f", certificate {lease.certificate[:16]}" if lease.certificate else ""
+        held = f", held as {lease.held_by} asked" if lease.held_by else ""
+        yield f"{lease.drone}: {since}lease ends in {_duration(lease.ends_in_s)}{certificate}{held}"
+
+
+def _waiting(server: ServerStatus) -> Iterator[str]:
+    """The drones that wait for a slot, in the order in which they get one."""
+    waiting = [(each, each.waits_s) for each in server.accounts if each.waits_s is not None]
+    for account, waits_s in sorted(waiting, key=lambda each: (each[0].had_s, -each[1], each[0].drone)):
+        yield f"{account.drone}: waits for {_duration(waits_s)}, {_counts_as(account)}"
+
+
+def _counts_as(account: AccountStatus) -> str:
+    return f"counts as having had {_duration(account.had_s)}"
+
+
+def _print_usage(server: ServerStatus, console: Console) -> None:
+    """What the latest drones used, and their teams, if a drone's name has one in it."""
+    latest = sorted(server.drones, key=lambda each: (each.holds_s is None, _ago_s(each), each.drone))
+    if latest:
+        table = _table("drone", "slot for", "slots in all", "calls", "computing", "last call")
+        for each in latest[:_MOST_SHOWN]:
+            table.add_row(
+                Text(each.drone), "" if each.holds_s is None else _duration(each.holds_s), *_used(each)
+            )
+        console.print(table)
+    if len(latest) > _MOST_SHOWN:
+        say(Text(f"  and {len(latest) - _MOST_SHOWN} more: see --json"), console)
+    if any(each.team != each.drone for each in server.drones):
+        table = _table("team", "slots", "slots in all", "calls", "computing", "last call")
+        for team in sorted(server.teams, key=lambda each: (-each.slots, _ago_s(each), each.team))[
+            :_MOST_SHOWN
+        ]:
+            table.add_row(Text(team.team), str(team.slots), *_used(team))
+        console.print(table)
+
+
+def _used(each: DroneUsage | TeamUsage) -> tuple[str, str, str, str]:
+    ago = "" if each.called_ago_s is None else f"{_duration(each.called_ago_s)} ago"
+    return _duration(each.slot_s), str(each.calls), f"{each.computed_s:.1f} s", ago
+
+
+def _ago_s(each: DroneUsage | TeamUsage) -> float:
+    return math.inf if each.called_ago_s is None else each.called_ago_s
+
+
+def _instances(server: ServerStatus) -> Table:
+    table = _table("instance", "state", "at", "unused for")
+    for instance in server.instances:
+        unused = _duration(instance.unused_s) if instance.state == "running" else ""
+        state = Text(instance.state, style=_STATE_STYLES.get(instance.state, "dim"))
+        table.add_row(Text(instance.service), state, Text(instance.endpoint), unused)
+    return table
+
+
+def _failed(instance: InstanceStatus) -> str:
+    """How the last instances of a service failed, and what the daemon makes of that."""
+    times = _counted(instance.failures, "instance", "instances")
+    paused = f"; left alone for another {_duration(instance.paused_s)}" if instance.paused_s else ""
+    replaced = f"; {instance.replaced} replaced so far" if instance.replaced else ""
+    return f"{instance.service}: {times} failed in a row, last: {instance.last_failure}{paused}{replaced}"
+
+
+def _not_renewed(instance: InstanceStatus) -> str:
+    """Which version serves, and why."""
+    return f"{instance.service}: the former version serves on, as the new one did not start: {instance.not_renewed}"
+
+
+def _print_limits(limits: Mapping[str, Limits], console: Console) -> None:
+    if limits:
+        say("\nlimits of each instance", console)
+    for service, most in sorted(limits.items()):
+        say(Text(f"  {service}: {', '.join(_held(most)) or 'none'}"), console)
+
+
+def _held(most: Limits) -> Iterator[str]:
+    if most.memory_bytes is not None:
+        yield f"{_size(most.memory_bytes)} of memory"
+    if most.cpus is not None:
+        yield _counted(most.cpus, "processor", "processors")
+    if most.processes is not None:
+        yield f"{most.processes} processes"
+    if most.disk_bytes is not None:
+        yield f"{_size(most.disk_bytes)} of files"
+
+
+def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None:
+    if not refusals:
+        return
+    table = _table("last", "times", "server", "who", "why", title="refused")
+    for each in refusals:
+        ago = f"{_duration(each.ago_s)} ago"
+        table.add_row(ago, str(each.times), *map(Text, (each.server, each.client, each.why)))
+    console.print()
+    console.print(table)
+
+
+def _print_certificates(certificates: Sequence[CertificateStatus], console: Console) -> None:
+    if certificates:
+        console.print()
+    for each in certificates:
+        days = (each.expires - datetime.now(UTC)).days
+        line = f"certificate of {each.holder}: valid until {each.expires:%Y-%m-%d}, {days} days"
+        say(Text(line, style="bold red" if days < _SOON_DAYS else ""), console)
+
+
+def _table(*columns: str, title: str | None = None) -> Table:
+    table = Table(box=None, padding=(0, 2), title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    return table
+
+
+def _counted(number: int, one: str, several: str) -> str:
+    return f"{number} {one if number == 1 else several}"
+
+
+def _size(size_bytes: int) -> str:
+    """In the larger of MiB and GiB that makes it at least 1, to three digits."""
+    size, unit = (size_bytes / 2**30, "GiB") if size_bytes >= 2**30 else (size_bytes / 2**20, "MiB")
+    return f"{size:.3g} {unit}" if size < 1000 else f"{size:.0f} {unit}"
+
+
+def _duration(seconds: float) -> str:
+    """Two units at most: 12 s, 3 min 4 s, 2 h 5 min, 6 d 7 h."""
+    whole = round(seconds)
+    for unit_s, unit, part_s, part in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if whole >= unit_s:
+            return f"{whole // unit_s} {unit} {whole % unit_s // part_s} {part}"
+    return f"{whole} s"

@@ -5,94 +5,106 @@ from __future__ import annotations
 import argparse
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from upwash.cli.arguments import announce, place
+from upwash.cli.arguments import announce
+from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
+from upwash.launch.vehicle import run_vehicle
+from upwash.mavlink.version import Version
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.copter import read_fault
+from upwash.vehicle.body.parameters import read_setting
+from upwash.vehicle.px4.settings import Px4Settings
 
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
-    from upwash.vehicle.ardupilot.settings import VehicleSettings
-    from upwash.vehicle.px4.settings import Px4Settings
 
-
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    vehicle = commands.add_parser("vehicle", help="run a stand-in vehicle that speaks MAVLink")
-    vehicle.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument(
         "--autopilot", choices=("arducopter", "px4"), default="arducopter",
         help="what it flies, answers and speaks like (default: arducopter)",
     )  # fmt: skip
-    vehicle.add_argument("--listen", default="udp:127.0.0.1:14550", help="udp:HOST:PORT or tcp:HOST:PORT")
-    vehicle.add_argument(
+    parser.add_argument("--listen", default="udp:127.0.0.1:14550", help="udp:HOST:PORT or tcp:HOST:PORT")
+    parser.add_argument(
         "--version", metavar="X.Y.Z",
         help="of its firmware (default: 4.7.0-dev, PX4: 1.16.1): its names of parameters, and what it knows",
     )  # fmt: skip
-    _add_start(vehicle)
-    _add_flight(vehicle)
-    vehicle.add_argument(
+    _add_start(parser)
+    _add_flight(parser)
+    parser.add_argument(
         "--one-peer", action="store_true",
         help="px4, UDP: answer nobody but the first who spoke to it, until it is restarted, as a real one",
     )  # fmt: skip
-    vehicle.add_argument(
+    parser.add_argument(
         "--signing-key", type=Path, metavar="FILE",
         help="sign all messages with its key, and obey none that is not signed with it",
     )  # fmt: skip
-    vehicle.set_defaults(run=run)
 
 
-def _add_start(vehicle: argparse.ArgumentParser) -> None:
-    """Where it stands, and how it is at boot."""
-    vehicle.add_argument(
-        "--home", type=place, default="39.3666,22.9507", metavar="LAT,LON", help="where it stands"
+def _add_start(parser: argparse.ArgumentParser) -> None:
+    """Add where the vehicle stands, and its state at boot."""
+    parser.add_argument(
+        "--home", type=_place, default="39.3666,22.9507", metavar="LAT,LON", help="where it stands"
     )
-    vehicle.add_argument(
-        "--home-altitude",
-        type=float,
-        default=0.0,
-        metavar="M",
+    parser.add_argument(
+        "--home-altitude", type=float, default=0.0, metavar="M",
         help="of the ground above the sea (default: 0)",
-    )
-    vehicle.add_argument(
+    )  # fmt: skip
+    parser.add_argument(
         "--armable-after", type=float, metavar="S", help="after boot, in seconds (default: 41.4, PX4: 4)"
     )
-    vehicle.add_argument(
+    parser.add_argument(
         "--battery", type=float, default=100.0, metavar="PERCENT", help="how full it is at boot"
     )
-    vehicle.add_argument(
+    parser.add_argument(
         "--param", action="append", default=[], dest="parameters", metavar="NAME=VALUE",
         help="a parameter at boot, such as FENCE_RADIUS=60",
     )  # fmt: skip
 
 
-def _add_flight(vehicle: argparse.ArgumentParser) -> None:
-    """How it flies, how its time passes, and what goes wrong."""
-    vehicle.add_argument(
+def _add_flight(parser: argparse.ArgumentParser) -> None:
+    """Add how the vehicle flies, how its time passes, and what goes wrong."""
+    parser.add_argument(
         "--speedup", type=float, default=1.0, metavar="N", help="let its clock run so many times as fast"
     )
-    vehicle.add_argument(
+    parser.add_argument(
         "--acceleration", type=float, metavar="M_S2",
         help="arducopter: speed up and brake alike, in m/s² (default: as a recorded one did)",
     )  # fmt: skip
-    vehicle.add_argument(
+    parser.add_argument(
         "--fault", action="append", default=[], dest="faults", metavar="KIND[:FROM[-TO]]",
         help="link, gps, glitch, battery, radio, ground, compass or arming, from and to seconds after boot",
     )  # fmt: skip
-    vehicle.add_argument(
+    parser.add_argument(
         "--glitch", type=_glitch, metavar="M[:CLEARED_S]",
         help="arducopter: what the fault glitch is: how far GPS is off, and after how many seconds it says \"Glitch "
         "cleared\" though it still is (default: 55.66:20; inf: never)",
     )  # fmt: skip
-    vehicle.add_argument(
+    parser.add_argument(
         "--clock-offset", type=float, default=0.0, metavar="S",
         help="arducopter: of the time of day that its GPS tells, against this machine's clock",
     )  # fmt: skip
 
 
-def _glitch(text: str) -> tuple[float, float | None]:
+def _place(text: str) -> GeoPosition:
+    try:
+        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not LAT,LON in degrees, such as 39.3666,22.9507"
+        ) from None
+    if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no place: latitudes go from -90 to 90, longitudes to 180 degrees"
+        )
+    return GeoPosition(latitude_deg, longitude_deg)
+
+
+def _glitch(text: str) -> dict[str, float]:
     size, _, cleared = text.partition(":")
     try:
-        return float(size), float(cleared) if cleared else None
+        found = {"glitch_m": float(size)}
+        return found | {"glitch_cleared_after_s": float(cleared)} if cleared else found
     except ValueError:
         raise argparse.ArgumentTypeError(
             f'"{text}" is no glitch: write metres, such as 30 or 30:12'
@@ -100,78 +112,50 @@ def _glitch(text: str) -> tuple[float, float | None]:
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Runs it until it is told to stop."""
-    from upwash.launch.vehicle import run_vehicle
-
+    """Run the vehicle until a signal ends it."""
     settings = _px4(options) if options.autopilot == "px4" else _arducopter(options)
     asyncio.run(run_vehicle(options.listen, settings, ready=_announce, signing_key=options.signing_key))
     return True
 
 
 def _arducopter(options: argparse.Namespace) -> VehicleSettings:
-    from upwash.core.geo import GeoPosition
-    from upwash.vehicle.ardupilot.settings import VehicleSettings
-    from upwash.vehicle.body.copter import read_fault
-    from upwash.vehicle.body.parameters import read_setting
-
     _refuse(options, {"--one-peer": options.one_peer})
-    given = _given(options)
-    if options.glitch is not None:
-        given["glitch_m"], cleared_s = options.glitch
-        if cleared_s is not None:
-            given["glitch_cleared_after_s"] = cleared_s
     return VehicleSettings(
-        home=GeoPosition(*options.home),
-        home_altitude_m=options.home_altitude,
         acceleration_m_s2=options.acceleration,
-        battery_percent=options.battery,
-        speedup=options.speedup,
         clock_offset_s=options.clock_offset,
-        parameters=dict(read_setting(text) for text in options.parameters),
-        faults=tuple(read_fault(text) for text in options.faults),
-        **given,
+        **(options.glitch or {}),
+        **_of_both(options),
     )
 
 
 def _px4(options: argparse.Namespace) -> Px4Settings:
-    from upwash.core.geo import GeoPosition
-    from upwash.vehicle.body.copter import read_fault
-    from upwash.vehicle.body.parameters import read_setting
-    from upwash.vehicle.px4.settings import Px4Settings
-
-    _refuse(
-        options,
-        {
-            "--acceleration": options.acceleration is not None,
-            "--clock-offset": options.clock_offset,
-            "--glitch": options.glitch,
-        },
-    )
-    return Px4Settings(
-        home=GeoPosition(*options.home),
-        home_altitude_m=options.home_altitude,
-        battery_percent=options.battery,
-        speedup=options.speedup,
-        faults=tuple(read_fault(text) for text in options.faults),
-        parameters=dict(read_setting(text) for text in options.parameters),
-        one_peer=options.one_peer,
-        **_given(options),
-    )
+    of_arducopter = {
+        "--acceleration": options.acceleration is not None,
+        "--clock-offset": options.clock_offset,
+        "--glitch": options.glitch,
+    }
+    _refuse(options, of_arducopter)
+    return Px4Settings(one_peer=options.one_peer, **_of_both(options))
 
 
-def _given(options: argparse.Namespace) -> dict[str, Any]:
-    """What has another default for each autopilot."""
-    from upwash.mavlink.version import Version
-
-    given: dict[str, Any] = {}
+def _of_both(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that both autopilots have."""
+    settings = {
+        "home": options.home,
+        "home_altitude_m": options.home_altitude,
+        "battery_percent": options.battery,
+        "speedup": options.speedup,
+        "parameters": dict(read_setting(text) for text in options.parameters),
+        "faults": tuple(read_fault(text) for text in options.faults),
+    }
     if options.armable_after is not None:
-        given["armable_after_s"] = options.armable_after
+        settings["armable_after_s"] = options.armable_after
     if options.version is not None:
         try:
-            given["version"] = Version.read(options.version)
+            settings["version"] = Version.read(options.version)
         except ValueError as error:
             raise UsageError(f"vehicle: --version {error}") from None
-    return given
+    return settings
 
 
 def _refuse(options: argparse.Namespace, given: dict[str, object]) -> None:
@@ -182,5 +166,5 @@ def _refuse(options: argparse.Namespace, given: dict[str, object]) -> None:
 
 def _announce(address: str) -> None:
     announce(f"vehicle ready at {address}")
-    connection = address.replace("udp:", "udpout:", 1)  # it waits to be spoken to
+    connection = address.replace("udp:", "udpout:", 1)  # the vehicle listens
     announce(f"fly it with: upwash fly --config drone.toml --autopilot {connection}")

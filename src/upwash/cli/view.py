@@ -3,45 +3,39 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from upwash.cli.arguments import LIVE_PORT, announce, port
-
-if TYPE_CHECKING:
-    from upwash.cli.arguments import Commands
+from upwash.support.loading import extra
 
 _NICENESS = 10  # a flight that goes on beside it comes first, and the page is not starved
 
 
-def add(commands: Commands) -> None:
-    """Adds the command."""
-    view = commands.add_parser("view", help="show flights on a page that moves: live, or played back")
-    view.add_argument(
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.add_argument(
         "logs", type=Path, nargs="+", metavar="LOG",
         help="event logs, of flights under way or over: those of several drones are shown on one map, those of one "
         "drone side by side",
     )  # fmt: skip
-    view.add_argument(
+    parser.add_argument(
         "--port", type=port, default=LIVE_PORT, help=f"on this machine (default: {LIVE_PORT}; 0: any)"
     )
-    view.add_argument("--photos", type=Path, metavar="FOLDER", help="where the photos are that the log names")
-    view.add_argument(
+    parser.add_argument(
+        "--photos", type=Path, metavar="FOLDER", help="where the photos are that the log names"
+    )
+    parser.add_argument(
         "--tiles",
         metavar="URL",
         help="load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
     )
-    view.add_argument("--credit", default="", metavar="TEXT", help="what to say of who made the tiles")
-    view.set_defaults(run=run)
+    parser.add_argument("--credit", default="", metavar="TEXT", help="what to say of who made the tiles")
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Serves the page until Ctrl-C."""
-    import asyncio
-
-    from upwash.support.loading import extra
-
+    """Serve the page until Ctrl-C."""
     with extra("view"):
         from upwash.view.serve import serve_view
         from upwash.view.tiles import Tiles

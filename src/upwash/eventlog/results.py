@@ -146,6 +146,11 @@ class RunResult:
             return None
         return self.mission_time_s + sum(local[call.operation] - call.delay_s for call in self.calls)
 
+    def saved_s(self) -> float | None:
+        """What offloading saved against the measured local delays, in seconds; None where nothing measured says."""
+        local_only_s = self.local_only_time_s()
+        return None if local_only_s is None or not self.completed else local_only_s - self.mission_time_s
+
 
 def read_result(events: Iterable[Event]) -> RunResult:
     """The result of the run that left these events, the last of several, whether it was completed or not.

@@ -24,10 +24,7 @@ class Outcome:
     @property
     def saved_s(self) -> float | None:
         """What offloading saved against the local delays measured; None where they are not known."""
-        local_only_s = self.result.local_only_time_s()
-        if local_only_s is None or not self.result.completed:
-            return None
-        return local_only_s - self.result.mission_time_s
+        return self.result.saved_s()
 
 
 class OutcomeSoFar:

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
-from upwash.cli.daemon_status import print_status
+from upwash.cli.status import print_status
 from upwash.core.admission.admission import AdmissionController, ServerOffer
 from upwash.core.admission.clients import Client, DoorStatus, Role
 from upwash.core.admission.limits import Limits

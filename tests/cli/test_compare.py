@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from upwash.cli.compared import in_markdown, print_tables
+from upwash.cli.compare import in_markdown, print_tables
 from upwash.lab.campaigns.comparison import ComparedPolicy
 
 

@@ -1,1 +1,0 @@
-"""The demonstration: a survey over two edge servers, with every program on this machine."""
