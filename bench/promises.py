@@ -199,7 +199,7 @@ def _gains(result: Result) -> str:
         f"`{result.command}` {_measured(result)}: {figures.missions:,} missions in {figures.worlds} worlds, "
         f"{figures.seeds} seeds, {figures.took_s / 60:.0f} minutes on {figures.cores} cores."
     )
-    return f"{measured}\n\n{gained(read_missions(TABLE))}"
+    return f"{measured}\n\n{gained(read_missions(TABLE), with_times=False)}"
 
 
 def _validation() -> str:

@@ -24,11 +24,11 @@ class Flown(msgspec.Struct, frozen=True, kw_only=True):
     took_s: float
 
 
-def tables(kept: Kept) -> str:
-    """What the missions come to, one table after the other."""
+def tables(kept: Kept, *, with_times: bool = True) -> str:
+    """The results of the missions, one table after the other; mission times come last."""
     worlds = measured_worlds(kept.missions)
-    made = (table(kept.variants, worlds) for table in (brief_table, share_table, step_table, time_table))
-    return "\n\n".join(made)
+    made = (brief_table, share_table, step_table, *((time_table,) if with_times else ()))
+    return "\n\n".join(table(kept.variants, worlds) for table in made)
 
 
 def share_table(variants: Sequence[str], worlds: Sequence[MeasuredWorld]) -> str:

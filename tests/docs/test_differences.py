@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -35,13 +34,6 @@ def at(east_m: float, **truth: Any) -> dict[str, Any]:
 
 def events(run: Run, *names: str) -> list[dict[str, Any]]:
     return [event for event in written(run.events) if event["event"] in names]
-
-
-def test_every_file_that_the_page_names_is_there() -> None:
-    page = (ROOT / "docs" / "differences.md").read_text()
-    named = set(re.findall(r"`((?:core|drone|sim|config)/\w+\.py)`", page))
-    assert len(named) > 5
-    assert not [name for name in named if not (ROOT / "src" / "upwash" / name).exists()]
 
 
 # --- calls ----------------------------------------------------------------------------------------------------
