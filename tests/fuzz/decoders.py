@@ -42,10 +42,9 @@ from upwash.real.instances.foreign import Answer, ForeignProgram
 from upwash.real.link.frames import PREFACE, FrameCounter
 from upwash.real.link.framing import frame
 from upwash.real.mavlink.arducopter import ARDUCOPTER
-from upwash.real.mavlink.hearing import Hearing, from_autopilot
-from upwash.real.mavlink.peer import Peer
+from upwash.real.mavlink.receiver import MessageReceiver, Peer, from_autopilot
 from upwash.real.mavlink.signing import read_key
-from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.telemetry import VehicleTelemetry
 from upwash.real.trust.authority import keys_in, make_keys
 from upwash.real.trust.credentials import read_credentials, read_revoked
 from upwash.rpc.protocol import (
@@ -135,9 +134,9 @@ _PROCESS = spec_of(Detector).methods["process_photo"]
 
 
 def _messages_of_a_vehicle(data: bytes) -> None:
-    telemetry = Telemetry()
+    telemetry = VehicleTelemetry()
     for signing in None, Signing(bytes(32)):
-        hearing = Hearing(lambda message: telemetry.take(message, 0.0), from_autopilot, signing)
+        hearing = MessageReceiver(lambda message: telemetry.take(message, 0.0), from_autopilot, signing)
         reader = hearing.reader()
         for start in range(0, len(data), 97):  # as a serial line delivers them
             hearing.take(data[start : start + 97], reader)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from tests.fuzz.messages import messages
-from tests.ports.direct import flown_directly
+from tests.ports.memory import driven
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotError
@@ -32,15 +32,15 @@ def spoken(seed: int, count: int, settings: VehicleSettings | Px4Settings) -> li
     async def heard() -> None:
         errors: list[dict[str, Any]] = []
         asyncio.get_running_loop().set_exception_handler(lambda _, context: errors.append(context))
-        async with flown_directly(settings) as (sky, autopilot):
+        async with driven(settings) as (sky, autopilot):
             autopilot.listen(news.append)
             learning = asyncio.create_task(autopilot.limits())
             said = itertools.islice(messages(seed), count)
             while batch := list(itertools.islice(said, AT_ONCE)):
                 for message in batch:
-                    sky.link.send(message)
+                    sky.connection.send(message)
                 await asyncio.sleep(0.02)
-            assert autopilot.linked
+            assert autopilot.vehicle.linked
             repr(
                 (
                     autopilot.telemetry,

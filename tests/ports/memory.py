@@ -1,23 +1,25 @@
-"""A driver and a stand-in vehicle joined in memory, so that both can live on virtual time."""
+"""A driver and a stand-in vehicle joined in memory, so that both live on virtual time."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from typing import Any
 
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.ports.lossy import Air
 
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot, link
-from upwash.vehicle.ardupilot.copter import Copter
-from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
+from upwash.mavlink.packets import PacketReader
+from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
 from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.condition import FaultKind
 from upwash.vehicle.body.connection import PeerConnection, StandIn
+from upwash.vehicle.px4.settings import Px4Settings
+from upwash.vehicle.px4.telemetry import UNASKED_S
+from upwash.vehicle.server import firmware
 
 HOME = GeoPosition(39.3666, 22.9507)
 AGILE = VehicleSettings(
@@ -31,47 +33,106 @@ AGILE = VehicleSettings(
 )
 AT_ONCE = FlightSettings(patience=Patience(others_s=0.0))  # knows that no other vehicle is there
 PERFECT = Air(0.0, seed=1)
+_QUESTIONS = (
+    mavlink.MAV_CMD_REQUEST_MESSAGE,
+    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+    mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
+    401,
+)
 
 
 class Bench:
-    """A vehicle that any number of programs may connect to."""
+    """A stand-in vehicle, any number of programs that connect to it, and what they sent."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, settings: VehicleSettings, air: Air) -> None:
-        self.copter = Copter(settings, now_s=asyncio.get_running_loop().time())
-        self.firmware = ArduCopterFirmware(self.copter)
+    def __init__(self, settings: VehicleSettings | Px4Settings, air: Air = PERFECT) -> None:
+        self.firmware: Any = firmware(settings, now_s=asyncio.get_running_loop().time())
+        self.copter: Any = self.firmware.copter
         self.vehicle = StandIn(self.firmware, settings.speedup)
+        self.air = air
         self.said: list[str] = []
-        self.deaf = False  # whether the vehicle hears nobody
-        self.mute = False
+        self.deaf = False  # whether the vehicle hears no program
+        self.mute = False  # whether programs do not hear the vehicle
         self.powered = True  # or it cannot be connected to
         self.arrive: Callable[[bytes], None]  # has the program that came last hear that, too
         self.connection: PeerConnection  # of the program that came last
-        self.asked: Counter[int] = Counter()  # how often each command came from programs
-        self._air = air
-        monkeypatch.setitem(link._OPENERS, "memory", self._open)
-        PeerConnection(self.vehicle, write=self._note)
+        self.heard: list[Any] = []  # what programs sent, with the time as `at_s`
+        self.asked: Counter[int] = Counter()  # how often programs sent each command
+        self._unasked = UNASKED_S if isinstance(settings, Px4Settings) else {}
+        if not self._unasked:
+            PeerConnection(self.vehicle, write=self._note)
 
     @property
     def now_s(self) -> float:
         return self.vehicle.now_s()
 
+    @property
+    def cut(self) -> bool:
+        return self.deaf and self.mute
+
+    @cut.setter
+    def cut(self, cut: bool) -> None:
+        """Whether nothing passes between the vehicle and programs."""
+        self.deaf = self.mute = cut
+
     def parameter(self, name: str) -> float:
-        return self.copter.parameters[name]
+        value: float = self.copter.parameters[name]
+        return value
+
+    def fail(self, kind: FaultKind) -> None:
+        self.copter.fail(kind, self.now_s)
+
+    def mend(self, kind: FaultKind) -> None:
+        self.copter.mend(kind)
+
+    def commands(self, since_s: float = 0.0) -> list[int]:
+        """The commands of programs since then, without questions."""
+        return [
+            message.command
+            for message in self.heard
+            if message.at_s >= since_s
+            and message.get_type().startswith("COMMAND_")
+            and message.command not in _QUESTIONS
+        ]
+
+    def setpoints(self, since_s: float = 0.0) -> int:
+        """The number of setpoints since then."""
+        kind = "SET_POSITION_TARGET_GLOBAL_INT"
+        return sum(message.get_type() == kind and message.at_s >= since_s for message in self.heard)
 
     @asynccontextmanager
     async def program(
-        self, settings: FlightSettings = AT_ONCE, **named: Any
+        self, settings: FlightSettings = AT_ONCE, *, ground_speed_m_s: float = 60.0, **named: Any
     ) -> AsyncIterator[MavlinkAutopilot]:
-        """A driver; at the end of the block it falls silent without a word, as a program that is killed."""
+        """A driver; at the end of the block it falls silent, as a program that is killed."""
         autopilot = await connect_autopilot(
-            "memory:vehicle:1", frame=LocalFrame(HOME), ground_speed_m_s=60.0, settings=settings, **named
+            self.open,
+            frame=LocalFrame(self.copter.settings.home),
+            ground_speed_m_s=ground_speed_m_s,
+            settings=settings,
+            **named,
         )
         try:
             yield autopilot
         finally:
             await autopilot.close()
 
-    async def _open(self, _host: str, _port: int, line: Any) -> None:
+    @asynccontextmanager
+    async def pilot(self) -> AsyncIterator[MavlinkLink]:
+        """A ground station, whose link is always perfect."""
+
+        async def open_line(line: Any) -> None:
+            connection = PeerConnection(
+                self.vehicle, write=lambda data: line.datagram_received(data, ("", 2))
+            )
+            line.write = lambda packet: self._deliver(packet, connection)
+
+        link = MavlinkLink(open_line, lambda _: None)
+        await link.opened.wait()
+        yield link
+        await link.close()
+
+    async def open(self, line: Any) -> None:
+        """Opens a program's line to the vehicle."""
         loop = asyncio.get_running_loop()
         if not self.powered:
             raise ConnectionRefusedError("nobody listens")
@@ -79,47 +140,71 @@ class Bench:
         def arrive(packet: bytes) -> None:
             loop.call_soon(line.datagram_received, packet, ("", 1))
 
-        self.arrive = arrive
-
         def to_program(data: bytes) -> None:
-            if not self._air.room:  # a vehicle sends nothing then, and counts nothing
+            if not self.air.room:  # a vehicle sends nothing then, and counts nothing
                 connection._codec.seq = (connection._codec.seq - 1) % 256
             elif not self.mute:
-                self._air.carry(data, arrive)
-
-        connection = self.connection = PeerConnection(self.vehicle, write=to_program)
+                self.air.carry(data, arrive)
 
         def to_vehicle(packet: bytes) -> None:
-            for message in mavlink.MAVLink(None).parse_buffer(packet) or []:
+            for message in self._deliver(packet, connection):
+                message.at_s = loop.time()
+                self.heard.append(message)
                 self.asked[getattr(message, "command", 0)] += 1
-                loop.call_soon(connection.hear, message)
 
         def write(data: bytes) -> None:
             if not self.deaf:
-                self._air.carry(data, to_vehicle)
+                self.air.carry(data, to_vehicle)
 
-        line.write = write
+        self.arrive, line.write = arrive, write
+        connection = self.connection = PeerConnection(self.vehicle, write=to_program)
+        for number in self._unasked:  # a flight has a hundred thousand of them
+            never = mavlink.MAVLink_command_long_message(
+                1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1, *(0.0,) * 5
+            )
+            self._deliver(bytes(never.pack(mavlink.MAVLink(None, 1, 191))), connection)
+
+    def _deliver(self, packet: bytes, connection: PeerConnection) -> list[Any]:
+        messages = [message for message, _ in PacketReader().read(packet)]
+        for message in messages:
+            asyncio.get_running_loop().call_soon(_hear, connection, message)
+        return messages
 
     def _note(self, data: bytes) -> None:
-        for message in mavlink.MAVLink(None).parse_buffer(data) or []:
+        for message, _ in PacketReader().read(data):
             if message.get_type() == "STATUSTEXT":
                 self.said.append(message.text)
 
 
+def _hear(connection: PeerConnection, message: Any) -> None:
+    connection.hear(message)  # looked up now: a test may answer in the vehicle's name
+
+
 @asynccontextmanager
-async def bench(
-    monkeypatch: pytest.MonkeyPatch, settings: VehicleSettings = AGILE, air: Air = PERFECT
-) -> AsyncIterator[Bench]:
+async def bench(settings: VehicleSettings | Px4Settings = AGILE, air: Air = PERFECT) -> AsyncIterator[Bench]:
     """A stand-in that is switched on."""
-    async with AsyncExitStack() as stack:
-        made = Bench(monkeypatch, settings, air)
-        life = asyncio.create_task(made.vehicle.live())
-
-        async def switch_off() -> None:
-            life.cancel()
-            await asyncio.gather(life, return_exceptions=True)
-            for connection in tuple(made.vehicle.connections):
-                connection.end()
-
-        stack.push_async_callback(switch_off)
+    made = Bench(settings, air)
+    life = asyncio.create_task(made.vehicle.live())
+    try:
         yield made
+    finally:
+        life.cancel()
+        await asyncio.gather(life, return_exceptions=True)
+        for connection in tuple(made.vehicle.connections):
+            connection.end()
+
+
+@asynccontextmanager
+async def driven(
+    settings: VehicleSettings | Px4Settings = AGILE,
+    flight: FlightSettings | None = None,
+    ground_speed_m_s: float = 5.0,
+    before: Callable[[Bench], Awaitable[None]] | None = None,
+    air: Air = PERFECT,
+) -> AsyncIterator[tuple[Bench, MavlinkAutopilot]]:
+    """A stand-in and the driver that has found it, after what happened `before`."""
+    async with bench(settings, air) as made:
+        if before:
+            await before(made)
+        async with made.program(flight or FlightSettings(), ground_speed_m_s=ground_speed_m_s) as autopilot:
+            yield made, autopilot

@@ -232,11 +232,11 @@ def test_a_lost_link_is_noticed_within_3_s_and_survived() -> None:
         leg = asyncio.create_task(autopilot.goto(Position(60.0, 0.0, 5.0)))
         vehicle.fail(FaultKind.LINK)
         begun_s = clock()
-        await autopilot.link_lost()
+        await autopilot.vehicle.link_lost()
         assert 2.0 < clock() - begun_s < 3.0
-        assert not autopilot.linked
+        assert not autopilot.vehicle.linked
         vehicle.mend(FaultKind.LINK)
-        await autopilot.link_restored()
+        await autopilot.vehicle.link_restored()
         await leg
         assert distance_m(autopilot.position, Position(60.0, 0.0, 5.0)) <= 1.0
         lost, restored = (each for each in news if isinstance(each, LinkChanged))
@@ -402,7 +402,7 @@ def test_a_target_that_the_vehicle_refuses_is_told_to_lie_outside_its_fence() ->
 
 
 def test_reports_that_never_come_are_asked_for_ever_more_rarely(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("upwash.real.mavlink.heard._HEARTBEAT_S", 0.02)
+    monkeypatch.setattr("upwash.real.mavlink.observed._HEARTBEAT_S", 0.02)
 
     async def scenario() -> None:
         async with doubtful_vehicle() as (vehicle, _):

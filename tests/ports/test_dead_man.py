@@ -32,7 +32,7 @@ def tell(monkeypatch: pytest.MonkeyPatch) -> Tell:
 
     def told(story: Story, *, settings: VehicleSettings = AGILE, air: Air | None = None) -> None:
         async def live() -> None:
-            async with bench(monkeypatch, settings, air or Air(0.0, seed=1)) as made:
+            async with bench(settings, air or Air(0.0, seed=1)) as made:
                 await story(made)
 
         run_virtually(live())
@@ -141,7 +141,7 @@ def test_files_arrive_whole_over_a_bad_link(tell: Tell, share: float) -> None:
 
     async def story(made: Bench) -> None:
         async with made.program() as autopilot:
-            client = FileClient(autopilot._vehicle)
+            client = FileClient(autopilot.vehicle)
             assert await client.has_directory("scripts")
             assert not await client.has_directory("APM")
             await client.make_directory("APM")

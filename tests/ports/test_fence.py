@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, flown_directly
+from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
@@ -33,10 +33,10 @@ TAKEOFF = "the take-off to 10 m: it is 10 m up, the fence ends at"
 SITE = Site([Waypoint(0, Position(50.0, 0.0, 10.0))], (), farthest_start_m=500.0, takeoff_m=10.0)
 ARDUCOPTER, PX4 = "arducopter", "px4"
 RETURNS = {"COM_OBL_RC_ACT": 3.0}
-Flight = Callable[[Sky, MavlinkAutopilot], Awaitable[None]]
+Flight = Callable[[Bench, MavlinkAutopilot], Awaitable[None]]
 
 
-def upload(sky: Sky, boxes: Sequence[Box]) -> None:
+def upload(sky: Bench, boxes: Sequence[Box]) -> None:
     """As a ground station does, without waiting for answers."""
     station = PeerConnection(sky.vehicle, write=lambda _: None)
     items = [
@@ -69,10 +69,10 @@ def fly(flight: Flight, kind: str, parameters: Mapping[str, float], boxes: Seque
                 HOME, home_altitude_m=488.0, armable_after_s=0.0, parameters=dict(parameters)
             )
 
-        async def before(sky: Sky) -> None:
+        async def before(sky: Bench) -> None:
             upload(sky, boxes)
 
-        async with flown_directly(vehicle, before=before) as (sky, autopilot):
+        async with driven(vehicle, before=before) as (sky, autopilot):
             await flight(sky, autopilot)
 
     run_virtually(flown())
@@ -81,7 +81,7 @@ def fly(flight: Flight, kind: str, parameters: Mapping[str, float], boxes: Seque
 def limits_of(kind: str, parameters: Mapping[str, float], boxes: Sequence[Box] = ()) -> VehicleLimits:
     found: list[VehicleLimits] = []
 
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=False)
         await autopilot.ready()
         found.append(await autopilot.limits())
@@ -167,7 +167,7 @@ def test_at_the_end_of_a_take_off_a_fence_that_is_switched_on_then_counts_where_
 
 
 def test_what_happens_at_a_px4s_fence_is_told() -> None:
-    async def flight(_: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
         news: list[VehicleNews] = []
         autopilot.listen(news.append)
         await autopilot.limits()
@@ -200,12 +200,12 @@ def test_a_fence_that_a_vehicle_does_not_tell_is_a_doubt(monkeypatch: pytest.Mon
 def test_what_a_px4_does_at_its_fence_once_the_program_sends_no_more(
     action: int, lost: int, modes: list[Mode]
 ) -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot, 10.0)
         with pytest.raises(AutopilotOverruled):
             await autopilot.goto(Position(60.0, 0.0, 10.0))
-        lost_s, seen = sky.now_s(), [sky.copter.mode]
-        while sky.now_s() < lost_s + 8.0:
+        lost_s, seen = sky.now_s, [sky.copter.mode]
+        while sky.now_s < lost_s + 8.0:
             await asyncio.sleep(0.1)
             if sky.copter.mode is not seen[-1]:
                 seen.append(sky.copter.mode)
@@ -217,7 +217,7 @@ def test_what_a_px4_does_at_its_fence_once_the_program_sends_no_more(
 
 
 def test_a_px4_falls_where_its_fence_ends_the_flight() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot, 10.0)
         sky.copter.parameters.change("GF_ACTION", 4)
         with pytest.raises(AutopilotError, match=r"disarm|motors"):
@@ -231,9 +231,9 @@ def test_a_px4_falls_where_its_fence_ends_the_flight() -> None:
 def test_how_high_its_home_lies_is_waited_for(armable_after_s: float, told: int) -> None:
     async def flown() -> None:
         settings = VehicleSettings(HOME, home_altitude_m=488.0, armable_after_s=armable_after_s)
-        async with flown_directly(settings) as (sky, autopilot):
+        async with driven(settings) as (sky, autopilot):
             delays: list[float] = []
-            assert await autopilot.home_above_sea_m(lambda: delays.append(sky.now_s())) == 488.0
+            assert await autopilot.home_above_sea_m(lambda: delays.append(sky.now_s)) == 488.0
             assert len(delays) == told
             assert sky.commands() == []
 
@@ -243,7 +243,7 @@ def test_how_high_its_home_lies_is_waited_for(armable_after_s: float, told: int)
 def test_a_home_that_is_never_told_is_refused() -> None:
     async def flown() -> None:
         settings = VehicleSettings(HOME, faults=(VehicleFault(FaultKind.GPS),))
-        async with flown_directly(settings) as (sky, autopilot):
+        async with driven(settings) as (sky, autopilot):
             with pytest.raises(AutopilotRefused, match="did not tell its home within 120 s"):
                 await autopilot.home_above_sea_m(lambda: None)
             assert sky.commands() == []

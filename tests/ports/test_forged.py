@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, flown_directly
+from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition
@@ -37,22 +37,22 @@ Forger = Callable[[Any], Iterable[Any] | None]
 
 
 def forged(
-    flight: Callable[[Sky, MavlinkAutopilot], Awaitable[None]],
+    flight: Callable[[Bench, MavlinkAutopilot], Awaitable[None]],
     forger: Forger,
     settings: VehicleSettings | Px4Settings = ARDUCOPTER,
 ) -> None:
     async def flown() -> None:
-        async with flown_directly(settings) as (sky, autopilot):
-            hear = sky.link.hear
+        async with driven(settings) as (sky, autopilot):
+            hear = sky.connection.hear
 
             def answer(question: Any) -> None:
                 answers = forger(question)
                 if answers is None:
                     hear(question)
                 for each in answers or ():
-                    sky.link.send(each)
+                    sky.connection.send(each)
 
-            sky.link.hear = answer  # type: ignore[method-assign,assignment]
+            sky.connection.hear = answer  # type: ignore[method-assign,assignment]
             await flight(sky, autopilot)
 
     run_virtually(flown())
@@ -97,9 +97,9 @@ def end(request: Packet) -> Packet:
 
 @pytest.mark.parametrize("part", [b"x" * 20, b"x" * 239])
 def test_a_file_without_end_is_refused(part: bytes) -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         with pytest.raises(AutopilotError, match=f"longer than {MOST_FILE_BYTES}"):
-            await FileClient(autopilot._vehicle).read("a")
+            await FileClient(autopilot.vehicle).read("a")
 
     forged(flight, files(lambda request: [ack(request, part if request.opcode == Opcode.READ_FILE else b"")]))
 
@@ -112,10 +112,10 @@ def test_a_file_that_comes_too_slowly_ends_in_an_error() -> None:
         is_slow = request.opcode == Opcode.READ_FILE and asked[request.number] < 12
         return [] if is_slow else [ack(request, b"x")]
 
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         with pytest.raises(AutopilotError):
             async with asyncio.timeout(1_000.0):
-                await FileClient(autopilot._vehicle).read("a")
+                await FileClient(autopilot.vehicle).read("a")
 
     forged(flight, files(answer))
 
@@ -136,8 +136,8 @@ def test_parts_from_elsewhere_are_no_part_of_the_file() -> None:
             true,
         ]
 
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
-        assert await FileClient(autopilot._vehicle).read("a") == b"true"
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+        assert await FileClient(autopilot.vehicle).read("a") == b"true"
 
     forged(flight, files(answer))
 
@@ -156,9 +156,9 @@ def test_parts_from_elsewhere_are_no_part_of_the_file() -> None:
     ids=["no reason", "an unknown reason", "an unknown answer", "a flood of listings", "silence"],
 )
 def test_a_directory_is_there_or_an_error_says_why_not(answer: Callable[[Packet], list[Packet]]) -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         try:
-            is_there = await FileClient(autopilot._vehicle).has_directory("APM")
+            is_there = await FileClient(autopilot.vehicle).has_directory("APM")
             assert is_there == (next(iter(answer(QUESTION))).opcode == Opcode.ACK)
         except AutopilotError as error:
             assert str(error)
@@ -192,7 +192,7 @@ ODD = [math.nan, math.inf, -math.inf, 3.4e38, -3.4e38, 1e-45, -1.0, 65_535.0, 0.
 def test_parameters_of_any_value_end_in_facts_or_in_an_error(
     value: float, kind: int, settings: VehicleSettings | Px4Settings
 ) -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         news: list[VehicleNews] = []
         autopilot.listen(news.append)
         try:
@@ -213,10 +213,10 @@ def test_parameters_of_any_value_end_in_facts_or_in_an_error(
 
 
 def test_a_flood_of_parameters_that_nobody_asked_for_is_passed_over() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
-        begun_s = sky.now_s()
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+        begun_s = sky.now_s
         await autopilot.learn()
-        assert sky.now_s() - begun_s < 5.0
+        assert sky.now_s - begun_s < 5.0
         assert autopilot.energy.return_altitude_m == pytest.approx(0.05)
 
     forged(flight, parameters(5.0, 9, flood=200))
@@ -271,7 +271,7 @@ NONSENSE = {
 def test_a_fence_that_makes_no_sense_is_not_taken_for_none(
     forger: Forger, settings: VehicleSettings | Px4Settings
 ) -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         with pytest.raises(AutopilotError, match="fence"):
             await autopilot.limits()
 
@@ -281,7 +281,7 @@ def test_a_fence_that_makes_no_sense_is_not_taken_for_none(
 def test_items_that_are_no_areas_may_hold_anything() -> None:
     point = item(mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT, math.nan, x=2**31 - 1)
 
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         limits = await autopilot.limits()
         assert len(limits.fences) == 1
 
@@ -294,25 +294,27 @@ def test_items_that_are_no_areas_may_hold_anything() -> None:
 def test_times_of_anybody_move_no_deadline() -> None:
     """TIMESYNC and SYSTEM_TIME: the driver's time is this computer's."""
 
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
-        begun_s = sky.now_s()
+        begun_s = sky.now_s
         for number in range(200):
-            sky.link.send(mavlink.MAVLink_timesync_message(2**62 * (-1) ** number, -(2**62)))
-            sky.link.send(mavlink.MAVLink_system_time_message((2**63) * (number % 2), round(begun_s * 1e3)))
+            sky.connection.send(mavlink.MAVLink_timesync_message(2**62 * (-1) ** number, -(2**62)))
+            sky.connection.send(
+                mavlink.MAVLink_system_time_message((2**63) * (number % 2), round(begun_s * 1e3))
+            )
             await asyncio.sleep(0.01)
-        assert autopilot.linked
+        assert autopilot.vehicle.linked
         await autopilot.return_home_and_land()
-        assert sky.now_s() - begun_s < 120.0
+        assert sky.now_s - begun_s < 120.0
 
     forged(flight, lambda _: None, replace(ARDUCOPTER, parameters={}))
 
 
 @pytest.mark.parametrize("boot_ms", [0, 2**32 - 1])
 def test_one_time_since_boot_that_cannot_be_true_is_no_restart(boot_ms: int) -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
-        sky.link.send(mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 0))
+        sky.connection.send(mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 0))
         await asyncio.sleep(5.0)
         assert autopilot.control.is_ours
         await autopilot.return_home_and_land()

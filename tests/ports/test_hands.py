@@ -151,7 +151,7 @@ def test_a_jump_of_the_position_is_no_arrival_whatever_the_vehicle_says_of_it(en
             if ends:
                 vehicle.mend(FaultKind.GLITCH)
                 await leg
-                assert not autopilot._where.doubt
+                assert not autopilot._tracker.doubt
             else:
                 with pytest.raises(AutopilotTimeout, match=r"jumped 5[56] m, farther than it can fly"):
                     await leg

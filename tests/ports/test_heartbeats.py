@@ -10,7 +10,7 @@ import pytest
 from upwash.ports import LinkTrouble, VehicleNews
 from upwash.real.mavlink import Patience
 from upwash.real.mavlink.arducopter import ARDUCOPTER
-from upwash.real.mavlink.heard import HeardVehicle
+from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 
 def test_heartbeats_go_on_after_a_defect_which_is_told(caplog: pytest.LogCaptureFixture) -> None:
@@ -18,7 +18,7 @@ def test_heartbeats_go_on_after_a_defect_which_is_told(caplog: pytest.LogCapture
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
             vehicle.bind(("127.0.0.1", 0))
             vehicle.setblocking(False)
-            heard = HeardVehicle(f"udpout:127.0.0.1:{vehicle.getsockname()[1]}", Patience(), [ARDUCOPTER])
+            heard = MavlinkVehicle(f"udpout:127.0.0.1:{vehicle.getsockname()[1]}", Patience(), [ARDUCOPTER])
             failed, news = asyncio.Event(), list[VehicleNews]()
 
             def fail_once() -> int:

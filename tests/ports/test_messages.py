@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, flown_directly
+from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition, Position
@@ -18,11 +18,10 @@ from upwash.core.vehicle.control import Control, Owner
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.mavlink.px4 import EVENTS, EventMessage
 from upwash.ports import HomeMoved, LinkChanged, LinkTrouble, VehicleNews, VehicleText
-from upwash.real.mavlink import MavlinkAutopilot
+from upwash.real.mavlink import MavlinkAutopilot, Patience
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.px4_firmware import PX4
-from upwash.real.mavlink.settings import Patience
-from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.telemetry import VehicleTelemetry
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.settings import VehicleSettings
@@ -39,9 +38,9 @@ LAT, LON, SEA_MM = 393_666_000, 229_507_000, 488_000
 class Flight:
     """A driver with its stand-in, which says whatever it is told to say."""
 
-    def __init__(self, sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    def __init__(self, sky: Bench, autopilot: MavlinkAutopilot) -> None:
         self.sky, self.autopilot = sky, autopilot
-        self.vehicle: MavlinkVehicle = autopilot._vehicle
+        self.vehicle: MavlinkVehicle = autopilot.vehicle
         self.news: list[VehicleNews] = []
         autopilot.listen(self.news.append)
 
@@ -50,7 +49,7 @@ class Flight:
 
     async def say(self, *messages: Any) -> None:
         for message in messages:
-            self.sky.link.send(message)
+            self.sky.connection.send(message)
         await asyncio.sleep(0)
         await asyncio.sleep(0)
 
@@ -59,7 +58,7 @@ def fly(
     flight: Callable[[Flight], Awaitable[None]], settings: VehicleSettings | Px4Settings = COPTER
 ) -> None:
     async def flown() -> None:
-        async with flown_directly(settings) as (sky, autopilot):
+        async with driven(settings) as (sky, autopilot):
             flown = Flight(sky, autopilot)
             await asyncio.sleep(5.05)  # it has reported all by then, and reports nothing just now
             await flight(flown)
@@ -227,7 +226,7 @@ def test_a_vehicle_whose_owner_cannot_be_told_is_silent_and_gets_no_command(kind
         with flown.vehicle.listening(fails):
             leg = asyncio.create_task(flown.autopilot.goto(FAR))
             await asyncio.sleep(5.0)
-            since_s = flown.sky.now_s()
+            since_s = flown.sky.now_s
             await asyncio.sleep(20.0)
             assert not flown.sky.commands(since_s)
             assert any(isinstance(each, LinkChanged) and not each.linked for each in flown.news)
@@ -271,7 +270,7 @@ def test_a_vehicle_may_say_so_much_and_no_more() -> None:
 
 
 def test_texts_that_do_not_end_take_no_room() -> None:
-    telemetry = Telemetry()
+    telemetry = VehicleTelemetry()
     for number in range(1, 65_536):
         chunk = mavlink.MAVLink_statustext_message(2, b"A" * 50, number, 7)
         wire = mavlink.MAVLink(None, 1, 1)
@@ -297,7 +296,7 @@ def test_reports_that_nobody_asked_for_take_no_room() -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_an_event_of_a_px4_with_no_number_is_words(value: float) -> None:
-    telemetry = Telemetry()
+    telemetry = VehicleTelemetry()
     number = 32686809
     event = EventMessage(
         id_of_event=number,

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, flown_directly
-from tests.ports.memory import AGILE, Bench, bench
+from tests.ports.memory import AGILE, Bench, bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import GeoPosition, Position
@@ -55,7 +54,7 @@ def tell(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def told(story: Story, settings: VehicleSettings = AGILE, *, discreet: bool = False) -> None:
         async def live() -> None:
-            async with bench(monkeypatch, settings) as made:
+            async with bench(settings) as made:
                 if discreet:
                     made.firmware.reports = {
                         number: report
@@ -107,7 +106,7 @@ def test_the_try_moves_nothing_and_changes_no_mode(tell: Callable[..., None], co
         for mode in (CopterMode.STABILIZE, CopterMode.GUIDED):
             made.copter.change_mode(made.now_s, mode)
             await autopilot.claim(resumes=False)
-            await require_reposition(autopilot._vehicle)
+            await require_reposition(autopilot.vehicle)
             assert made.copter.mode is mode
         assert commanded == [REPOSITION, REPOSITION]
         await claim_and_arm(autopilot)
@@ -133,7 +132,7 @@ def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
 
 def test_a_vehicle_that_does_not_tell_its_version_is_flown(tell: Callable[..., None]) -> None:
     async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        assert autopilot.version is None
+        assert autopilot.vehicle.version is None
         await take_off(autopilot)
         await autopilot.goto(Position(20.0, 0.0, 5.0))
 
@@ -153,7 +152,7 @@ def test_a_firmware_that_only_knows_the_old_question_is_asked_that(
     monkeypatch.setattr(PeerConnection, "_obey", obey)
 
     async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        assert str(autopilot.version) == "4.5.7"
+        assert str(autopilot.vehicle.version) == "4.5.7"
 
     tell(story, replace(AGILE, version=Version(4, 5, 7)))
 
@@ -169,7 +168,7 @@ def test_a_px4_that_does_not_report_its_intended_mode_is_refused_before_arming(
     version: Version, refusal: str
 ) -> None:
     async def live() -> None:
-        async with flown_directly(replace(PX4, version=version)) as (sky, autopilot):
+        async with driven(replace(PX4, version=version)) as (sky, autopilot):
             await autopilot.claim(resumes=False)
             with pytest.raises(AutopilotRefused, match=refusal):
                 await autopilot.ready()
@@ -180,8 +179,8 @@ def test_a_px4_that_does_not_report_its_intended_mode_is_refused_before_arming(
 
 def test_a_px4_in_development_without_a_version_is_flown_by_what_it_reports() -> None:
     async def live() -> None:
-        async with flown_directly(PX4, before=keep_version_back) as (sky, autopilot):
-            assert autopilot.version is None
+        async with driven(PX4, before=keep_version_back) as (sky, autopilot):
+            assert autopilot.vehicle.version is None
             await claim_and_arm(autopilot)
             assert sky.copter.armed
             assert CURRENT_MODE in sky.vehicle.firmware.reports
@@ -189,6 +188,6 @@ def test_a_px4_in_development_without_a_version_is_flown_by_what_it_reports() ->
     run_virtually(live())
 
 
-async def keep_version_back(sky: Sky) -> None:
+async def keep_version_back(sky: Bench) -> None:
     firmware: Any = sky.vehicle.firmware
     firmware.reports = {number: report for number, report in firmware.reports.items() if number != VERSION}

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, flown_directly
+from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition, Position
@@ -19,13 +19,13 @@ from upwash.vehicle.px4.settings import Px4Settings
 SETTINGS = Px4Settings(GeoPosition(39.3666, 22.9507))
 
 
-def of_kind(sky: Sky, kind: str) -> list[Any]:
+def of_kind(sky: Bench, kind: str) -> list[Any]:
     return [message for message in sky.heard if message.get_type() == kind]
 
 
 def test_a_heading_is_part_of_the_setpoints_until_the_next_leg() -> None:
     async def mission() -> None:
-        async with flown_directly(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
+        async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
             await take_off(autopilot)
             await autopilot.turn_to(270.0)
             last = of_kind(sky, "SET_POSITION_TARGET_GLOBAL_INT")[-1]
@@ -49,7 +49,7 @@ def test_a_text_arrives_whole_in_as_many_chunks_as_it_takes(size: int) -> None:
         await asyncio.sleep(0.1)
 
     async def mission() -> None:
-        async with flown_directly(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
+        async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
             await say(autopilot)
             sent = of_kind(sky, "STATUSTEXT")
             assert {message.severity for message in sent} == {4}
@@ -67,7 +67,7 @@ def test_a_text_arrives_whole_in_as_many_chunks_as_it_takes(size: int) -> None:
 
 def test_a_payload_command_carries_its_parameters_and_zeros() -> None:
     async def mission() -> None:
-        async with flown_directly(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
+        async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
             await autopilot.claim(resumes=False)
             await autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0))
             sent = [message for message in of_kind(sky, "COMMAND_LONG") if message.command == 183][-1]

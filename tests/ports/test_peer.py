@@ -16,8 +16,7 @@ from upwash.core.geo import Position
 from upwash.mavlink.packets import PacketReader
 from upwash.mavlink.signing import Signing
 from upwash.real.mavlink import connect_autopilot
-from upwash.real.mavlink.hearing import Hearing, from_autopilot
-from upwash.real.mavlink.peer import Peer
+from upwash.real.mavlink.receiver import MessageReceiver, Peer, from_autopilot
 from upwash.vehicle.server import serve_vehicle
 
 VEHICLE, RESTARTED, ELSEWHERE = ("10.0.0.1", 5000), ("10.0.0.1", 5001), ("10.0.0.2", 5000)
@@ -41,7 +40,7 @@ class Port:
     def __init__(self, signing: Signing | None = None) -> None:
         self.heard: list[Any] = []
         self.overheard: list[int] = []
-        hearing = Hearing(
+        hearing = MessageReceiver(
             self.heard.append,
             self._follows,
             signing,

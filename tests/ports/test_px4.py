@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, connected_to, flown_directly
+from tests.ports.memory import Bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import GeoPosition, Position, distance_m
@@ -19,10 +19,10 @@ from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.mavlink import px4
 from upwash.mavlink.px4 import Mode, understood
 from upwash.ports import ArmingDelayed, VehicleNews, VehicleSetting, VehicleText
-from upwash.real.mavlink import MavlinkAutopilot
+from upwash.real.mavlink import FlightSettings, MavlinkAutopilot
 from upwash.real.mavlink.parameters import read_parameters, set_parameter
 from upwash.real.mavlink.px4_firmware import PX4
-from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.telemetry import VehicleTelemetry
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.px4.inputs import Sticks
@@ -32,29 +32,29 @@ HOME = GeoPosition(39.3666, 22.9507)
 RETURNS = {"COM_OBL_RC_ACT": 3.0}
 EVENTS = Path(__file__).with_name("data") / "px4_events.csv"
 SET_MODE, TAKEOFF = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_TAKEOFF
-Flight = Callable[[Sky, MavlinkAutopilot], Awaitable[None]]
+Flight = Callable[[Bench, MavlinkAutopilot], Awaitable[None]]
 
 
 def fly(
-    flight: Flight, *, before: Callable[[Sky], Awaitable[None]] | None = None, **settings: object
+    flight: Flight, *, before: Callable[[Bench], Awaitable[None]] | None = None, **settings: object
 ) -> None:
     async def flown() -> None:
         vehicle = Px4Settings(HOME, home_altitude_m=488.0, **{"parameters": RETURNS, **settings})  # type: ignore[arg-type]
-        async with flown_directly(vehicle, before=before) as (sky, autopilot):
+        async with driven(vehicle, before=before) as (sky, autopilot):
             await flight(sky, autopilot)
 
     run_virtually(flown())
 
 
-async def nothing_is_sent(sky: Sky, for_s: float = 20.0) -> None:
-    since_s = sky.now_s()
+async def nothing_is_sent(sky: Bench, for_s: float = 20.0) -> None:
+    since_s = sky.now_s
     await asyncio.sleep(for_s)
     assert sky.commands(since_s) == []
     assert sky.setpoints(since_s) == 0
 
 
 def test_it_takes_off_above_the_sea_and_hovers_in_offboard_at_its_altitude() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot, 10.0)
         order = next(each for each in sky.heard if getattr(each, "command", None) == TAKEOFF)
         assert order.param7 == pytest.approx(498.0, abs=0.5)
@@ -66,9 +66,9 @@ def test_it_takes_off_above_the_sea_and_hovers_in_offboard_at_its_altitude() -> 
 
 
 def test_a_mode_is_believed_not_the_first_of_two_answers() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
-        sky.copter.fail(FaultKind.GPS, sky.now_s())  # OFFBOARD and RTL are accepted, then refused
+        sky.copter.fail(FaultKind.GPS, sky.now_s)  # OFFBOARD and RTL are accepted, then refused
         await asyncio.sleep(0.2)
         with pytest.raises(AutopilotRefused):
             await autopilot.return_home_and_land()
@@ -77,7 +77,7 @@ def test_a_mode_is_believed_not_the_first_of_two_answers() -> None:
 
 
 def test_legs_keep_their_speed() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
         for speed_m_s, target in (4.0, Position(60.0, 0.0, 5.0)), (2.0, Position(60.0, 30.0, 5.0)):
             await autopilot.set_ground_speed(speed_m_s)
@@ -98,7 +98,7 @@ def test_legs_keep_their_speed() -> None:
 
 @pytest.mark.parametrize("moment", ["leg", "call", "return"])
 def test_a_pilot_who_takes_it_keeps_it(moment: str) -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         news: list[VehicleNews] = []
         autopilot.listen(news.append)
         await take_off(autopilot)
@@ -110,8 +110,8 @@ def test_a_pilot_who_takes_it_keeps_it(moment: str) -> None:
         flying = asyncio.create_task(verb)
         await asyncio.sleep(60.0 if moment == "call" else 3.0)
         mode = Mode.LOITER if moment == "call" else Mode.POSCTL
-        sky.copter.move_sticks(sky.now_s(), Sticks())
-        sky.copter.set_mode(sky.now_s(), mode)
+        sky.copter.move_sticks(sky.now_s, Sticks())
+        sky.copter.set_mode(sky.now_s, mode)
         if moment == "call":
             await flying
         else:
@@ -133,10 +133,10 @@ def test_a_pilot_who_takes_it_keeps_it(moment: str) -> None:
 
 
 def test_no_command_follows_a_change_of_mode_that_the_driver_has_not_heard_of_yet() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
-        sky.copter.set_mode(sky.now_s(), Mode.LOITER)
-        since_s = sky.now_s()
+        sky.copter.set_mode(sky.now_s, Mode.LOITER)
+        since_s = sky.now_s
         with pytest.raises(AutopilotOverruled):
             await autopilot.return_home_and_land()
         assert SET_MODE not in sky.commands(since_s)
@@ -145,12 +145,12 @@ def test_no_command_follows_a_change_of_mode_that_the_driver_has_not_heard_of_ye
 
 
 def test_a_pilot_who_has_it_hover_in_the_climb_keeps_it() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await claim_and_arm(autopilot)
         climbing = asyncio.create_task(autopilot.takeoff(20.0))
         await asyncio.sleep(8.0)
         assert 2.0 < autopilot.position.altitude_m < 16.0
-        sky.copter.set_mode(sky.now_s(), Mode.LOITER)
+        sky.copter.set_mode(sky.now_s, Mode.LOITER)
         with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
             await climbing
         await nothing_is_sent(sky)
@@ -159,14 +159,14 @@ def test_a_pilot_who_has_it_hover_in_the_climb_keeps_it() -> None:
 
 
 def test_a_pilot_who_arms_it_during_the_wait_keeps_it() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=False)
         waiting = asyncio.create_task(autopilot.ready())
         await asyncio.sleep(20.0)
         assert not waiting.done()
-        sky.copter.move_sticks(sky.now_s(), Sticks())
-        sky.copter.set_mode(sky.now_s(), Mode.STABILIZED)
-        sky.copter.arm(sky.now_s(), forced=True)
+        sky.copter.move_sticks(sky.now_s, Sticks())
+        sky.copter.set_mode(sky.now_s, Mode.STABILIZED)
+        sky.copter.arm(sky.now_s, forced=True)
         with pytest.raises(AutopilotOverruled, match="somebody else armed it"):
             await waiting
         await nothing_is_sent(sky)
@@ -175,16 +175,16 @@ def test_a_pilot_who_arms_it_during_the_wait_keeps_it() -> None:
 
 
 def test_it_tells_within_a_second_why_it_cannot_be_armed_and_waits_without_a_command() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         told: list[tuple[float, ArmingDelayed]] = []
 
         def hear(news: VehicleNews) -> None:
             if isinstance(news, ArmingDelayed):
-                told.append((sky.now_s(), news))
+                told.append((sky.now_s, news))
 
         await autopilot.claim(resumes=False)
         autopilot.listen(hear)
-        begun_s = sky.now_s()
+        begun_s = sky.now_s
         await autopilot.ready()
         assert sky.commands() == []
         assert told[0][0] == begun_s
@@ -196,11 +196,11 @@ def test_it_tells_within_a_second_why_it_cannot_be_armed_and_waits_without_a_com
 
 
 def test_a_low_battery_s_fail_safe_keeps_it() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         news: list[VehicleNews] = []
         autopilot.listen(news.append)
         await take_off(autopilot)
-        sky.copter.fail(FaultKind.BATTERY, sky.now_s())
+        sky.copter.fail(FaultKind.BATTERY, sky.now_s)
         await asyncio.sleep(2.0)
         assert autopilot.control.owner is Owner.FAILSAFE
         assert "OFFBOARD was set" in autopilot.control.why
@@ -211,7 +211,7 @@ def test_a_low_battery_s_fail_safe_keeps_it() -> None:
 
 
 def test_after_a_silence_no_setpoint_takes_it_back_from_its_fail_safe() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
         flying = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
         await asyncio.sleep(3.0)
@@ -219,7 +219,7 @@ def test_after_a_silence_no_setpoint_takes_it_back_from_its_fail_safe() -> None:
         await asyncio.sleep(5.0)
         assert sky.copter.mode is Mode.RTL
         sky.cut = False
-        since_s = sky.now_s()
+        since_s = sky.now_s
         with pytest.raises(AutopilotOverruled, match="a fail-safe has the vehicle"):
             await flying
         assert sky.setpoints(since_s) == 0
@@ -230,7 +230,7 @@ def test_after_a_silence_no_setpoint_takes_it_back_from_its_fail_safe() -> None:
 
 
 def test_a_silence_that_the_vehicle_bears_delays_the_leg_and_no_more() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
         flying = asyncio.create_task(autopilot.goto(Position(60.0, 0.0, 5.0)))
         await asyncio.sleep(3.0)
@@ -245,13 +245,13 @@ def test_a_silence_that_the_vehicle_bears_delays_the_leg_and_no_more() -> None:
 
 @pytest.mark.parametrize("after_s", [5.0, 20.0])
 def test_a_flight_is_resumed_where_the_vehicle_hovers_and_nowhere_else(after_s: float) -> None:
-    async def abandoned(sky: Sky) -> None:
+    async def abandoned(sky: Bench) -> None:
         await asyncio.sleep(10.0)
-        sky.copter.arm(sky.now_s(), forced=True)
-        sky.copter.take_off(sky.now_s(), 10.0)
+        sky.copter.arm(sky.now_s, forced=True)
+        sky.copter.take_off(sky.now_s, 10.0)
         await asyncio.sleep(after_s)
 
-    async def resume(_: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def resume(_: Bench, autopilot: MavlinkAutopilot) -> None:
         if after_s < 10.0:
             with pytest.raises(AutopilotOverruled, match=r"switch it to AUTO\.LOITER and resume"):
                 await autopilot.claim(resumes=True)
@@ -264,13 +264,13 @@ def test_a_flight_is_resumed_where_the_vehicle_hovers_and_nowhere_else(after_s: 
 
 
 def test_a_flight_is_resumed_out_of_the_hover_that_the_loss_of_setpoints_ends_in() -> None:
-    async def killed(sky: Sky) -> None:
-        async with connected_to(sky) as autopilot:
+    async def killed(sky: Bench) -> None:
+        async with sky.program(FlightSettings(), ground_speed_m_s=5.0) as autopilot:
             await take_off(autopilot, 10.0)
         await asyncio.sleep(3.0)
         assert sky.copter.mode is Mode.LOITER
 
-    async def resume(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def resume(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=True)
         await autopilot.goto(Position(20.0, 0.0, 10.0))
         assert sky.copter.mode is Mode.OFFBOARD
@@ -279,7 +279,7 @@ def test_a_flight_is_resumed_out_of_the_hover_that_the_loss_of_setpoints_ends_in
 
 
 def test_a_hold_ends_at_rest_and_is_left_hovering_when_the_program_ends() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         await take_off(autopilot)
         leg = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
         await asyncio.sleep(8.0)
@@ -289,14 +289,14 @@ def test_a_hold_ends_at_rest_and_is_left_hovering_when_the_program_ends() -> Non
         await autopilot.close()
         await asyncio.sleep(10.0)
         assert sky.copter.mode is Mode.LOITER
-        assert distance_m(sky.copter.position(sky.now_s()), held) < 2.0
+        assert distance_m(sky.copter.position(sky.now_s), held) < 2.0
 
     fly(flight)
 
 
 @pytest.mark.parametrize("action", [6.0, 7.0])
 def test_it_is_not_flown_where_it_falls_without_the_program(action: float) -> None:
-    async def flight(_: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=False)
         with pytest.raises(AutopilotRefused, match="COM_OBL_RC_ACT"):
             await autopilot.ready()
@@ -305,7 +305,7 @@ def test_it_is_not_flown_where_it_falls_without_the_program(action: float) -> No
 
 
 def test_it_tells_of_settings_that_a_user_should_know() -> None:
-    async def flight(_: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
         news: list[VehicleNews] = []
         autopilot.listen(news.append)
         await autopilot.claim(resumes=False)
@@ -317,7 +317,7 @@ def test_it_tells_of_settings_that_a_user_should_know() -> None:
 
 
 def test_its_fence_is_among_its_limits() -> None:
-    async def flight(_: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
         limits = await autopilot.limits()
         assert [fence.name for fence in limits.fences] == ["the vehicle's fence of 50 m around its home"]
         assert limits.highest_m == 40.0
@@ -326,8 +326,8 @@ def test_its_fence_is_among_its_limits() -> None:
 
 
 def test_whole_parameters_travel_as_bytes() -> None:
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
-        vehicle = autopilot._vehicle
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+        vehicle = autopilot.vehicle
         assert await read_parameters(vehicle, ["COM_OBL_RC_ACT"]) == {"COM_OBL_RC_ACT": 3.0}
         await set_parameter(vehicle, "COM_OBL_RC_ACT", 5)
         assert sky.copter.parameters["COM_OBL_RC_ACT"] == 5
@@ -336,7 +336,7 @@ def test_whole_parameters_travel_as_bytes() -> None:
 
 
 def test_recorded_events_are_told_in_words_once_and_only_where_they_matter() -> None:
-    telemetry = Telemetry(armed=True, mode=Mode.LOITER)
+    telemetry = VehicleTelemetry(armed=True, mode=Mode.LOITER)
     for row in csv.DictReader(EVENTS.read_text().splitlines()):
         parser = mavlink.MAVLink(None)
         parser.robust_parsing = True
@@ -355,11 +355,11 @@ def test_recorded_events_are_told_in_words_once_and_only_where_they_matter() -> 
     ]
 
 
-def lost_in_a_leg(what_happens: Callable[[Sky], None], control: list[Control]) -> list[str]:
+def lost_in_a_leg(what_happens: Callable[[Bench], None], control: list[Control]) -> list[str]:
     """What the vehicle says once that happens to it on the way."""
     said: list[str] = []
 
-    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
         news: list[VehicleNews] = []
         await take_off(autopilot)
         leg = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
@@ -379,13 +379,13 @@ def lost_in_a_leg(what_happens: Callable[[Sky], None], control: list[Control]) -
 
 def test_a_lost_position_is_told_as_that_and_not_as_lost_setpoints() -> None:
     control: list[Control] = []
-    said = lost_in_a_leg(lambda sky: sky.copter.fail(FaultKind.GPS, sky.now_s()), control)
+    said = lost_in_a_leg(lambda sky: sky.copter.fail(FaultKind.GPS, sky.now_s), control)
     assert "no offboard signal" not in said
     assert "no valid position estimate" in said
     assert control[0].owner is Owner.FAILSAFE
 
 
-def checks(telemetry: Telemetry, *names: tuple[str, int], ends: bool = True) -> None:
+def checks(telemetry: VehicleTelemetry, *names: tuple[str, int], ends: bool = True) -> None:
     """A set of failed checks, each with the modes that it concerns."""
     numbers = {kind.name: number for number, kind in px4.EVENTS.items()}
 
@@ -431,7 +431,7 @@ OFFBOARD_LOST, POSITION_LOST = ("check_modes_offboard_signal", 1 << 14), ("check
 def test_of_failed_checks_the_one_that_says_why_is_told(
     sets: list[list[tuple[str, int]]], said: list[str], *, ends: bool
 ) -> None:
-    telemetry = Telemetry(armed=True, mode=Mode.OFFBOARD)
+    telemetry = VehicleTelemetry(armed=True, mode=Mode.OFFBOARD)
     for each in sets:
         checks(telemetry, *each, ends=ends)
     checks(telemetry, *sets[-1])
@@ -439,7 +439,9 @@ def test_of_failed_checks_the_one_that_says_why_is_told(
 
 
 def test_a_failsafe_has_its_cause_where_something_says_it() -> None:
-    telemetry = Telemetry(armed=True, mode=Mode.LAND, flown_and_intended_mode=(Mode.LAND, Mode.OFFBOARD))
+    telemetry = VehicleTelemetry(
+        armed=True, mode=Mode.LAND, flown_and_intended_mode=(Mode.LAND, Mode.OFFBOARD)
+    )
     assert PX4.failsafe(telemetry, "AUTO.LAND") == "a fail-safe chose it, OFFBOARD was set"
     telemetry.knows_its_place = False
     assert PX4.failsafe(telemetry, "AUTO.LAND") == (

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, flown_directly
 from tests.ports.lossy import Air
-from tests.ports.memory import AGILE, Bench, bench
+from tests.ports.memory import AGILE, Bench, bench, driven
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition
@@ -40,7 +39,7 @@ def tell(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def told(story: Story, settings: VehicleSettings = AGILE, air: Air | None = None) -> None:
         async def live() -> None:
             async with (
-                bench(monkeypatch, settings, air or Air(0.0, seed=1)) as made,
+                bench(settings, air or Air(0.0, seed=1)) as made,
                 made.program() as autopilot,
             ):
                 await story(made, autopilot)
@@ -144,7 +143,7 @@ def test_a_question_that_is_never_answered_is_not_taken_for_a_parameter_that_is_
         forget(made, *OLD, "FRAME_CLASS")  # no answer tells that the questions arrive
         _, unknown = await learnt(autopilot)
         assert "the vehicle did not answer what its RTL_ALT or RTL_ALT_M is" in unknown["RTL_ALT"]
-        reading = await read_parameters(autopilot._vehicle, ["RTL_ALT"])
+        reading = await read_parameters(autopilot.vehicle, ["RTL_ALT"])
         assert reading.absent == frozenset()
 
     tell(story)
@@ -166,7 +165,7 @@ def test_a_vehicle_that_says_so_has_no_such_parameter(
     monkeypatch.setitem(connection._LISTENERS, "PARAM_REQUEST_READ", refuse)
 
     async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        reading = await read_parameters(autopilot._vehicle, ["NOWHERE"])
+        reading = await read_parameters(autopilot.vehicle, ["NOWHERE"])
         assert reading.absent == {"NOWHERE"}
         assert asked.count("NOWHERE") == 1
 
@@ -201,14 +200,14 @@ def test_no_more_is_asked_at_once_than_an_autopilot_keeps(
 def test_a_parameter_that_is_not_there_cannot_be_set(tell: Callable[..., None]) -> None:
     async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
         with pytest.raises(Exception, match="the vehicle has no parameter NOWHERE"):
-            await set_parameter(autopilot._vehicle, "NOWHERE", 1.0)
+            await set_parameter(autopilot.vehicle, "NOWHERE", 1.0)
 
     tell(story)
 
 
 def test_a_flight_that_is_taken_up_in_the_air_knows_the_way_home(monkeypatch: pytest.MonkeyPatch) -> None:
     async def live() -> None:
-        async with bench(monkeypatch, SLOW) as made:
+        async with bench(SLOW) as made:
             async with made.program() as autopilot:
                 await take_off(autopilot)
             async with made.program() as autopilot:
@@ -222,7 +221,7 @@ def test_a_flight_that_is_taken_up_in_the_air_knows_the_way_home(monkeypatch: py
 def test_a_px4_without_its_parameters_is_told_of() -> None:
     async def live() -> None:
         settings = Px4Settings(GeoPosition(39.3666, 22.9507), parameters={"COM_OBL_RC_ACT": 3.0})
-        async with flown_directly(settings) as (sky, autopilot):
+        async with driven(settings) as (sky, autopilot):
             without(sky, "COM_OBL_RC_ACT", "RTL_RETURN_ALT", "BAT_LOW_THR")
             news: list[VehicleNews] = []
             autopilot.listen(news.append)
@@ -236,7 +235,7 @@ def test_a_px4_without_its_parameters_is_told_of() -> None:
     run_virtually(live())
 
 
-def without(sky: Sky, *names: str) -> None:
+def without(sky: Bench, *names: str) -> None:
     parameters = sky.copter.parameters
     monkey = type(parameters).named
 

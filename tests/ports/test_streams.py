@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.direct import Sky, flown_directly
 from tests.ports.lossy import Air
-from tests.ports.memory import AGILE, AT_ONCE, Bench, bench
+from tests.ports.memory import AGILE, AT_ONCE, Bench, bench, driven
 
 from upwash.mavlink.px4 import CURRENT_MODE
 from upwash.ports import LinkTrouble, VehicleNews
@@ -56,7 +55,7 @@ class Counted:
 async def counted(autopilot: MavlinkAutopilot) -> AsyncIterator[Counted]:
     made = Counted(autopilot)
     autopilot.listen(made.note)
-    with autopilot._vehicle.listening(made.hear):
+    with autopilot.vehicle.listening(made.hear):
         yield made
 
 
@@ -65,7 +64,7 @@ def tell(
 ) -> None:
     async def live() -> None:
         async with (
-            bench(patch, AGILE, air or Air(0.0, seed=1)) as made,
+            bench(AGILE, air or Air(0.0, seed=1)) as made,
             made.program() as autopilot,
             counted(autopilot) as reports,
         ):
@@ -74,10 +73,10 @@ def tell(
     run_virtually(live())
 
 
-def tell_of_px4(story: Callable[[Sky, Counted], Awaitable[None]]) -> None:
+def tell_of_px4(story: Callable[[Bench, Counted], Awaitable[None]]) -> None:
     async def live() -> None:
         async with (
-            flown_directly(Px4Settings(AGILE.home), AT_ONCE) as (sky, autopilot),
+            driven(Px4Settings(AGILE.home), AT_ONCE) as (sky, autopilot),
             counted(autopilot) as reports,
         ):
             await story(sky, reports)
@@ -119,10 +118,10 @@ def test_a_request_that_the_link_lost_is_made_again_within_seconds(
 
 
 def test_px4s_mode_comes_at_50_hz_though_it_comes_by_itself_every_other_second() -> None:
-    async def story(sky: Sky, reports: Counted) -> None:
+    async def story(sky: Bench, reports: Counted) -> None:
         assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
         by_itself = mavlink.MAVLink_command_long_message(1, 1, 511, 0, CURRENT_MODE, 0, *(0.0,) * 5)
-        sky.link.hear(by_itself)  # as where the request was lost: twice a second, or less
+        sky.connection.hear(by_itself)  # as where the request was lost: twice a second, or less
         await asyncio.sleep(4.0)
         assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
         assert reports.troubles == []

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.telemetry import VehicleTelemetry
 
 
 def said(*texts: bytes, number: int = 0) -> list[str]:
-    telemetry = Telemetry()
+    telemetry = VehicleTelemetry()
     for chunk, text in enumerate(texts):
         sent = mavlink.MAVLink_statustext_message(4, text, number, chunk % 256)
         wire = mavlink.MAVLink(None, 1, 1)

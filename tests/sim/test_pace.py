@@ -13,7 +13,7 @@ from upwash.core.planning.legs import ARDUCOPTER, PX4, Leg, Pace
 from upwash.core.vehicle.way_home import ARDUCOPTER as ARDUCOPTER_HOME
 from upwash.core.vehicle.way_home import PX4 as PX4_HOME
 from upwash.core.vehicle.way_home import WayHome, time_home_s
-from upwash.real.mavlink.course import Abilities, Course
+from upwash.real.mavlink.setpoints import Abilities, SetpointCourse
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.body.kinematics import duration_s
 from upwash.vehicle.px4 import airframe as px4
@@ -29,7 +29,7 @@ def pursued_s(length_m: float, speed_m_s: float) -> float:
 
 def steered_s(length_m: float, speed_m_s: float) -> float:
     """By the setpoints that a PX4 is sent."""
-    course = Course(START, Velocity(), Abilities())
+    course = SetpointCourse(START, Velocity(), Abilities())
     course.aim(Position(length_m, 0.0, 20.0), ground_speed_m_s=speed_m_s)
     elapsed_s = 0.0
     while not course.ended:

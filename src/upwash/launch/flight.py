@@ -127,14 +127,14 @@ async def _autopilot(
         waiting=wait,
     )
     stack.push_async_callback(autopilot.close)
-    found = autopilot.identity
+    found, version = autopilot.vehicle.found_vehicle, autopilot.vehicle.version
     journal.record(
         schema.VehicleFound(
             system=found.system,
             component=found.component,
-            firmware=autopilot.firmware,
+            firmware=found.firmware,
             type=found.kind,
-            version=str(autopilot.version) if autopilot.version else None,
+            version=str(version) if version else None,
         )
     )
     return autopilot
@@ -193,13 +193,13 @@ async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tup
 
 async def _gps_unix_s(autopilot: MavlinkAutopilot, problem: str, journal: Journal) -> float | None:
     """The time by the vehicle's GPS; where certificates are not valid by this computer's, its fix is waited for."""
-    if problem and autopilot.unix_s is None:
+    if problem and autopilot.vehicle.unix_s is None:
         journal.record(schema.WaitingForTheTime(why=problem))
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(_GPS_FIX_S if problem else _GPS_REPORT_S):
-            while autopilot.unix_s is None:  # noqa: ASYNC110 - it comes by a message a second
+            while autopilot.vehicle.unix_s is None:  # noqa: ASYNC110 - it comes by a message a second
                 await asyncio.sleep(_LOOK_S)
-    return autopilot.unix_s
+    return autopilot.vehicle.unix_s
 
 
 @contextlib.asynccontextmanager

@@ -43,8 +43,8 @@ async def survey_vehicle(config: DroneConfig, *, install_dead_man: bool) -> Vehi
             left_to_do = await autopilot.dead_man.install()
         unfit, settings = await _inspected(autopilot)
         return VehicleSurvey(
-            vehicle=str(autopilot.identity),
-            version=str(autopilot.version or ""),
+            vehicle=str(autopilot.vehicle.found_vehicle),
+            version=str(autopilot.vehicle.version or ""),
             unfit=unfit,
             settings=settings,
             dead_man_lacks=left_to_do or await autopilot.dead_man.missing(),

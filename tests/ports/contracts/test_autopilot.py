@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import pytest
-from tests.ports.direct import flown_directly
+from tests.ports.memory import driven
 from tests.ports.steps import take_off
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_m, ground_distance_m
@@ -32,7 +32,7 @@ Fly = Callable[[Flight], None]
 async def px4_autopilot() -> AsyncIterator[Autopilot]:
     settings = Px4Settings(HOME, home_altitude_m=488.0)
     flight = FlightSettings(arrival_distance_m=0.8)  # it may drift on a little while it lands
-    async with flown_directly(settings, flight, ground_speed_m_s=SPEED_M_S) as (_, autopilot):
+    async with driven(settings, flight, ground_speed_m_s=SPEED_M_S) as (_, autopilot):
         yield autopilot
 
 

@@ -6,21 +6,20 @@ from collections.abc import Callable
 
 from upwash.core.geo import LocalFrame
 from upwash.mavlink.signing import Signing
-from upwash.real.mavlink.arducopter import ARDUCOPTER, ArduCopter
-from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
+from upwash.real.mavlink.arducopter import ARDUCOPTER, ArduCopterAutopilot
+from upwash.real.mavlink.autopilot import FlightSettings, MavlinkAutopilot, check_speed
+from upwash.real.mavlink.link import Opener
 from upwash.real.mavlink.needs import ask_version
-from upwash.real.mavlink.px4 import Px4
+from upwash.real.mavlink.px4 import Px4Autopilot
 from upwash.real.mavlink.px4_firmware import PX4
-from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
-_DRIVERS: dict[str, type[MavlinkAutopilot]] = {ARDUCOPTER.name: ArduCopter, PX4.name: Px4}
-_FIRMWARES = (ARDUCOPTER, PX4)
+_DRIVERS: dict[str, type[MavlinkAutopilot]] = {ARDUCOPTER.name: ArduCopterAutopilot, PX4.name: Px4Autopilot}
 _DEFAULTS = FlightSettings()
 
 
 async def connect_autopilot(
-    connection: str,
+    connection: str | Opener,
     *,
     frame: LocalFrame,
     ground_speed_m_s: float,
@@ -32,13 +31,12 @@ async def connect_autopilot(
 ) -> MavlinkAutopilot:
     """Returns once the vehicle sends heartbeats on the connection; raises AutopilotError if it does not.
 
-    `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`. With `signing`
-    the driver signs all messages, and hears signed ones alone. `system` selects the vehicle. Without `system` exactly
-    one vehicle may be on the link: AutopilotRefused names them if there are several. While the vehicle is silent,
-    `waiting` gets the reason and the seconds since the start.
+    `connection` is that of `MavlinkLink`. With `signing` the driver signs all messages, and hears signed ones alone.
+    `system` selects the vehicle. Without `system` exactly one vehicle may be on the link: AutopilotRefused names them
+    if there are several. While the vehicle is silent, `waiting` gets the reason and the seconds since the start.
     """
     check_speed(ground_speed_m_s)
-    vehicle = MavlinkVehicle(connection, settings.patience, _FIRMWARES, signing=signing, system=system)
+    vehicle = MavlinkVehicle(connection, settings.patience, (ARDUCOPTER, PX4), signing=signing, system=system)
     try:
         await vehicle.found(within_s=heartbeat_timeout_s, waiting=waiting)
         vehicle.version = await ask_version(vehicle)

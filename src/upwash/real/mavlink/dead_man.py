@@ -1,6 +1,6 @@
 """ports.DeadMan for ArduPilot: a script in the autopilot (dead_man.lua) that listens to this program's heartbeats.
 
-Each heartbeat says how long a silence the script is to bear, so nothing has to be taken back in the autopilot when
+Each heartbeat says how long a silence the script must bear, so nothing has to be undone in the autopilot when
 this program dies. docs/decisions/dead-man.md has the reasons.
 """
 
@@ -31,9 +31,7 @@ _MOST_TENTHS = 2**13 - 1
 _SCRIPTING = 42701  # MAV_CMD_SCRIPTING; older dialects have no name for it
 _STOP_AND_RESTART = 3.0
 _SCRIPTS_START_WITHIN_S = 15.0
-_EARLY_S = (
-    2.0  # its last word from here may be a second older than ours from there, and it acts a little early
-)
+_EARLY_S = 2.0  # the script's last message may be a second older than ours, and it acts a little early
 _CONFIRMATIONS, _GOODBYES = 8, 3
 _LOOK_S = 0.3
 _STEP = "dead man"
@@ -42,14 +40,14 @@ _RESTART = "switch the autopilot off and on, then look again with: upwash check 
 
 @cache
 def script() -> tuple[int, bytes]:
-    """Its version, which is told from its text, and the text with it."""
+    """The script's version, a checksum of its text, and the text with the version in it."""
     template = (files("upwash.real.mavlink") / "dead_man.lua").read_bytes()
     version = zlib.crc32(template) % 2**24  # as much as a parameter holds exactly
     return version, template.replace(b"@VERSION@", str(version).encode())
 
 
 def promise(silence_s: float, action: DeadManAction) -> int:
-    """What a heartbeat's custom_mode says: not to be silent for longer, or else to be brought down."""
+    """The custom_mode of heartbeats that promise no longer silence, and name the action after one."""
     tenths = math.floor(silence_s * 10)
     if not 0 < tenths <= _MOST_TENTHS:
         raise ValueError(f"{silence_s} s of silence cannot be promised")
@@ -68,37 +66,37 @@ class LuaDeadMan:
     async def missing(self) -> str:
         """By the script's parameters, which are there while it runs."""
         version, _ = script()
-        told = await read_parameters(self._vehicle, (VERSION, _SCRIPTING_ON))
-        running, scripting = told.get(VERSION), told.get(_SCRIPTING_ON)
+        parameters = await read_parameters(self._vehicle, (VERSION, _SCRIPTING_ON))
+        running, scripting = parameters.get(VERSION), parameters.get(_SCRIPTING_ON)
         if running == version:
             return ""
         install = "install it with: upwash check CONFIG --install-dead-man"
         if scripting is None:
-            if _SCRIPTING_ON in told.absent:
+            if _SCRIPTING_ON in parameters.absent:
                 return "the autopilot has no parameter SCR_ENABLE: its firmware has no scripting, and so no dead man"
-            return told.why_unknown(_SCRIPTING_ON)
+            return parameters.why_unknown(_SCRIPTING_ON)
         if not scripting:
             return f"scripting is off in the autopilot (SCR_ENABLE is 0), and so the dead man; {install}"
-        if running is None and VERSION not in told.absent:
-            return told.why_unknown(VERSION)
+        if running is None and VERSION not in parameters.absent:
+            return parameters.why_unknown(VERSION)
         if running is None:
             return f"the dead man is not in the autopilot, or was not started; {install}"
         return f"the dead man in the autopilot is of another version of upwash; {install}"
 
     async def install(self) -> str:
-        """Uploads the script where it differs, and has the autopilot start its scripts anew, all of them."""
+        """Uploads the script if it differs, and has the autopilot restart all its scripts."""
         vehicle, (version, text) = self._vehicle, script()
         vehicle.require_control(_STEP)
         if vehicle.telemetry.armed:
             raise AutopilotRefused(_STEP, "the vehicle is armed; disarm it to install its dead man")
-        told = await read_parameters(vehicle, (_SCRIPTING_ON,))
-        if _SCRIPTING_ON not in told:
+        parameters = await read_parameters(vehicle, (_SCRIPTING_ON,))
+        if _SCRIPTING_ON not in parameters:
             raise AutopilotRefused(_STEP, await self.missing())
         await self._upload(text)
-        if not told[_SCRIPTING_ON]:
+        if not parameters[_SCRIPTING_ON]:
             await set_parameter(vehicle, _SCRIPTING_ON, 1)
             return f"scripting was switched on (SCR_ENABLE is 1) and starts with the autopilot: {_RESTART}"
-        if await self._running() != version:
+        if await self._running_version() != version:
             await self._restart_scripts(version)
         return ""
 
@@ -116,7 +114,7 @@ class LuaDeadMan:
             raise AutopilotTimeout(_STEP, problem, self._vehicle.said_lately)
 
     async def release(self) -> None:
-        """By each heartbeat from now on, and by some at once."""
+        """By each heartbeat from now on, and by some extra ones."""
         if not self._promise:
             return
         self._promise = GOODBYE
@@ -126,11 +124,10 @@ class LuaDeadMan:
             await self._confirmed(0.0, _GOODBYES)
 
     def _word(self) -> int:
-        """Nothing before the first wish; goodbye once somebody else has the vehicle."""
+        """Nothing before `watch`; goodbye once the vehicle is not the program's any more."""
         return self._promise if self._vehicle.is_ours or not self._promise else GOODBYE
 
-    async def _running(self) -> float | None:
-        """The version of the script that runs."""
+    async def _running_version(self) -> float | None:
         return (await read_parameters(self._vehicle, (VERSION,))).get(VERSION)
 
     async def _confirmed(self, silence_s: float, attempts: int) -> bool:
@@ -153,12 +150,10 @@ class LuaDeadMan:
             await client.write(path, text)
 
     async def _restart_scripts(self, version: int) -> None:
-        vehicle = self._vehicle
-        nowhere = GeoPosition(0.0, 0.0)
-        frame = mavlink.MAV_FRAME_GLOBAL
+        vehicle, nowhere, frame = self._vehicle, GeoPosition(0.0, 0.0), mavlink.MAV_FRAME_GLOBAL
         await vehicle.command_at(_STEP, _SCRIPTING, nowhere, frame=frame, parameters=(_STOP_AND_RESTART,))
         deadline_s = vehicle.now_s + _SCRIPTS_START_WITHIN_S
-        while await self._running() != version:
+        while await self._running_version() != version:
             if vehicle.now_s > deadline_s:
                 problem = f"the script was uploaded and did not start; {_RESTART}"
                 raise AutopilotTimeout(_STEP, problem, vehicle.telemetry.said_since(deadline_s - 60.0))
@@ -166,7 +161,7 @@ class LuaDeadMan:
 
 
 class NoDeadMan:
-    """A firmware for which there is none."""
+    """The dead man of a firmware that has none: nothing but its refusals."""
 
     def __init__(self, firmware: str) -> None:
         self._why = f"upwash has no dead man for {firmware}: leave autopilot.dead_man_s out"

@@ -1,22 +1,37 @@
-"""The list of areas that a vehicle's fence has: downloaded, and as places of the mission.
+"""The vehicle's own fence: its parameters and its list of areas, as places of the mission.
 
 A list that makes no sense is refused as a whole: a fence that is only partly known keeps the vehicle out of nothing.
+Sources: ArduPilot's AC_Fence.cpp and AC_PolyFence_loader.cpp, ModeRTL::compute_return_target; PX4's geofence.cpp and
+failsafe.cpp.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position
 from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
 from upwash.errors import AutopilotRefused, AutopilotTimeout
-from upwash.real.mavlink.hearing import Message
-from upwash.real.mavlink.ranges import LATITUDE_E7, LONGITUDE_E7, Range
+from upwash.ports import FenceNames, VehicleLimits, VehicleSetting
+from upwash.real.mavlink.gate import LATITUDE_E7, LONGITUDE_E7, Range
+from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
+
+ARDUCOPTER_FENCE = (
+    "FENCE_ENABLE", "FENCE_AUTOENABLE", "FENCE_TYPE", "FENCE_OPTIONS",
+    "FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_ALT_MIN", "FENCE_MARGIN",
+)  # fmt: skip
+PX4_FENCE = ("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_PREDICT", "COM_OBL_RC_ACT")
+_CEILING, _CIRCLE, _AREAS, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
+_NEEDED = {_CEILING: "FENCE_ALT_MAX", _CIRCLE: "FENCE_RADIUS", _FLOOR: "FENCE_ALT_MIN"}
+_JOINS = 2  # of FENCE_OPTIONS
+_HOLDS, _TERMINATES = 2, 4  # of GF_ACTION
+_DRIFTS_M = 1.0  # of a PX4 in height, as recorded ones did
+_HOVERS = 5.0  # of COM_OBL_RC_ACT
 
 _TYPE = mavlink.MAV_MISSION_TYPE_FENCE
 _ATTEMPTS = 5
@@ -31,6 +46,99 @@ _CORNERS = (
 _CIRCLES = (mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
 
 
+async def arducopter_limits(
+    vehicle: MavlinkVehicle, frame: LocalFrame, limits: VehicleLimits, parameters: Mapping[str, float]
+) -> VehicleLimits:
+    """An ArduCopter's, whose way home is kept below its ceiling by its margin.
+
+    FENCE_AUTOENABLE switches the fence on at arming (3) or at the end of the take-off (1, 2), with FENCE_ENABLE
+    0 too. Targets up to the border are accepted; the margin keeps none out.
+    """
+    if not (parameters.get("FENCE_ENABLE") or parameters.get("FENCE_AUTOENABLE")):
+        return replace(limits, untold=_untold(parameters, "FENCE_ENABLE"))
+    kinds, margin_m = int(parameters.get("FENCE_TYPE", 0)), parameters.get("FENCE_MARGIN", 0.0)
+    needed = [name for kind, name in _NEEDED.items() if kinds & kind]
+    highest_m = parameters.get("FENCE_ALT_MAX") if kinds & _CEILING else None
+    returns_at_m = limits.returns_at_m
+    fences: list[Fence] = []
+    if kinds & _CIRCLE:
+        fences += _circle_around(limits.home, parameters.get("FENCE_RADIUS", 0.0))
+    if kinds & _AREAS:
+        areas = await _download_areas(vehicle, frame)
+        fences += _joined(areas) if int(parameters.get("FENCE_OPTIONS", 0)) & _JOINS else areas
+    return replace(
+        limits,
+        fences=fences,
+        highest_m=highest_m,
+        lowest_m=parameters.get("FENCE_ALT_MIN") if kinds & _FLOOR else None,
+        margin_m=margin_m,
+        returns_at_m=returns_at_m if highest_m is None else min(returns_at_m, highest_m - margin_m),
+        names=FenceNames("FENCE_ALT_MAX", "FENCE_ALT_MIN", "FENCE_MARGIN", "RTL_ALT"),
+        untold=_untold(parameters, "FENCE_TYPE", *needed) + _homeless(limits, kinds & _CIRCLE),
+    )
+
+
+async def px4_limits(
+    vehicle: MavlinkVehicle, frame: LocalFrame, limits: VehicleLimits, parameters: Mapping[str, float]
+) -> VehicleLimits:
+    """A PX4's, which has to be in each of its areas to stay in; AutopilotRefused where it falls at a border."""
+    action, farthest_m = parameters.get("GF_ACTION"), parameters.get("GF_MAX_HOR_DIST", 0.0)
+    if not action:
+        return replace(limits, untold=_untold(parameters, "GF_ACTION"))
+    fences = [*_circle_around(limits.home, farthest_m), *await _download_areas(vehicle, frame)]
+    highest_m = parameters.get("GF_MAX_VER_DIST") or None
+    if fences or highest_m is not None:
+        _check_action(vehicle, action, parameters)
+    return replace(
+        limits,
+        fences=fences,
+        highest_m=highest_m,
+        margin_m=_DRIFTS_M,
+        names=FenceNames(highest="GF_MAX_VER_DIST", margin="the drift of a PX4", returns_at="RTL_RETURN_ALT"),
+        untold=_untold(parameters, "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST") + _homeless(limits, farthest_m),
+    )
+
+
+def _check_action(vehicle: MavlinkVehicle, action: float, parameters: Mapping[str, float]) -> None:
+    """Warns of surprising actions at the border; AutopilotRefused where the vehicle falls there."""
+    if action == _TERMINATES:
+        raise AutopilotRefused(
+            "arm",
+            f"GF_ACTION is {action:g} (terminate): the vehicle stops its motors and falls when it leaves its fence; "
+            "set it to 3 (return) or 5 (land), or remove the fence; nothing was sent",
+        )
+    if action == _HOLDS and parameters.get("COM_OBL_RC_ACT") != _HOVERS:
+        advice = (
+            "at its fence the vehicle holds for COM_OF_LOSS_T, as the program stops sending, and then does what "
+            "COM_OBL_RC_ACT says; with a GF_ACTION of 3 it returns"
+        )
+        vehicle.tell(VehicleSetting("GF_ACTION", action, advice))
+    if predicts := parameters.get("GF_PREDICT"):
+        advice = (
+            "it acts before the border is reached, which PX4 calls experimental and a cause of fly-aways; "
+            "set it to 0"
+        )
+        vehicle.tell(VehicleSetting("GF_PREDICT", predicts, advice))
+
+
+def _untold(parameters: Mapping[str, float], *names: str) -> tuple[str, ...]:
+    return tuple(name for name in names if name not in parameters)
+
+
+def _homeless(limits: VehicleLimits, radius: float) -> tuple[str, ...]:
+    return ("its home",) if radius and limits.home is None else ()
+
+
+def _circle_around(home: Position | None, radius_m: float) -> list[Fence]:
+    """The fence of a greatest distance from home; none while home is not known."""
+    if home is None or radius_m <= 0:
+        return []
+    return [Fence(f"the vehicle's fence of {radius_m:g} m around its home", Circle(home, radius_m), True)]
+
+
+# --- the list of areas --------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True)
 class _Item:
     command: int
@@ -38,24 +146,8 @@ class _Item:
     place: GeoPosition
 
 
-async def download_fence(vehicle: MavlinkVehicle, frame: LocalFrame, *, joins: bool = False) -> list[Fence]:
-    """The areas of the vehicle's fence list; AutopilotError where it does not give all of it, or it makes no sense.
-
-    A vehicle that `joins` the areas to stay in has one fence of them: one area is enough.
-    """
-    async with vehicle.limited("fence", _LONGEST_S):
-        fences = _areas(await _items(vehicle), frame)
-    return _joined(fences) if joins else fences
-
-
-def circle_around(home: Position | None, radius_m: float) -> list[Fence]:
-    """The fence of a greatest distance from home, none while that is not known."""
-    if home is None or radius_m <= 0:
-        return []
-    return [Fence(f"the vehicle's fence of {radius_m:g} m around its home", Circle(home, radius_m), True)]
-
-
-async def _items(vehicle: MavlinkVehicle) -> list[_Item]:
+async def _download_areas(vehicle: MavlinkVehicle, frame: LocalFrame) -> list[Fence]:
+    """The areas of the vehicle's fence list; AutopilotError where the list is incomplete or makes no sense."""
     answers: asyncio.Queue[Message] = asyncio.Queue()
 
     def hear(message: Message) -> None:
@@ -63,30 +155,25 @@ async def _items(vehicle: MavlinkVehicle) -> list[_Item]:
         if wanted and message.mission_type == _TYPE:
             answers.put_nowait(message)
 
-    with vehicle.listening(hear):
-        count = (await _asked(vehicle, answers, "MISSION_COUNT", None)).count
-        if count > _MOST_ITEMS:
-            raise AutopilotTimeout("fence", f"the vehicle's fence has {count} items, more than {_MOST_ITEMS}")
-        items = [
-            _item(number, await _asked(vehicle, answers, "MISSION_ITEM_INT", number))
-            for number in range(count)
-        ]
-    vehicle.ask(_thanks)  # PX4 reports a failed transfer without it
-    return items
+    async with vehicle.limited("fence", _LONGEST_S):
+        with vehicle.listening(hear):
+            count = (await _asked(vehicle, answers, None)).count
+            if count > _MOST_ITEMS:
+                problem = f"the vehicle's fence has {count} items, more than {_MOST_ITEMS}"
+                raise AutopilotTimeout("fence", problem)
+            items = [_item(number, await _asked(vehicle, answers, number)) for number in range(count)]
+        accepted = mavlink.MAV_MISSION_ACCEPTED  # without this PX4 reports a failed transfer
+        vehicle.ask(mavlink.MAVLink_mission_ack_message(*vehicle.ids, accepted, _TYPE))
+    return _areas(items, frame)
 
 
-def _thanks(system: int, component: int) -> Message:
-    return mavlink.MAVLink_mission_ack_message(system, component, mavlink.MAV_MISSION_ACCEPTED, _TYPE)
-
-
-async def _asked(
-    vehicle: MavlinkVehicle, answers: asyncio.Queue[Message], kind: str, number: int | None
-) -> Message:
-    def question(system: int, component: int) -> Message:
-        if number is None:
-            return mavlink.MAVLink_mission_request_list_message(system, component, _TYPE)
-        return mavlink.MAVLink_mission_request_int_message(system, component, number, _TYPE)
-
+async def _asked(vehicle: MavlinkVehicle, answers: asyncio.Queue[Message], number: int | None) -> Message:
+    """The item of that number; None: the count of items."""
+    kind, what = "MISSION_ITEM_INT", f"item {number}"
+    question = mavlink.MAVLink_mission_request_int_message(*vehicle.ids, number or 0, _TYPE)
+    if number is None:
+        kind, what = "MISSION_COUNT", "how many items it has"
+        question = mavlink.MAVLink_mission_request_list_message(*vehicle.ids, _TYPE)
     for _ in range(_ATTEMPTS):
         vehicle.ask(question)
         try:
@@ -97,7 +184,6 @@ async def _asked(
                         return message
         except TimeoutError:
             continue
-    what = "how many items it has" if number is None else f"item {number}"
     raise AutopilotTimeout("fence", f"the vehicle did not tell {what} of its fence", vehicle.said_lately)
 
 
@@ -132,9 +218,8 @@ def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
             if (item.command, item.size) != (corners[0].command, corners[0].size):
                 raise _nonsense(f"the corners of {name} belong to different areas")
             if len(corners) >= item.size:
-                fences.append(
-                    Fence(name, Polygon(tuple(frame.position(each.place) for each in corners)), inclusion)
-                )
+                polygon = Polygon(tuple(frame.position(corner.place) for corner in corners))
+                fences.append(Fence(name, polygon, inclusion))
                 corners = []
     if corners:
         raise _nonsense(f"its last area has {len(corners)} of {corners[0].size:g} corners")
@@ -142,7 +227,7 @@ def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
 
 
 def _joined(fences: Sequence[Fence]) -> list[Fence]:
-    """The areas to stay in as one fence, in the place of the first of them."""
+    """The areas to stay in as one fence, first; one area is enough then."""
     inclusions = [fence for fence in fences if fence.inclusion]
     if len(inclusions) < 2:
         return list(fences)

@@ -1,6 +1,6 @@
 """Files on an autopilot, over MAVLink FTP (mavlink.io/en/services/ftp.html): small ones, whole, one at a time.
 
-pymavlink packs and parses the message that carries it, `upwash.mavlink.ftp` what its payload holds.
+pymavlink packs and parses the message that carries it, `upwash.mavlink.ftp` its payload.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.ftp import MOST_DATA_BYTES, Opcode, Packet, Trouble, read_packet
-from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.link import COMPANION
+from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
-MOST_FILE_BYTES = 65_536  # of a file that is read: what is longer is none of ours
+MOST_FILE_BYTES = 65_536  # of a file that is read: upwash writes no longer ones
 _ATTEMPTS = 12
 _TRANSFERS = 4
 _LONGEST_S = 600.0  # of a transfer with its repetitions
@@ -26,7 +26,7 @@ _T = TypeVar("_T")
 
 
 class FileRefused(AutopilotRefused):
-    """The autopilot refused to do something with a file."""
+    """The autopilot refused an operation on a file."""
 
     def __init__(self, what: str, trouble: int) -> None:
         self.trouble = trouble
@@ -62,11 +62,11 @@ class FileClient:
         return await self._again(lambda: self._read(path))
 
     async def write(self, path: str, content: bytes) -> None:
-        """Makes the file, or replaces it, and reads it back; AutopilotRefused where that is something else."""
+        """Makes or replaces the file, and reads it back; AutopilotRefused where the content differs."""
         await self._again(lambda: self._write(path, content))
 
     async def _again(self, transfer: Callable[[], Awaitable[_T]]) -> _T:
-        """The whole transfer anew where a part of it is refused: a request that came late may have spoilt it."""
+        """Repeats the whole transfer after a refusal: a request that came late may have spoilt it."""
         async with self._vehicle.limited("files", _LONGEST_S):
             for _ in range(_TRANSFERS - 1):
                 with contextlib.suppress(FileRefused):
@@ -100,10 +100,9 @@ class FileClient:
 
     async def _read_part(self, path: str, session: int, offset: int) -> bytes:
         """Empty at the end of the file."""
+        place = f"read {path}", Opcode.READ_FILE
         try:
-            answer = await self._ask(
-                f"read {path}", Opcode.READ_FILE, session=session, offset=offset, size=MOST_DATA_BYTES
-            )
+            answer = await self._ask(*place, session=session, offset=offset, size=MOST_DATA_BYTES)
         except FileRefused as refused:
             if refused.trouble == Trouble.END_OF_FILE:
                 return b""
@@ -111,7 +110,7 @@ class FileClient:
         return answer.data
 
     async def _reset(self) -> None:
-        """Closes what is open, which writes it: ArduPilot has one file open at a time, whoever opened it."""
+        """Closes and writes open files: ArduPilot has one file open at a time, for all clients."""
         await self._ask("close all files", Opcode.RESET_SESSIONS)
 
     async def _ask(
@@ -124,9 +123,10 @@ class FileClient:
         data: bytes = b"",
         size: int | None = None,
     ) -> Packet:
-        """The vehicle's answer; a request that is repeated has the number of the first, and is carried out once."""
+        """The vehicle's answer; a repeated request keeps its number, and is carried out once."""
         vehicle, self._number = self._vehicle, (self._number + 1) % 2**16
         request = Packet(self._number, session, opcode, offset=offset, data=data, size=size)
+        payload = list(request.payload())
         answers: list[Packet] = []
 
         def hear(message: Message) -> None:
@@ -136,11 +136,7 @@ class FileClient:
 
         with vehicle.listening(hear):
             for _ in range(_ATTEMPTS):
-                vehicle.ask(
-                    lambda system, component: mavlink.MAVLink_file_transfer_protocol_message(
-                        0, system, component, list(request.payload())
-                    )
-                )
+                vehicle.ask(mavlink.MAVLink_file_transfer_protocol_message(0, *vehicle.ids, payload))
                 if await vehicle.happens("files", lambda: bool(answers), within_s=vehicle.patience.answer_s):
                     break
             else:
@@ -152,7 +148,7 @@ class FileClient:
 
 
 def _answers(request: Packet, answer: Packet) -> bool:
-    """Whether it is the answer to the request; a part of a file is at the place that was asked for."""
+    """Whether it is the answer to the request; a part of a file must be at the requested place."""
     is_part = request.opcode == Opcode.READ_FILE and answer.opcode == Opcode.ACK
     is_elsewhere = is_part and (answer.session, answer.offset) != (request.session, request.offset)
     is_next = answer.number == (request.number + 1) % 2**16

@@ -1,6 +1,6 @@
-"""Which of the autopilots on a link is the vehicle that is followed.
+"""Which of the autopilots on a link is the vehicle that is followed, and the wait for it.
 
-Evidence, and what it is taken for:
+The evidence, and what it means:
 
 - A heartbeat of component 1 that names ArduPilot or PX4 and the type of a vehicle is an autopilot's. Gimbals,
   cameras, ground stations and companion computers have other types or no autopilot, and never count.
@@ -12,46 +12,50 @@ Evidence, and what it is taken for:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.errors import AutopilotError, AutopilotNotHeard
 from upwash.eventlog.schema import LinkTroubleName
 from upwash.mavlink.names import name_of
+from upwash.mavlink.signing import Refusal
 from upwash.ports import LinkTrouble
-from upwash.real.mavlink.firmware import Firmware
-from upwash.real.mavlink.hearing import Message, from_autopilot
-from upwash.real.mavlink.twins import Twins
+from upwash.real.mavlink.link import MavlinkLink
+from upwash.real.mavlink.numbering import Twins
+from upwash.real.mavlink.receiver import Message, from_autopilot
+from upwash.real.mavlink.telemetry import FirmwareProfile
 
 _COPTERS = (
-    mavlink.MAV_TYPE_QUADROTOR,
-    mavlink.MAV_TYPE_COAXIAL,
-    mavlink.MAV_TYPE_HELICOPTER,
-    mavlink.MAV_TYPE_HEXAROTOR,
-    mavlink.MAV_TYPE_OCTOROTOR,
-    mavlink.MAV_TYPE_TRICOPTER,
-    mavlink.MAV_TYPE_DODECAROTOR,
+    mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_TYPE_HELICOPTER, mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_OCTOROTOR, mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_TYPE_DODECAROTOR,
     mavlink.MAV_TYPE_DECAROTOR,
-)
+)  # fmt: skip
 _OTHER_VEHICLES = (
-    mavlink.MAV_TYPE_FIXED_WING,
-    mavlink.MAV_TYPE_AIRSHIP,
-    mavlink.MAV_TYPE_FREE_BALLOON,
-    mavlink.MAV_TYPE_GROUND_ROVER,
-    mavlink.MAV_TYPE_SURFACE_BOAT,
-    mavlink.MAV_TYPE_SUBMARINE,
-    mavlink.MAV_TYPE_VTOL_DUOROTOR,
-    mavlink.MAV_TYPE_VTOL_QUADROTOR,
-    mavlink.MAV_TYPE_VTOL_TILTROTOR,
+    mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_TYPE_AIRSHIP, mavlink.MAV_TYPE_FREE_BALLOON,
+    mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT, mavlink.MAV_TYPE_SUBMARINE,
+    mavlink.MAV_TYPE_VTOL_DUOROTOR, mavlink.MAV_TYPE_VTOL_QUADROTOR, mavlink.MAV_TYPE_VTOL_TILTROTOR,
     mavlink.MAV_TYPE_GENERIC_MULTIROTOR,
-)
+)  # fmt: skip
 _AUTOPILOTS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}
+
+_LOOKED_EACH_S = 1.0
+_DEFINITE_S = 10.0  # the wait for the vehicle ends this long after the first heartbeat of a wrong vehicle
+_TOLD_AFTER_S, _TOLD_EACH_S = 3.0, 15.0
+_REMEDIES = {
+    Refusal.UNSIGNED: "give it the key with a ground station, or leave autopilot.signing_key out",
+    Refusal.OTHER_KEY: "give it the key of autopilot.signing_key with a ground station, or name the file of its key",
+    Refusal.STALE: "wait until its GPS has a fix, and see that this computer's clock is right",
+    Refusal.REPLAYED: "somebody repeats what it said earlier, or it was started anew: try again",
+}
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """An autopilot as its heartbeat tells it; `firmware` is empty where it cannot be flown."""
+class AutopilotInfo:
+    """An autopilot as its heartbeat describes it; `firmware` is empty where it cannot be flown."""
 
     system: int
     component: int
@@ -66,12 +70,12 @@ class Heard:
 
     @property
     def is_vehicle(self) -> bool:
-        """Whether it may be taken for another vehicle; antenna trackers and the like have autopilots too."""
+        """Whether it may be another vehicle; antenna trackers and the like have autopilots too."""
         return self.autopilot in _AUTOPILOTS and self.type in (*_COPTERS, *_OTHER_VEHICLES)
 
     @property
     def runs(self) -> str:
-        """What it runs and is, such as "ArduCopter quadrotor"."""
+        """Its firmware and type, such as "ArduCopter quadrotor"."""
         runs = self.firmware or _AUTOPILOTS.get(self.autopilot) or name_of("MAV_AUTOPILOT", self.autopilot)
         return f"{runs} {self.kind}"
 
@@ -82,24 +86,23 @@ class Heard:
 class Identity:
     """The followed vehicle: it has that `system`, or without `system` it is the only vehicle.
 
-    `firmwares` are those that can be flown. `tell` is called with what a person should know of who else is on the
-    link, once for each kind.
+    `firmwares` can be flown. `tell` gets what a person should know about others on the link, once for each kind.
     """
 
     def __init__(
         self,
-        firmwares: Sequence[Firmware],
+        firmwares: Sequence[FirmwareProfile],
         *,
         system: int | None = None,
         tell: Callable[[LinkTrouble], None] = lambda _: None,
     ) -> None:
         self.firmware = firmwares[0]
-        self.vehicle: Heard | None = None
+        self.vehicle: AutopilotInfo | None = None
         self.system = system
-        self._firmwares = {each.autopilot: each for each in firmwares}
+        self._firmwares = {firmware.autopilot: firmware for firmware in firmwares}
         self._tell = tell
         self._told: set[LinkTroubleName] = set()
-        self._heard: dict[int, Heard] = {}  # by system
+        self._heard: dict[int, AutopilotInfo] = {}  # by system
         self._twins = Twins()
 
     @property
@@ -111,13 +114,13 @@ class Identity:
         """Whether it is the heartbeat of the vehicle, or while there is none, of a vehicle that can be followed."""
         if not from_autopilot(message):
             return False
-        heard = self._described(message)
+        sender = self._described(message)
         if self.vehicle is not None:
-            return heard == self.vehicle
-        return bool(heard.firmware) and self.system in (None, heard.system)
+            return sender == self.vehicle
+        return bool(sender.firmware) and self.system in (None, sender.system)
 
     def meet(self, message: Message) -> bool:
-        """Takes note of who sent a heartbeat; whether that is the vehicle from now on."""
+        """Notes the sender of a heartbeat; whether the sender is the vehicle from now on."""
         self.overhear(message)
         if self.vehicle is not None or not self.follows(message):
             return False
@@ -125,22 +128,22 @@ class Identity:
         return True
 
     def overhear(self, message: Message) -> None:
-        """Takes note of a sender that is not followed, such as at another address."""
+        """Notes a sender that is not followed, such as at another address."""
         if not from_autopilot(message) or self.ids == sender_of(message):
             return
-        heard = self._described(message)
-        self._heard[heard.system] = heard
+        sender = self._described(message)
+        self._heard[sender.system] = sender
         if self._others():
             self._tell_once("another-vehicle", f"{self._others()[0]} is on the link too: it is ignored")
 
     def believes(self, message: Message, now_s: float) -> bool:
         """Whether a message with the followed ids is the vehicle's own."""
-        if message.get_type() == "HEARTBEAT" and (heard := self._described(message)) != self.vehicle:
+        if message.get_type() == "HEARTBEAT" and (sender := self._described(message)) != self.vehicle:
             if not _is_booting(message):
                 self._tell_once(
                     "another-program",
-                    f"another program sends heartbeats with this vehicle's ids, {heard}: they are ignored; give that "
-                    "program a component id of its own",
+                    f"another program sends heartbeats with this vehicle's ids, {sender}: they are ignored; give "
+                    "that program a component id of its own",
                 )
             return False
         self._twins.take(message, now_s)
@@ -150,54 +153,56 @@ class Identity:
 
     @property
     def doubt(self) -> str:
-        """Why it is not certain which vehicle is followed, and what to do; empty where it is."""
+        """Why it is not certain which vehicle is followed, and what to do; empty where it is certain."""
         if self._twins.evidence:
             return self._twins_problem()
-        if not self._others():
+        if self.vehicle is None or not self._others():
             return ""
-        assert self.vehicle is not None  # noqa: S101 - or there were no others
-        heard = sorted((self.vehicle, *self._others()), key=lambda each: each.system)
+        vehicles = sorted((self.vehicle, *self._others()), key=lambda vehicle: vehicle.system)
         return (
-            f"several vehicles are on the link: {'; '.join(map(str, heard))}; say which one is flown, with "
-            f"{' or '.join(f'system = {each.system}' for each in heard)} in [autopilot]"
+            f"several vehicles are on the link: {'; '.join(map(str, vehicles))}; say which one is flown, with "
+            f"{' or '.join(f'system = {vehicle.system}' for vehicle in vehicles)} in [autopilot]"
         )
 
     @property
     def is_unflyable(self) -> bool:
         """Whether the system in question is a vehicle that cannot be flown."""
-        heard = self._in_question()
-        return heard is not None and heard.is_vehicle and not heard.firmware
+        candidate = self._in_question()
+        return candidate is not None and candidate.is_vehicle and not candidate.firmware
 
     def heard_instead(self, connection: str) -> str:
         """Which autopilots sent heartbeats instead of the vehicle; empty if none did."""
-        heard = self._in_question()
-        if heard is not None and not heard.firmware:
+        candidate = self._in_question()
+        if candidate is not None and not candidate.firmware:
             return (
-                f"{name_of('MAV_AUTOPILOT', heard.autopilot)} with {name_of('MAV_TYPE', heard.type)} was heard on "
-                f"{connection}, as system {heard.system}; only multicopters with "
-                f"{' or '.join(each.name for each in self._firmwares.values())} can be flown"
+                f"{name_of('MAV_AUTOPILOT', candidate.autopilot)} with {name_of('MAV_TYPE', candidate.type)} was "
+                f"heard on {connection}, as system {candidate.system}; only multicopters with "
+                f"{' or '.join(firmware.name for firmware in self._firmwares.values())} can be flown"
             )
         if not self._heard:
             return ""
-        others = ", ".join(f"{each.system} ({each.runs})" for each in self._heard.values())
+        others = ", ".join(f"{other.system} ({other.runs})" for other in self._heard.values())
         return f"system {self.system} was not heard on {connection}; heard: {others}"
 
-    def _in_question(self) -> Heard | None:
+    def _in_question(self) -> AutopilotInfo | None:
         """The configured system, or without it the first autopilot; None before its heartbeat."""
         if self.system is not None:
             return self._heard.get(self.system)
         return next(iter(self._heard.values()), None)
 
-    def _described(self, message: Message) -> Heard:
+    def _described(self, message: Message) -> AutopilotInfo:
         firmware = self._firmwares.get(message.autopilot) if message.type in _COPTERS else None
-        return Heard(*sender_of(message), message.autopilot, message.type, firmware.name if firmware else "")
+        name = firmware.name if firmware else ""
+        return AutopilotInfo(*sender_of(message), message.autopilot, message.type, name)
 
-    def _others(self) -> list[Heard]:
+    def _others(self) -> list[AutopilotInfo]:
         """The vehicles of other systems; empty if the configuration names the system."""
         if self.system is not None or self.vehicle is None:
             return []
         return [
-            each for each in self._heard.values() if each.system != self.vehicle.system and each.is_vehicle
+            other
+            for other in self._heard.values()
+            if other.system != self.vehicle.system and other.is_vehicle
         ]
 
     def _twins_problem(self) -> str:
@@ -214,10 +219,64 @@ class Identity:
 
 
 def _is_booting(message: Message) -> bool:
-    """An ArduPilot that starts says its type once it knows its motors."""
+    """An ArduPilot that starts reports its type once it knows its motors."""
     return bool(message.autopilot in _AUTOPILOTS and message.type == mavlink.MAV_TYPE_GENERIC)
 
 
 def sender_of(message: Message) -> tuple[int, int]:
     """Its system and component."""
     return message.get_srcSystem(), message.get_srcComponent()
+
+
+async def first_heartbeat(
+    link: MavlinkLink,
+    identity: Identity,
+    news: Callable[[], Awaitable[object]],
+    *,
+    within_s: float,
+    waiting: Callable[[str, float], None],
+) -> None:
+    """Returns after the vehicle's first heartbeat; AutopilotNotHeard without it, AutopilotError for a wrong vehicle.
+
+    `news` returns after a message of the vehicle. `waiting` gets the reason of the wait and its seconds.
+    """
+    now_s = asyncio.get_running_loop().time
+    begun_s, told_s, until_s = now_s(), _TOLD_AFTER_S, within_s
+    while identity.vehicle is None:
+        waited_s = now_s() - begun_s
+        if _is_definite(link, identity):
+            until_s = min(until_s, waited_s + _DEFINITE_S)
+        if waited_s >= until_s:
+            raise _not_found(link, identity, within_s)
+        if waited_s >= told_s:
+            told_s += _TOLD_EACH_S
+            waiting(_why_waiting(link, identity), waited_s)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(min(_LOOKED_EACH_S, until_s - waited_s)):
+                await news()
+
+
+def _is_definite(link: MavlinkLink, identity: Identity) -> bool:
+    """Whether a longer wait cannot help: a wrong key, or a vehicle that cannot be flown."""
+    return link.refused in (Refusal.UNSIGNED, Refusal.OTHER_KEY) or identity.is_unflyable
+
+
+def _why_waiting(link: MavlinkLink, identity: Identity) -> str:
+    if link.refused is not None:
+        return f"an autopilot was heard on {link.connection}, and its messages {link.refused.value}"
+    instead = identity.heard_instead(link.connection)
+    return instead or f"no autopilot was heard on {link.connection}{link.why_silent}"
+
+
+def _not_found(link: MavlinkLink, identity: Identity, within_s: float) -> AutopilotError:
+    if link.refused is not None:
+        remedy = _REMEDIES[link.refused]
+    elif identity.heard_instead(""):
+        remedy = f"nothing else came within {within_s:g} s"
+    else:
+        remedy = (
+            f"{within_s:g} s were waited: check that it is powered, that the address or device and its speed are "
+            "right, and that no other program holds it"
+        )
+    kind = AutopilotError if _is_definite(link, identity) else AutopilotNotHeard
+    return kind("connect", f"{_why_waiting(link, identity)}; {remedy}")

@@ -14,6 +14,7 @@ import termios
 import tty
 from collections.abc import Awaitable, Callable
 from functools import partial
+from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -21,8 +22,7 @@ from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection, serial_speed
 from upwash.mavlink.packets import packed
 from upwash.mavlink.signing import Refusal, Signing
-from upwash.real.mavlink.hearing import Hearing, Message, from_autopilot
-from upwash.real.mavlink.peer import Address, Peer
+from upwash.real.mavlink.receiver import Address, Message, MessageReceiver, Peer, from_autopilot
 from upwash.support.background import end, kept_up, only_logged, start
 
 COMPANION = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
@@ -32,43 +32,42 @@ _REOPEN_AFTER_S = 1.0
 _MOST_UNSENT_BYTES = 65_536
 _MOVED_AFTER_S = 10.0
 _LONGEST_DATAGRAM_BYTES = 65_536
-_DATAGRAMS_AT_ONCE = 500  # and for so long, before anything else has its turn
-_DATAGRAMS_AT_ONCE_S = 0.01
-_READ_AT_ONCE_BYTES = 4096  # of a stream, before anything else has its turn
+_DATAGRAMS_AT_ONCE, _DATAGRAMS_AT_ONCE_S = 500, 0.01  # then the loop's other work has its turn
+_READ_AT_ONCE_BYTES = 4096  # the same, of a stream
+
+
+Opener: TypeAlias = "Callable[[_Line], Awaitable[None]]"
 
 
 class MavlinkLink:
-    """A connection that opens itself, and again whenever it broke, until it is closed.
+    """A connection that opens itself, and again whenever it breaks, until it is closed.
 
-    `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`; UsageError
-    otherwise. `heard` is called with each message. Over `udpin` nothing is heard but from the peer, whom a heartbeat
-    that `follows` accepts makes that (see `peer`), and nothing is sent to anybody else; what others say of themselves
-    is `overheard`. With `signing` all that is
-    sent is signed, and what is not signed with the same key is not heard.
+    `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD` (UsageError
+    otherwise), or a function that opens a line, such as one in memory. `heard` gets each believed message. Over
+    `udpin` only the peer is heard and answered (see `Peer`); `overheard` gets the messages of others. With `signing`
+    all outgoing messages are signed, and only messages that are signed with the same key are heard.
     """
 
     def __init__(
         self,
-        connection: str,
-        heard: Callable[[Message], None],
+        connection: str | Opener,
+        heard: Callable[[Message], object],
         *,
         signing: Signing | None = None,
         follows: Callable[[Message], bool] = from_autopilot,
-        overheard: Callable[[Message], None] = lambda _: None,
+        overheard: Callable[[Message], object] = lambda _: None,
         moved_after_s: float = _MOVED_AFTER_S,
     ) -> None:
-        self.connection = connection
+        self.connection = connection if isinstance(connection, str) else "memory"
         self.opened = asyncio.Event()  # set while it is open
-        self.opened_s = 0.0  # when it last was, by the loop's clock
+        self.opened_s = 0.0  # when it was last opened, by the loop's clock
         self.trouble = ""  # what last kept it from being open
-        self._open = _opener(connection)
-        self._connects = connection.startswith("tcp:")  # the others have no other side to lose
-        self._hearing = Hearing(heard, follows, signing, overheard)
-        self._peer = (
-            Peer(self._hearing, moved_after_s=moved_after_s, signed=signing is not None)
-            if connection.startswith("udpin:")
-            else None
-        )
+        self._open = _opener(connection) if isinstance(connection, str) else connection
+        self._connects = self.connection.startswith("tcp:")  # the others have no other side to lose
+        self._receiver = MessageReceiver(heard, follows, signing, overheard)
+        self._peer: Peer | None = None
+        if self.connection.startswith("udpin:"):
+            self._peer = Peer(self._receiver, moved_after_s=moved_after_s, signed=signing is not None)
         self._signing = signing
         self._line: _Line | None = None
         self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
@@ -77,11 +76,11 @@ class MavlinkLink:
 
     @property
     def why_silent(self) -> str:
-        """What is known of why nothing is heard, in brackets; empty where nothing is."""
+        """The known reasons of a silence, in brackets; empty without any."""
         peer = self._peer
         reasons = [self.trouble] if self.trouble else []
-        if self._hearing.refused is not None:
-            reasons.append(f"an autopilot was heard, and its messages {self._hearing.refused.value}")
+        if self.refused is not None:
+            reasons.append(f"an autopilot was heard, and its messages {self.refused.value}")
         if peer is not None and peer.last_ignored is not None:
             host, port = peer.last_ignored[:2]
             reasons.append(f"{peer.ignored} datagrams of others were ignored, the last from {host}:{port}")
@@ -89,8 +88,8 @@ class MavlinkLink:
 
     @property
     def refused(self) -> Refusal | None:
-        """Why the last heartbeat of an autopilot was not believed; None where it was, or none was heard."""
-        return self._hearing.refused
+        """Why the last heartbeat of an autopilot was not believed; None for a believed one, or without any."""
+        return self._receiver.refused
 
     def speak_as_part_of(self, system: int) -> None:
         """Sends as the companion computer of that system from now on."""
@@ -101,12 +100,12 @@ class MavlinkLink:
         self.send_bytes(packed(message, self._codec, self._signing))
 
     def send_bytes(self, data: bytes) -> None:
-        """Sends them as they are, or drops them while the connection is not open."""
+        """Sends the bytes as they are, or drops them while the connection is not open."""
         if self._line:
             self._line.write(data)
 
     def reopen(self) -> None:
-        """Breaks the connection off, if one was made, to make it anew."""
+        """Breaks a TCP connection off; it is opened again."""
         if self._line and self._connects:
             self._line.trouble = "nothing came"
             self._line.ended.set()
@@ -117,7 +116,7 @@ class MavlinkLink:
 
     async def _stay_open(self) -> None:
         while True:
-            line = _Line(self._hearing, self._peer)
+            line = _Line(self._receiver, self._peer)
             try:
                 async with asyncio.timeout(_OPEN_WITHIN_S):
                     await self._open(line)
@@ -136,16 +135,16 @@ class MavlinkLink:
 
 
 class _Line(asyncio.BufferedProtocol, asyncio.DatagramProtocol):
-    """One opening of the connection, from open to broken."""
+    """One opening of the connection, from open to broken; its opener sets `write`."""
 
-    def __init__(self, hearing: Hearing, peer: Peer | None) -> None:
+    def __init__(self, receiver: MessageReceiver, peer: Peer | None) -> None:
         self.write: Callable[[bytes], None] = lambda _: None
         self.peer = peer  # where anyone may send
         self.trouble = ""
         self.ended = asyncio.Event()
         self.close_socket: Callable[[], None] = lambda: None  # where there is no transport
-        self._hearing = hearing
-        self._reader = hearing.reader()
+        self._receiver = receiver
+        self._reader = receiver.reader()
         self._buffer = bytearray(_READ_AT_ONCE_BYTES)
         self._transport: asyncio.BaseTransport | None = None
 
@@ -163,11 +162,11 @@ class _Line(asyncio.BufferedProtocol, asyncio.DatagramProtocol):
         self.data_received(bytes(self._buffer[:nbytes]))
 
     def data_received(self, data: bytes) -> None:
-        self._hearing.take(data, self._reader)
+        self._receiver.take(data, self._reader)
 
     def datagram_received(self, data: bytes, address: Address) -> None:
         if self.peer is None:
-            self._hearing.take(data)
+            self._receiver.take(data)
         else:
             self.peer.take(data, address, asyncio.get_running_loop().time())
 
@@ -282,7 +281,7 @@ _OPENERS: dict[str, Callable[[str, int, _Line], Awaitable[None]]] = {
 }
 
 
-def _opener(connection: str) -> Callable[[_Line], Awaitable[None]]:
+def _opener(connection: str) -> Opener:
     try:
         parsed = parse_connection(connection, kinds=_OPENERS)
     except ValueError as error:

@@ -1,7 +1,7 @@
-"""What a firmware has to know for a flight, found out while the vehicle stands: by its version, and by asking.
+"""What must hold before the motors run: the firmware's version and abilities, and PX4's fail-safe settings.
 
-Each check raises AutopilotRefused before the motors run. A vehicle that does not tell its version is flown if it
-knows what upwash needs.
+Each check raises AutopilotRefused before arming. A vehicle that does not tell its version is flown if it has what
+upwash needs.
 """
 
 from __future__ import annotations
@@ -12,40 +12,58 @@ from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused
 from upwash.mavlink.px4 import CURRENT_MODE
 from upwash.mavlink.version import Version
-from upwash.real.mavlink.hearing import Message
+from upwash.ports import VehicleSetting
+from upwash.real.mavlink.parameters import VehicleQuantity, read_quantities
+from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _STEP = "arm"
 _TIMES = 3
 _CAPABILITIES = 1  # of MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: send the version
 _NOWHERE = GeoPosition(91.0, 181.0)
-_EVER = 0.0
+
+
+def _setting(name: str, unit: str, without: str) -> VehicleQuantity:
+    return VehicleQuantity("", {name: 1.0}, unit, None, without=without)
+
+
+_LOST = _setting(
+    "COM_OBL_RC_ACT",
+    "",
+    "what the vehicle does when the program or its link is lost is not known: it may fall",
+)
+_NOTICES_AFTER = _setting(
+    "COM_OF_LOSS_T", "s", "how soon the vehicle notices that the program or its link is lost is not known"
+)
+_OVERRIDE = _setting("COM_RC_OVERRIDE", "", "whether sticks take the vehicle from the program is not known")
+_DELAY = VehicleQuantity("the time before a fail-safe acts", {"COM_FAIL_ACT_T": 1.0}, "s", 5.0)
+_FALLS = {6.0: "terminate", 7.0: "disarm"}
+_GOES_ON = (3.0, 5.0)
+_STICKS_IN_OFFBOARD = 2
+_LONG_S = 10.0
 
 
 async def ask_version(vehicle: MavlinkVehicle) -> Version | None:
     """The version of the vehicle's firmware; None if the vehicle does not tell it."""
-    told: list[Version | None] = []
+    answers: list[Version | None] = []
 
     def hear(message: Message) -> None:
         if message.get_type() == "AUTOPILOT_VERSION":
-            told.append(Version.of(message.flight_sw_version))
+            answers.append(Version.of(message.flight_sw_version))
+
+    async def answered() -> bool:
+        return await vehicle.happens("version", lambda: bool(answers), within_s=vehicle.patience.answer_s)
 
     with vehicle.listening(hear):
         for _ in range(_TIMES):
-            for ask in (_ask, _ask_as_before):
-                ask(vehicle)
-                if await vehicle.happens("version", lambda: bool(told), within_s=vehicle.patience.answer_s):
-                    return told[-1]
+            vehicle.ask_for(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+            if await answered():
+                return answers[-1]
+            # Firmwares that do not know MAV_CMD_REQUEST_MESSAGE answer this.
+            vehicle.question(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, _CAPABILITIES)
+            if await answered():
+                return answers[-1]
     return None
-
-
-def _ask(vehicle: MavlinkVehicle) -> None:
-    vehicle.ask_for(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-
-
-def _ask_as_before(vehicle: MavlinkVehicle) -> None:
-    """The same for firmwares that do not know MAV_CMD_REQUEST_MESSAGE."""
-    vehicle.question(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, _CAPABILITIES)
 
 
 def require_version(vehicle: MavlinkVehicle) -> None:
@@ -75,7 +93,7 @@ async def require_current_mode(vehicle: MavlinkVehicle) -> None:
     """Refuses a vehicle that does not report CURRENT_MODE."""
 
     def reported() -> bool:
-        return vehicle.heard_since(CURRENT_MODE, _EVER)
+        return vehicle.heard_since(CURRENT_MODE, 0.0)
 
     for _ in range(vehicle.patience.attempts):
         if reported():
@@ -98,3 +116,32 @@ def _refused(what: str, vehicle: MavlinkVehicle) -> AutopilotRefused:
         f"{what}; upwash flies {firmware.name} {firmware.oldest} and newer, with {firmware.needs}: update the "
         "vehicle's firmware; it was not armed",
     )
+
+
+async def check_px4_settings(vehicle: MavlinkVehicle) -> None:
+    """Tells what a PX4 does without the program, and refuses a vehicle that would fall."""
+    values = await read_quantities(vehicle, (_LOST, _NOTICES_AFTER, _OVERRIDE))
+    lost, after_s, override = values.known(_LOST), values.known(_NOTICES_AFTER), values.known(_OVERRIDE)
+    if lost in _FALLS:
+        raise AutopilotRefused(
+            _STEP,
+            f"COM_OBL_RC_ACT is {lost:g} ({_FALLS[lost]}): the vehicle falls when the program or its link is "
+            "lost; set it to 3 (return) or 5 (hover); nothing was sent",
+        )
+    if lost is not None and lost not in _GOES_ON:
+        what = "comes down where it is, unless a pilot has it by stick" if lost in (0, 1, 2) else "lands"
+        advice = f"without the program the vehicle {what}; 3 has it return, 5 hover"
+        vehicle.tell(VehicleSetting("COM_OBL_RC_ACT", lost, advice))
+    if after_s is not None and after_s > _LONG_S:
+        advice = "the vehicle notices the loss only after that many seconds"
+        vehicle.tell(VehicleSetting("COM_OF_LOSS_T", after_s, advice))
+    if override is not None and not int(override) & _STICKS_IN_OFFBOARD:
+        advice = (
+            "sticks do not take the vehicle from the program, a mode switch does; 3 has sticks do it, too"
+        )
+        vehicle.tell(VehicleSetting("COM_RC_OVERRIDE", override, advice))
+
+
+async def px4_failsafe_delay_s(vehicle: MavlinkVehicle) -> float:
+    """The time that a PX4 hovers before a fail-safe acts."""
+    return (await read_quantities(vehicle, (_DELAY,)))[_DELAY]

@@ -1,26 +1,33 @@
-"""Which messages of a vehicle are news, and which come twice or late.
+"""The order and the clock of a vehicle's messages: sequence numbers, and times since boot.
 
-A vehicle numbers its messages, so that a message which was overtaken is known by its number. Not all numbers that
-arrive are the vehicle's: bridges pack each message with number 0, count each kind of message by itself, or merge two
-streams. What holds for all true numbers is that no more distinct messages come than the numbers count. Where more
-come, or the numbers leap about, they say nothing of the order, and the time since boot that some messages hold has
-to do.
+A vehicle numbers its messages, so an overtaken message is known by its number. Not all numbers that arrive are the
+vehicle's: bridges pack each message with number 0, count each kind of message by itself, or merge two streams. No
+more distinct messages come than true numbers count. Where more come, or the numbers leap about, they say nothing of
+the order: the time since boot, which some messages hold, tells it.
 """
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
+from collections import OrderedDict, deque
 
-from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.receiver import Message
 
-_LATE_BY = 64  # messages, about a second: what is older by its number comes from a restarted vehicle
+_LATE_BY = 64  # messages, about a second: an older number comes from a restarted vehicle
 _LATE_BY_MS = 2000  # the same by the time since boot
 _SMALL_STEP = 8  # a larger one is a gap of lost messages if a later number follows, else a stranger's number
 _JUDGED_EACH = 32  # distinct messages
 _LEAST_STEP, _LARGEST_STEP = 0.75, 16.0  # on average: some come late, and 15 of 16 may be lost
-_REMEMBERED = 64  # messages, to know those that come twice
-_COPIED_WITHIN_S = 0.5  # a repetition after that is the vehicle's, not the link's
+_REMEMBERED = 64  # messages, to recognize copies
+_COPIED_WITHIN_S = 0.5  # a later repetition is the vehicle's, not the link's
+
+_OUT_OF_ORDER_S = 1.0  # a time that is older by no more arrived out of order
+_CONFIRMED_AFTER_S = 1.0  # in this time a second vehicle, or the true clock after a lie, is heard
+_PAUSE_S = 0.5  # no message is later, and no second vehicle is silent for longer
+_AHEAD_S, _FASTEST = 5.0, 20.0  # a simulated vehicle's clock may be faster than this computer's
+
+_LATEST_S = 2.0  # no message comes later
+_TIMES, _WITHIN_S = 3, 10.0  # one vehicle restarts less often
 
 
 class Numbering:
@@ -28,7 +35,7 @@ class Numbering:
 
     def __init__(self) -> None:
         self.counts_up = True  # whether the numbers tell the order
-        self.wrong_times = 0  # in a row that they were found not to
+        self.wrong_times = 0  # judgements in a row that they do not
         self.received_share = 1.0  # of the messages that the vehicle sent, at the last judgement
         self._newest: int | None = None
         self._newest_s = -math.inf
@@ -61,11 +68,13 @@ class Numbering:
         return is_copy
 
     def _is_ahead(self, number: int, now_s: float) -> bool:
-        """Whether the number is ahead of the newest, which it then is, or may become; or the same, after a while."""
+        """Whether the number is ahead of the newest, or repeats it after a while."""
         newest, leapt_to = self._newest, self._leapt_to
         step = 1 if newest is None else (number - newest) % 256
         if step == 0:
-            return self._is_said_anew(now_s)
+            is_anew = now_s - self._newest_s > _COPIED_WITHIN_S
+            self._newest_s = now_s if is_anew else self._newest_s
+            return is_anew
         if step >= 256 - _LATE_BY or number == leapt_to:
             return False
         follows = leapt_to is not None and 0 < (number - leapt_to) % 256 <= _LATE_BY
@@ -76,14 +85,7 @@ class Numbering:
             self._leapt_to = number
         return True
 
-    def _is_said_anew(self, now_s: float) -> bool:
-        is_anew = now_s - self._newest_s > _COPIED_WITHIN_S
-        if is_anew:
-            self._newest_s = now_s
-        return is_anew
-
     def _judge(self) -> None:
-        """Judges the numbers once in 32 distinct messages."""
         self._distinct += 1
         if self._distinct < _JUDGED_EACH:
             return
@@ -94,7 +96,6 @@ class Numbering:
         self._distinct = self._counted = 0
 
     def _is_latest_of_its_kind(self, message: Message, *, is_copy: bool) -> bool:
-        """By its time since boot, where it holds one."""
         boot_ms = getattr(message, "time_boot_ms", None)
         if boot_ms is None:
             return True
@@ -103,3 +104,81 @@ class Numbering:
             return False
         self._boot_ms[message.get_msgId()] = boot_ms
         return True
+
+
+class BootClock:
+    """The vehicle's own clock, and its restarts, by each time since boot. `elapsed_s` never goes back."""
+
+    def __init__(self) -> None:
+        self.elapsed_s = 0.0
+        self.boot_s = -math.inf
+        self._heard_s = -math.inf
+        self._restarted_s: float | None = None  # when a smaller time, perhaps of a restart, was first heard
+        self._leapt_s: float | None = None  # when a time too far ahead was first heard
+
+    def take(self, boot_s: float, now_s: float) -> bool:
+        """Takes in a time that has just arrived; whether the vehicle has restarted."""
+        step_s, passed_s = boot_s - self.boot_s, now_s - self._heard_s
+        first, self._heard_s = math.isinf(self.boot_s), now_s
+        if first:
+            self.boot_s = boot_s
+            return False
+        if step_s < -_OUT_OF_ORDER_S:
+            return self._goes_back(boot_s, now_s, passed_s)
+        self._restarted_s = None
+        if step_s > _AHEAD_S + _FASTEST * passed_s:
+            self._leaps(boot_s, now_s, passed_s)
+            return False
+        self._leapt_s = None
+        self.elapsed_s += max(0.0, step_s)
+        self.boot_s = max(boot_s, self.boot_s)
+        return False
+
+    def _leaps(self, boot_s: float, now_s: float, passed_s: float) -> None:
+        """Believes a leap if no other time comes between: after one lie, all true times would look like restarts."""
+        self.elapsed_s += passed_s
+        if self._leapt_s is None:
+            self._leapt_s = now_s
+        if now_s - self._leapt_s >= _CONFIRMED_AFTER_S:
+            self.boot_s, self._leapt_s = boot_s, None
+
+    def _goes_back(self, boot_s: float, now_s: float, passed_s: float) -> bool:
+        self.elapsed_s += passed_s
+        if self._restarted_s is None:
+            self._restarted_s = now_s
+        if passed_s < _PAUSE_S and now_s - self._restarted_s < _CONFIRMED_AFTER_S:
+            return False
+        self.boot_s, self._restarted_s = boot_s, None
+        return True
+
+
+class Twins:
+    """Tells two vehicles with the same ids apart, by their clocks since boot and their hardware."""
+
+    def __init__(self) -> None:
+        self.evidence = ""  # of two vehicles; empty without any
+        self._first: dict[int, tuple[int, float]] = {}  # by message number: time since boot, and arrival
+        self._boot_ms: dict[int, int] = {}  # the last time since boot, by message number
+        self._went_back_s: dict[int, deque[float]] = {}  # by message number: a restart shows once in each
+        self._hardware: set[tuple[int, bytes]] = set()
+
+    def take(self, message: Message, now_s: float) -> None:
+        """Takes in a message with the ids in question, as it came."""
+        if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
+            self._take_clock(message.get_msgId(), boot_ms, now_s)
+        elif message.get_type() == "AUTOPILOT_VERSION" and len(self._hardware) < 2:
+            self._hardware.add((message.uid, bytes(message.uid2)))
+            if len(self._hardware) > 1:
+                self.evidence = "two serial numbers of hardware"
+
+    def _take_clock(self, number: int, boot_ms: int, now_s: float) -> None:
+        first_ms, first_s = self._first.setdefault(number, (boot_ms, now_s))
+        before_ms = self._boot_ms.get(number, boot_ms)
+        self._boot_ms[number] = boot_ms
+        # A simulated vehicle's clock may be fast: a late message is then late by more of the vehicle's time.
+        fastness = max(1.0, (before_ms - first_ms) / 1000.0 / max(now_s - first_s, 1.0))
+        if boot_ms < before_ms - 1000.0 * _LATEST_S * fastness:
+            times_s = self._went_back_s.setdefault(number, deque(maxlen=_TIMES))
+            times_s.append(now_s)
+            if len(times_s) == _TIMES and now_s - times_s[0] <= _WITHIN_S:
+                self.evidence = "two clocks since boot"

@@ -1,4 +1,4 @@
-"""Reading and setting a vehicle's parameters.
+"""Reading and setting a vehicle's parameters, and the quantities in them under the names of each firmware version.
 
 MAVLink has an answer for a parameter that a vehicle does not have (PARAM_ERROR). Today's autopilots do not send that
 answer: a missing parameter and a lost question look alike. So the last question of each round is for a parameter that
@@ -12,23 +12,21 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotTimeout
-from upwash.real.mavlink.hearing import Message
+from upwash.ports import VehicleSetting
+from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 Names: TypeAlias = tuple[str, ...]
-"""What one parameter is called, by versions of a firmware."""
+"""The names of one parameter in the versions of a firmware."""
 
 _ATTEMPTS = 12
 _SETS = 3
-_ROUNDS_THAT_TELL = (
-    3  # with the last answer and without the answer for a parameter: the vehicle does not have it
-)
+_ROUNDS_THAT_TELL = 3  # with the last answer, without that for a parameter: the vehicle does not have it
 _ROUNDS_THAT_TELL_WITH_LOSSES = 6  # the same, over a link that lost a question or an answer meanwhile
 _ASKED_AT_ONCE = 5  # parameters, of up to two names each: ArduPilot keeps 20 questions of all links
 _LATER_S = 0.1  # a datagram may come later than the next one
@@ -40,6 +38,7 @@ _AS_BYTES = {
     mavlink.MAV_PARAM_TYPE_UINT32: "<I",
     mavlink.MAV_PARAM_TYPE_INT32: "<i",
 }
+_MOST = {"": 1e3, "%": 100.0, "mAh": 1e7, "s": 3_600.0, "m": 10_000.0, "m/s": 100.0, "m/s²": 100.0}  # by unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,12 +63,76 @@ class Reading(Mapping[str, float]):
         return len(self.values_by_name)
 
     def why_unknown(self, *names: str) -> str:
-        """Why nothing is known of a parameter of these names."""
+        """Why the value of the parameter with these names is not known."""
         if odd := [f"{name} is {self.senseless[name]:g}" for name in names if name in self.senseless]:
             return f"the vehicle says that its {odd[0]}, which makes no sense"
         if self.absent.issuperset(names):
             return f"the vehicle has no parameter {' or '.join(names)}"
         return f"the vehicle did not answer what its {' or '.join(names)} is: the link loses messages"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleQuantity:
+    """A quantity, with the names of its parameter, the oldest first, and the size of each name's unit in `unit`.
+
+    `usual` stands for an unknown value. If `usual` is None, `without` says what follows from an unknown value. A
+    value below `least`, or above what any vehicle does, makes no sense, and counts as unknown.
+    """
+
+    what: str
+    names: Mapping[str, float]
+    unit: str
+    usual: float | None
+    least: float = 0.0
+    without: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its best-known name."""
+        return next(iter(self.names))
+
+    @property
+    def instead(self) -> str:
+        """What follows from an unknown value."""
+        if self.usual is None:
+            return self.without
+        return f"{self.what} is guessed to be {self.usual:g} {self.unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class QuantityValues:
+    """The known values of some quantities, and the names of the others."""
+
+    values: Mapping[VehicleQuantity, float]
+    guessed: tuple[str, ...]
+
+    def known(self, quantity: VehicleQuantity) -> float | None:
+        """The vehicle's value, or None."""
+        return self.values.get(quantity)
+
+    def __getitem__(self, quantity: VehicleQuantity) -> float:
+        """The vehicle's value, or else the usual value; KeyError if there is neither."""
+        value = self.values.get(quantity, quantity.usual)
+        if value is None:
+            raise KeyError(quantity.name)
+        return value
+
+
+async def read_quantities(vehicle: MavlinkVehicle, quantities: Sequence[VehicleQuantity]) -> QuantityValues:
+    """Asks for all of them. Each unknown quantity becomes a `VehicleSetting`, which says what follows."""
+    reading = await read_parameters(vehicle, [tuple(quantity.names) for quantity in quantities])
+    values: dict[VehicleQuantity, float] = {}
+    guessed: list[str] = []
+    for quantity in quantities:
+        names = quantity.names
+        value = next((reading[name] * size for name, size in names.items() if name in reading), None)
+        if value is not None and quantity.least <= value <= _MOST[quantity.unit]:
+            values[quantity] = value
+            continue
+        why = reading.why_unknown(*names) if value is None else f"{value:g} {quantity.unit} makes no sense"
+        vehicle.tell(VehicleSetting(quantity.name, None, f"{why}; {quantity.instead}"))
+        guessed.append(quantity.name)
+    return QuantityValues(values, tuple(guessed))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,28 +143,24 @@ class _Parameter:
 
 async def read_parameters(vehicle: MavlinkVehicle, wanted: Iterable[str | Names]) -> Reading:
     """Asks for each parameter, by its name or by all its names at once; one answer is enough."""
-    told, absent = await _read(vehicle, wanted)
-    values = {name: each.value for name, each in told.items()}
+    answers, absent = await _read(vehicle, wanted)
+    values = {name: answer.value for name, answer in answers.items()}
     senseless = {name: value for name, value in values.items() if not math.isfinite(value)}
     return Reading({name: values[name] for name in values.keys() - senseless.keys()}, absent, senseless)
 
 
 async def set_parameter(vehicle: MavlinkVehicle, name: str, value: float) -> None:
-    """Returns once the vehicle has it; AutopilotTimeout where it does not take it.
+    """Returns once the vehicle reports the value; AutopilotTimeout where it does not take it.
 
-    It does not ask whose the vehicle is: only for parameters that leave the flight as it is.
+    It does not ask who has the vehicle: only for parameters that leave the flight as it is.
     """
-    told, absent = await _read(vehicle, [name])
-    before = told.get(name)
+    answers, absent = await _read(vehicle, [name])
+    before = answers.get(name)
     if before is None:
         raise AutopilotTimeout("parameter", Reading({}, absent).why_unknown(name), vehicle.said_lately)
     wire = _encoded(value, before.kind) if vehicle.firmware.sends_parameters_as_bytes else value
     for _ in range(_SETS):
-        vehicle.ask(
-            lambda system, component: mavlink.MAVLink_param_set_message(
-                system, component, name.encode(), wire, before.kind
-            )
-        )
+        vehicle.ask(mavlink.MAVLink_param_set_message(*vehicle.ids, name.encode(), wire, before.kind))
         after = (await _read(vehicle, [name]))[0].get(name)
         if after is not None and math.isclose(after.value, value, rel_tol=1e-6, abs_tol=1e-6):
             return
@@ -112,40 +171,41 @@ async def _read(
     vehicle: MavlinkVehicle, wanted: Iterable[str | Names]
 ) -> tuple[dict[str, _Parameter], frozenset[str]]:
     """The parameters with an answer, and the names of the parameters that the vehicle does not have."""
-    groups = [(each,) if isinstance(each, str) else each for each in wanted]
-    told: dict[str, _Parameter] = {}
+    groups = [(names,) if isinstance(names, str) else names for names in wanted]
+    answers: dict[str, _Parameter] = {}
     absent: set[str] = set()
     for begin in range(0, len(groups), _ASKED_AT_ONCE):
         questions = _Questions(vehicle, groups[begin : begin + _ASKED_AT_ONCE])
         with vehicle.listening(questions.hear):
             await questions.ask()
-        told |= questions.told
+        answers |= questions.answers
         absent |= questions.absent
-    return told, frozenset(absent)
+    return answers, frozenset(absent)
 
 
 @dataclass(slots=True)
 class _Questions:
-    """Some parameters, which are asked for together until each has an answer or is known to be missing."""
+    """Questions for some parameters, repeated until each has an answer or is known to be missing."""
 
     vehicle: MavlinkVehicle
     groups: Sequence[Names]
-    told: dict[str, _Parameter] = field(default_factory=dict)
+    answers: dict[str, _Parameter] = field(default_factory=dict)
     absent: set[str] = field(default_factory=set)
     _unanswered: dict[Names, int] = field(default_factory=dict)  # in how many rounds that tell
     _last_is_told: bool = False
     _loses: bool = False
 
     def hear(self, message: Message) -> None:
+        names = [name for group in self.groups for name in group]
         match message.get_type():
-            case "PARAM_VALUE" if any(message.param_id in group for group in self.groups):
-                self.told[message.param_id] = _Parameter(_decoded(self.vehicle, message), message.param_type)
+            case "PARAM_VALUE":
+                if message.param_id in names:
+                    value = _decoded(self.vehicle, message)
+                    self.answers[message.param_id] = _Parameter(value, message.param_type)
+                if message.param_id == self.vehicle.firmware.always_has:
+                    self._last_is_told = True
             case "PARAM_ERROR" if message.error == mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST:
-                self.absent.update(
-                    name for group in self.groups for name in group if name == message.param_id
-                )
-        if message.get_type() == "PARAM_VALUE" and message.param_id == self.vehicle.firmware.always_has:
-            self._last_is_told = True
+                self.absent.update(name for name in names if name == message.param_id)
 
     async def ask(self) -> None:
         """Returns when nothing is left to ask, or after the last round."""
@@ -154,7 +214,8 @@ class _Questions:
                 return
             self._last_is_told = False
             for name in (*(name for group in missing for name in group), self.vehicle.firmware.always_has):
-                self.vehicle.ask(partial(_question, name))
+                ids = self.vehicle.ids
+                self.vehicle.ask(mavlink.MAVLink_param_request_read_message(*ids, name.encode(), -1))
             await self._answered(lambda: self._last_is_told, within_s=self.vehicle.patience.answer_s)
             await self._answered(lambda: False, within_s=_LATER_S)
             came_late = attempt > 0 and len(self._missing()) < len(missing)
@@ -166,11 +227,10 @@ class _Questions:
         await self.vehicle.happens("parameters", lambda: not self._missing() or or_else(), within_s=within_s)
 
     def _missing(self) -> list[Names]:
-        """The parameters without an answer so far."""
         return [
             group
             for group in self.groups
-            if not any(name in self.told for name in group) and not self.absent.issuperset(group)
+            if not any(name in self.answers for name in group) and not self.absent.issuperset(group)
         ]
 
     def _count_unanswered(self) -> None:
@@ -179,10 +239,6 @@ class _Questions:
             self._unanswered[group] = self._unanswered.get(group, 0) + 1
             if self._unanswered[group] >= enough:
                 self.absent.update(group)
-
-
-def _question(name: str, system: int, component: int) -> Message:
-    return mavlink.MAVLink_param_request_read_message(system, component, name.encode(), -1)
 
 
 def _decoded(vehicle: MavlinkVehicle, message: Message) -> float:

@@ -14,9 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.mavlink.px4 import CURRENT_MODE, EVENTS, Mode, event_text
 from upwash.mavlink.version import Version
 from upwash.ports import VehicleText
-from upwash.real.mavlink.firmware import Firmware
-from upwash.real.mavlink.hearing import Message
-from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.receiver import Message
+from upwash.real.mavlink.telemetry import STREAMS_HZ, FirmwareProfile, VehicleTelemetry
 
 LOITER, TAKEOFF, RTL, LAND, OFFBOARD = "AUTO.LOITER", "AUTO.TAKEOFF", "AUTO.RTL", "AUTO.LAND", "OFFBOARD"
 _AUTO = (Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND)
@@ -46,8 +45,8 @@ def _mode_name(number: int) -> str:
     return _NAMES.get(number, f"number {number:#x}")
 
 
-def failsafe(telemetry: Telemetry, _mode: str) -> str:
-    """The mode that it was told differs then from the one that it flies; a heartbeat has a system status for it."""
+def failsafe(telemetry: VehicleTelemetry, _mode: str) -> str:
+    """In a fail-safe the commanded mode differs from the flown mode, or the system status is critical."""
     told = telemetry.flown_and_intended_mode
     if told is not None and told[0] == telemetry.mode:
         flown, intended = told
@@ -58,27 +57,23 @@ def failsafe(telemetry: Telemetry, _mode: str) -> str:
     return "its system status is critical" if critical else ""
 
 
-def _cause(telemetry: Telemetry) -> str:
-    """Its position, where that is not valid; nothing where no check and no estimate says why."""
+def _cause(telemetry: VehicleTelemetry) -> str:
+    """An invalid position as the cause; empty without a failed check or estimate."""
     for number, _ in _failed(telemetry, _PLACES):
         return f" ({words_of(number)})"
     return " (it does not know its position)" if telemetry.knows_its_place is False else ""
 
 
-def _take(telemetry: Telemetry, message: Message, now_s: float) -> None:
+def _take(telemetry: VehicleTelemetry, message: Message, now_s: float) -> None:
     match message.get_type():
         case "CURRENT_MODE":
             telemetry.flown_and_intended_mode = message.custom_mode, message.intended_custom_mode
-            if (
-                not telemetry.on_ground
-            ):  # where it disarms itself it changes its mode, too: both are in a HEARTBEAT
+            if not telemetry.on_ground:  # when it disarms itself, its mode changes too: a HEARTBEAT has both
                 telemetry.mode = message.custom_mode
-        case (
-            "SYS_STATUS"
-        ):  # it has the check among the sensors that are healthy, and not among those that are there
+        case "SYS_STATUS":  # it lists the check among the healthy sensors only, not among the present ones
             health = message.onboard_control_sensors_health
             telemetry.can_be_armed = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
-        case "ESTIMATOR_STATUS":  # at rest on the ground it takes its place for constant
+        case "ESTIMATOR_STATUS":  # on the ground it reports its position as constant
             doubts = 0 if telemetry.on_ground else mavlink.ESTIMATOR_CONST_POS_MODE
             flags, doubts = message.flags, doubts | mavlink.ESTIMATOR_GPS_GLITCH
             telemetry.knows_its_place = bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS) and not flags & doubts
@@ -86,8 +81,8 @@ def _take(telemetry: Telemetry, message: Message, now_s: float) -> None:
             _take_event(telemetry, message, now_s)
 
 
-def _take_event(telemetry: Telemetry, event: Any, now_s: float) -> None:
-    """Failed checks come as a set, whole each time that one changes; its last event may be lost."""
+def _take_event(telemetry: VehicleTelemetry, event: Any, now_s: float) -> None:
+    """Failed checks come as a whole set after each change; its last event may be lost."""
     number, name = event.id_of_event, _event_name(event.id_of_event)
     if name == _CHECKS_BEGIN:
         _hear_checks(telemetry, now_s)
@@ -103,7 +98,7 @@ def _take_event(telemetry: Telemetry, event: Any, now_s: float) -> None:
         _hear(telemetry, event.severity, words_of(number), now_s)
 
 
-def _hear_checks(telemetry: Telemetry, now_s: float) -> None:
+def _hear_checks(telemetry: VehicleTelemetry, now_s: float) -> None:
     """The failed checks that concern the mode that is flown, and were not in the last set.
 
     PX4 calls the signal for OFFBOARD lost when the setpoints need a position and the position is not valid
@@ -116,11 +111,11 @@ def _hear_checks(telemetry: Telemetry, now_s: float) -> None:
         if number in before or not _concerns(modes, telemetry.mode):
             continue
         causes = _failed(telemetry, _PLACES) if _event_name(number) == _OFFBOARD_SIGNAL else []
-        told, how_severe = causes[0] if causes else (number, severity)
-        _hear(telemetry, how_severe, words_of(told), now_s)
+        cause, how_severe = causes[0] if causes else (number, severity)
+        _hear(telemetry, how_severe, words_of(cause), now_s)
 
 
-def _failed(telemetry: Telemetry, names: Sequence[str]) -> list[tuple[int, int]]:
+def _failed(telemetry: VehicleTelemetry, names: Sequence[str]) -> list[tuple[int, int]]:
     """The checks of these names that failed, by number, each with its severity."""
     failed = {
         _event_name(number): (number, severity) for number, (severity, _) in telemetry.failed_checks.items()
@@ -134,7 +129,7 @@ def _concerns(modes: int, mode: int | None) -> bool:
     return state is None or bool(modes >> state & 1)
 
 
-def _hear(telemetry: Telemetry, severity: int, text: str, now_s: float) -> None:
+def _hear(telemetry: VehicleTelemetry, severity: int, text: str, now_s: float) -> None:
     if severity <= mavlink.MAV_SEVERITY_DEBUG:  # what is less severe is for programs
         telemetry.hear_text(VehicleText(severity, text), now_s)
 
@@ -159,24 +154,18 @@ def _event_names() -> Mapping[int, str]:
         return {int(row["number"]): row["name"] for row in csv.DictReader(table)}
 
 
-PX4 = Firmware(
+PX4 = FirmwareProfile(
     name="PX4",
     autopilot=mavlink.MAV_AUTOPILOT_PX4,
-    own_mode=LOITER,  # OFFBOARD needs setpoints: nobody but a program that runs can be in it
+    own_mode=LOITER,  # OFFBOARD needs setpoints: only a running program can be in it
     mode_name=_mode_name,
     failsafe=failsafe,
     take=_take,
     streams_hz={
-        CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
-        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
-        mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,  # who changes a mode
-        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+        CURRENT_MODE: 50.0,  # sent when the mode changes, and twice a second
+        **STREAMS_HZ,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     },
     always_has="SYS_AUTOSTART",
     oldest=Version(1, 15),

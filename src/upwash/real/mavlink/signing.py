@@ -31,9 +31,7 @@ def read_signing(file: Path) -> Signing:
         ) from error
 
     def keep(latest: int) -> None:
-        with contextlib.suppress(
-            OSError
-        ):  # a disk that is full in flight: then this computer's clock has to do
+        with contextlib.suppress(OSError):  # a full disk in flight: this computer's clock has to do then
             _keep(kept_in, latest)
 
     return Signing(key, kept=kept, keep=keep)
@@ -48,7 +46,7 @@ def read_key(file: Path) -> bytes:
 
 
 def make_signing_key(file: Path) -> str:
-    """Writes a new key; returns the passphrase that a ground station makes the same one of."""
+    """Writes a new key; returns the passphrase from which a ground station makes the same key."""
     passphrase = secrets.token_urlsafe(_PASSPHRASE_BYTES)
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -60,7 +58,7 @@ def make_signing_key(file: Path) -> str:
 
 
 def _kept(file: Path) -> int:
-    """The time in the file, 0 where there is none yet; ValueError for anything else."""
+    """The time in the file, 0 without a file; ValueError for any other content."""
     try:
         text = file.read_text()
     except FileNotFoundError:

@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.eventlog.schema import LinkTroubleName
 from upwash.ports import LinkTrouble
-from upwash.real.mavlink.firmware import Firmware
-from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.receiver import Message
+from upwash.real.mavlink.telemetry import FirmwareProfile
 
 _ASKED_AT_ONCE = 10  # requests for a missing report, one a second
 _ASKED_EACH = 30  # seconds between two requests from then on
@@ -79,9 +79,7 @@ class Streams:
         self._asked_s = -math.inf  # when a report was last asked for with all others
         self._next_s = -math.inf
         self._times = self._confirmed_times = 0  # repetitions of the requests, and answers as requested
-        self._questioned: tuple[int, float] | None = (
-            None  # the report that MESSAGE_INTERVAL was requested for, and when
-        )
+        self._questioned: tuple[int, float] | None = None  # whose MESSAGE_INTERVAL was requested, and when
         self._is_answered = False
 
     def heard(self, message: Message, now_s: float) -> None:
@@ -100,13 +98,13 @@ class Streams:
         """When a message of that number last came; minus infinity where none did."""
         return self._stream(number).heard_s
 
-    def begin(self, firmware: Firmware, now_s: float) -> None:
+    def begin(self, firmware: FirmwareProfile, now_s: float) -> None:
         """Requests all reports: at once from a vehicle that was just found, by and by after a silence."""
         together = len(firmware.streams_hz) if math.isinf(self._asked_s) else _ASKED_TOGETHER
         self._times, self._confirmed_times, self._questioned, self._next_s = 0, 0, None, -math.inf
         self._ask_for_all(firmware, now_s, together=together)
 
-    def look(self, firmware: Firmware, now_s: float, *, linked: bool, received_share: float) -> None:
+    def look(self, firmware: FirmwareProfile, now_s: float, *, linked: bool, received_share: float) -> None:
         """Asks for what is missing or comes too rarely; `received_share` is of the messages that the vehicle sent."""
         if not linked:  # what it does not hear fills a narrow link
             return
@@ -124,24 +122,26 @@ class Streams:
     def _stream(self, number: int) -> _Stream:
         return self._streams.setdefault(number, _Stream())
 
-    def _wanted_hz(self, firmware: Firmware, number: int) -> float:
+    def _wanted_hz(self, firmware: FirmwareProfile, number: int) -> float:
         needed_hz = firmware.streams_hz[number]
         return max(needed_hz * self._share, min(needed_hz, _LEAST_HZ))
 
-    def _ask_for_all(self, firmware: Firmware, now_s: float, *, together: int = _ASKED_TOGETHER) -> None:
+    def _ask_for_all(
+        self, firmware: FirmwareProfile, now_s: float, *, together: int = _ASKED_TOGETHER
+    ) -> None:
         self._due = list(firmware.streams_hz)
         self._ask_for_due(firmware, now_s, together=together)
 
-    def _ask_for_due(self, firmware: Firmware, now_s: float, *, together: int) -> None:
+    def _ask_for_due(self, firmware: FirmwareProfile, now_s: float, *, together: int) -> None:
         self._asked_s = now_s
         for number in self._due[:together]:
             self._ask_for(firmware, number)
         del self._due[:together]
 
-    def _ask_for(self, firmware: Firmware, number: int) -> None:
+    def _ask_for(self, firmware: FirmwareProfile, number: int) -> None:
         self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / self._wanted_hz(firmware, number))
 
-    def _ask_for_missing(self, firmware: Firmware, now_s: float) -> None:
+    def _ask_for_missing(self, firmware: FirmwareProfile, now_s: float) -> None:
         asked = 0
         for number in firmware.streams_hz:
             stream = self._stream(number)
@@ -155,7 +155,7 @@ class Streams:
                 asked += 1
             stream.asked_times += 1
 
-    def _too_rare(self, firmware: Firmware, now_s: float, received_share: float) -> int | None:
+    def _too_rare(self, firmware: FirmwareProfile, now_s: float, received_share: float) -> int | None:
         """The number of the first report that comes too rarely; None if all come often enough."""
         for number in firmware.streams_hz:
             stream, wanted_hz = self._stream(number), self._wanted_hz(firmware, number)
@@ -170,7 +170,7 @@ class Streams:
             stream.was_right = True
         return None
 
-    def _ask_again(self, firmware: Firmware, rare: int, now_s: float) -> None:
+    def _ask_again(self, firmware: FirmwareProfile, rare: int, now_s: float) -> None:
         """The first time at once, and then after a look at the interval that the vehicle was set to."""
         if now_s < self._next_s:
             return
@@ -193,7 +193,7 @@ class Streams:
         if self._times > _TOLD_AFTER:
             self._tell_once("rates", _rates_problem(number, self._stream(number), wanted_hz))
 
-    def _settle(self, firmware: Firmware, number: int, now_s: float) -> None:
+    def _settle(self, firmware: FirmwareProfile, number: int, now_s: float) -> None:
         """Asks for less where less comes than the vehicle was set to, or there is no room for its answer."""
         self._confirmed_times += 1
         if self._confirmed_times < _CONFIRMED_TIMES or self._share <= _LEAST_SHARE:
@@ -207,7 +207,7 @@ class Streams:
             f"its rate below {firmware.streams_hz[number]:g} Hz; all reports are asked for less often from now on",
         )
 
-    def _try_for_more(self, firmware: Firmware, now_s: float) -> None:
+    def _try_for_more(self, firmware: FirmwareProfile, now_s: float) -> None:
         """Sees after a while whether a link carries more by now, ever more rarely."""
         if self._share < 1.0:
             self._share, self._forgiven_s = 2 * self._share, 2 * self._forgiven_s
@@ -220,7 +220,7 @@ class Streams:
 
 
 def _fewest(wanted: float, received_share: float) -> float:
-    """So few of the reports come at least, at a rate that is not too low: chance takes some more on a lossy link."""
+    """The least number of reports at a rate that is high enough; on a lossy link chance takes some."""
     expected = wanted * received_share
     return min(_TOO_RARE * expected, expected - _CHANCE * math.sqrt(expected * (1 - received_share)))
 

@@ -1,9 +1,10 @@
-"""What a vehicle last reported, whatever firmware it runs."""
+"""What a vehicle last reported, and what differs between the firmwares that report it."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -11,20 +12,28 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, Velocity
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix
 from upwash.eventlog.schema import SEVERITIES
+from upwash.mavlink.version import Version
 from upwash.ports import VehicleText
-from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.gate import RANGES, Ranges
 from upwash.real.mavlink.link import COMPANION
-from upwash.real.mavlink.remote import RemoteControl
+from upwash.real.mavlink.receiver import Message
 from upwash.support.text import printable
 
+_MOVES_US = 50  # a smaller change of a channel's pulse is noise
+_JUST_S = 1.5  # the longest that a report of a new mode takes
+_FRESH_S = 2.0  # an older report says nothing of now
+_CHANNELS = 18
+_UNUSED_US = (0, 0xFFFF)
 _DEBUG = len(SEVERITIES) - 1
-_ROUND_CDEG = 36_000  # UINT16_MAX stands for a heading that is not known
+_ROUND_CDEG = 36_000  # UINT16_MAX stands for an unknown heading
 _TEXTS_KEPT = 32
-_LATELY_S = 3.0  # what was said longer ago is not about what has just happened
-_CHUNK_BYTES = 50  # of a text; a longer one comes in several
+_LATELY_S = 3.0  # older texts are not about what has just happened
+_CHUNK_BYTES = 50  # of a text; a longer text arrives in several chunks
 _MOST_CHUNKS = 20
 _DEAD_MAN_ACTS = "upwash: companion silent"  # as dead_man.lua says it
-_EKF_GPS_GLITCHING = 1 << 15  # ArduPilot's; the dialect has no name for it
+_EKF_DOUBTS = (
+    mavlink.EKF_CONST_POS_MODE | 1 << 15
+)  # ArduPilot's "GPS glitching", which has no name in the dialect
 _NOT_KNOWN_YET = 0, 0  # a latitude and a longitude
 _UNKNOWN_U8, _UNKNOWN_U16 = 0xFF, 0xFFFF
 _FIXES: dict[int, FixKind] = {
@@ -41,16 +50,46 @@ _IN_THE_AIR = (
 )
 
 
+class RemoteControl:
+    """Whether the pilot's remote control has just moved, by the channels of RC_CHANNELS."""
+
+    def __init__(self) -> None:
+        self._channels_us: tuple[int, ...] = ()  # as they were when one last moved
+        self._heard_s = self._moved_s = -math.inf
+
+    def take(self, message: Message, now_s: float) -> None:
+        """Takes in a report; a vehicle without a remote control reports no channels."""
+        if not message.chancount:
+            self._channels_us = ()
+            return
+        now_us = tuple(getattr(message, f"chan{number}_raw") for number in range(1, _CHANNELS + 1))
+        self._heard_s = now_s
+        if not self._channels_us:
+            self._channels_us = now_us
+        elif any(
+            abs(after - before) >= _MOVES_US
+            for before, after in zip(self._channels_us, now_us, strict=True)
+            if before not in _UNUSED_US and after not in _UNUSED_US
+        ):
+            self._channels_us, self._moved_s = now_us, now_s
+
+    def moved(self, now_s: float) -> bool | None:
+        """Whether a stick or switch has just moved; None without a fresh report."""
+        if not self._channels_us or now_s - self._heard_s > _FRESH_S:
+            return None
+        return now_s - self._moved_s <= _JUST_S
+
+
 @dataclass(slots=True)
-class Telemetry:
-    """What the vehicle last reported; None stands for what it has not said."""
+class VehicleTelemetry:
+    """What the vehicle last reported; None stands for a value that it has not reported."""
 
     mode: int | None = None
     armed: bool = False
     disarmed_s: float = -math.inf  # when its motors were last seen to stop
     system_status: int = mavlink.MAV_STATE_UNINIT
     landed_state: int = mavlink.MAV_LANDED_STATE_UNDEFINED
-    airborne_s: float = -math.inf  # when it last said that it flies
+    airborne_s: float = -math.inf  # when it last reported that it flies
     position: GeoPosition | None = None
     above_sea_m: float | None = None
     velocity: Velocity | None = None  # over the ground
@@ -65,9 +104,7 @@ class Telemetry:
     fence_breached: bool = False
     flown_and_intended_mode: tuple[int, int] | None = None  # PX4's: they differ in a fail-safe
     armable_modes: int | None = None  # PX4's, a bit for each navigation state
-    failed_checks: dict[int, tuple[int, int]] = field(
-        default_factory=dict
-    )  # PX4's: severity, and modes as bits
+    failed_checks: dict[int, tuple[int, int]] = field(default_factory=dict)  # PX4's: severity, modes as bits
     failed_checks_before: dict[int, tuple[int, int]] = field(default_factory=dict)  # in the set before that
     remote: RemoteControl = field(default_factory=RemoteControl)
     dead_man: str = ""  # why its dead man may just have chosen the mode
@@ -76,23 +113,14 @@ class Telemetry:
     texts_heard: int = 0
     answers: dict[int, int] = field(default_factory=dict)  # MAV_RESULT by MAV_CMD
     _dead_man_s: float = -math.inf
-    _text: int = 0  # the number of the text that is not complete, and its parts
+    _text: int = 0  # the number of the incomplete text, and its parts
     _chunks: list[str] = field(default_factory=list)
 
     def take(self, message: Message, now_s: float) -> None:
         """Remembers what the message reports."""
         match message.get_type():
             case "HEARTBEAT":
-                self.mode = message.custom_mode
-                was_armed, self.armed = (
-                    self.armed,
-                    bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
-                )
-                if was_armed and not self.armed:
-                    self.disarmed_s = now_s
-                self.system_status = message.system_status
-                if now_s - self._dead_man_s > _LATELY_S:
-                    self.dead_man = ""
+                self._take_heartbeat(message, now_s)
             case "GLOBAL_POSITION_INT" if (message.lat, message.lon) != _NOT_KNOWN_YET:
                 self.position = GeoPosition(message.lat / 1e7, message.lon / 1e7, message.relative_alt / 1e3)
                 self.above_sea_m = message.alt / 1e3
@@ -102,7 +130,7 @@ class Telemetry:
                 yaw_deg = math.degrees(message.yaw) % 360
                 self.attitude = Attitude(math.degrees(message.roll), math.degrees(message.pitch), yaw_deg)
             case "GPS_RAW_INT":
-                self.gps = _fix(message)
+                self.gps = _gps_fix(message)
             case "HOME_POSITION" if (message.latitude, message.longitude) != _NOT_KNOWN_YET:
                 place = message.latitude / 1e7, message.longitude / 1e7
                 self.home = GeoPosition(*place, message.altitude / 1e3)
@@ -110,9 +138,21 @@ class Telemetry:
                 self.landed_state = message.landed_state
                 if self.in_the_air:
                     self.airborne_s = now_s
+            case "STATUSTEXT" if text := self._whole_text(message):
+                self.hear_text(VehicleText(min(message.severity, _DEBUG), printable(text)), now_s)
+            case "COMMAND_ACK" if message.target_component in (0, COMPANION):
+                self.answers[message.command] = message.result
             case _:
                 self._take_health(message, now_s)
-                self._take_words(message, now_s)
+
+    def _take_heartbeat(self, message: Message, now_s: float) -> None:
+        self.mode, was_armed = message.custom_mode, self.armed
+        self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if was_armed and not self.armed:
+            self.disarmed_s = now_s
+        self.system_status = message.system_status
+        if now_s - self._dead_man_s > _LATELY_S:
+            self.dead_man = ""
 
     def _take_health(self, message: Message, now_s: float) -> None:
         match message.get_type():
@@ -124,11 +164,8 @@ class Telemetry:
             case "BATTERY_STATUS" if message.id == 0:
                 self._take_battery(message.battery_remaining)
             case "EKF_STATUS_REPORT":
-                doubts = mavlink.EKF_CONST_POS_MODE | _EKF_GPS_GLITCHING
-                self.knows_its_place = _trusts(message.flags, mavlink.EKF_POS_HORIZ_ABS, doubts)
-            case "ESTIMATOR_STATUS":
-                doubts = mavlink.ESTIMATOR_CONST_POS_MODE | mavlink.ESTIMATOR_GPS_GLITCH
-                self.knows_its_place = _trusts(message.flags, mavlink.ESTIMATOR_POS_HORIZ_ABS, doubts)
+                flags = message.flags
+                self.knows_its_place = bool(flags & mavlink.EKF_POS_HORIZ_ABS) and not flags & _EKF_DOUBTS
             case "RC_CHANNELS":
                 self.remote.take(message, now_s)
             case "FENCE_STATUS":
@@ -141,44 +178,32 @@ class Telemetry:
             case "WIND_COV":
                 self.wind = Velocity(message.wind_y, message.wind_x)
 
-    def _take_words(self, message: Message, now_s: float) -> None:
-        match message.get_type():
-            case "STATUSTEXT" if text := self._whole_text(message):
-                self.hear_text(VehicleText(min(message.severity, _DEBUG), printable(text)), now_s)
-            case "COMMAND_ACK" if message.target_component in (0, COMPANION):
-                self.answers[message.command] = message.result
-
     def hear_text(self, text: VehicleText, now_s: float) -> None:
-        """Remembers what it said."""
+        """Remembers a text of the vehicle."""
         self.texts.append((now_s, text))
         self.texts_heard += 1
         if text.text.startswith(_DEAD_MAN_ACTS):
             self.suspect_dead_man("its dead man, which did not hear this program", now_s)
 
     def suspect_dead_man(self, why: str, now_s: float) -> None:
-        """The vehicle's dead man may have acted; a change of mode in the next seconds may be its."""
+        """The vehicle's dead man may have acted: it may cause a change of mode in the next seconds."""
         self.dead_man, self._dead_man_s = why, now_s
 
     def said_since(self, since_s: float) -> str:
-        """What it said from then on, the most severe first, each with its severity; empty where it said nothing."""
+        """The texts since then with their severities, the most severe first; empty without any."""
         texts = sorted(
             (text for said_s, text in self.texts if said_s >= since_s), key=lambda text: text.severity
         )
-        return "; ".join(dict.fromkeys(f"{each.text} ({SEVERITIES[each.severity]})" for each in texts))
+        return "; ".join(dict.fromkeys(f"{text.text} ({SEVERITIES[text.severity]})" for text in texts))
 
     def said_lately(self, now_s: float) -> str:
-        """What it said in the last three seconds."""
+        """The texts of the last three seconds."""
         return self.said_since(now_s - _LATELY_S)
 
     @property
     def speed_m_s(self) -> float:
-        """How fast it moves; infinite while it does not say."""
+        """Its speed; infinite while it does not report it."""
         return self.velocity.speed_m_s if self.velocity else math.inf
-
-    @property
-    def ground_speed_m_s(self) -> float:
-        """How fast it moves over the ground; 0 while it does not say."""
-        return self.velocity.ground_m_s if self.velocity else 0.0
 
     @property
     def home_above_sea_m(self) -> float:
@@ -189,17 +214,17 @@ class Telemetry:
 
     @property
     def on_ground(self) -> bool:
-        """Whether it says that it stands on the ground."""
+        """Whether it reports that it stands on the ground."""
         return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
 
     @property
     def stands(self) -> bool | None:
-        """Whether it says that it stands on the ground; None where it does not say."""
+        """The same; None while its landed state is unknown."""
         return None if self.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED else self.on_ground
 
     @property
     def in_the_air(self) -> bool:
-        """Whether it says that it has left the ground."""
+        """Whether it reports that it has left the ground."""
         return self.landed_state in _IN_THE_AIR
 
     def _take_battery(self, percent: int) -> None:
@@ -210,18 +235,17 @@ class Telemetry:
         if not getattr(message, "id", 0):
             return str(message.text)
         if message.chunk_seq == 0 or message.id != self._text:
-            self._chunks.clear()  # one text at a time: what was not completed never will be
+            self._chunks.clear()  # one text at a time: an interrupted text stays incomplete
         self._text = message.id
         self._chunks.append(message.text)
-        is_whole = len(message.text) < _CHUNK_BYTES or len(self._chunks) == _MOST_CHUNKS
-        if not is_whole:
+        if len(message.text) == _CHUNK_BYTES and len(self._chunks) < _MOST_CHUNKS:
             return ""
         text = "".join(self._chunks)
         self._chunks.clear()
         return text
 
 
-def _fix(message: Message) -> GpsFix:
+def _gps_fix(message: Message) -> GpsFix:
     satellites, eph = message.satellites_visible, message.eph
     return GpsFix(
         _FIXES.get(message.fix_type, "none" if message.fix_type < mavlink.GPS_FIX_TYPE_2D_FIX else "3d"),
@@ -230,5 +254,44 @@ def _fix(message: Message) -> GpsFix:
     )
 
 
-def _trusts(flags: int, absolute: int, doubts: int) -> bool:
-    return bool(flags & absolute) and not flags & doubts
+def _nothing_more(_telemetry: VehicleTelemetry, _message: Message, _now_s: float) -> None:
+    """It reports nothing of its own."""
+
+
+STREAMS_HZ: Mapping[int, float] = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,  # tells a pilot's change of the mode
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+}
+"""The reports that the driver needs of each firmware, by message."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareProfile:
+    """One kind of autopilot.
+
+    `mode_name` names a custom mode; the program steers in `own_mode`. `failsafe` says why a fail-safe may have
+    chosen the mode of that name, or nothing. `streams_hz` are the reports that the driver needs, by message; the
+    vehicle sends those in `sent_at_times` only when there is something to report. All versions have the parameter
+    `always_has`. `oldest` is the oldest version that can be flown: older ones lack what upwash `needs`. `take`
+    has the telemetry remember what only this firmware reports, at that time.
+    """
+
+    name: str
+    autopilot: int  # MAV_AUTOPILOT
+    own_mode: str
+    mode_name: Callable[[int], str]
+    failsafe: Callable[[VehicleTelemetry, str], str]
+    streams_hz: Mapping[int, float]
+    always_has: str
+    oldest: Version
+    needs: str
+    ranges: Ranges = field(default_factory=lambda: RANGES)
+    keeps_targets: bool = False  # in `own_mode` it reports the last target that it was sent to
+    sent_at_times: frozenset[int] = frozenset()
+    take: Callable[[VehicleTelemetry, Message, float], None] = _nothing_more
+    sends_parameters_as_bytes: bool = False  # an integer's bytes lie in the float that carries a parameter

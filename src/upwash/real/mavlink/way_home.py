@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
-from upwash.real.mavlink.course import Abilities
-from upwash.real.mavlink.quantities import Quantity, Told
+from upwash.real.mavlink.parameters import QuantityValues, VehicleQuantity
+from upwash.real.mavlink.setpoints import Abilities
 
 _CENTI = 0.01
 _SLOWEST_M_S, _WEAKEST_M_S2 = 0.01, 0.01
@@ -26,16 +26,16 @@ _NO_STAGE = "the reserve does not count with this stage of the battery"
 
 def _speed(
     what: str, names: Mapping[str, float], usual_m_s: float, *, least_m_s: float = _SLOWEST_M_S
-) -> Quantity:
-    return Quantity(what, names, "m/s", usual_m_s, least_m_s)
+) -> VehicleQuantity:
+    return VehicleQuantity(what, names, "m/s", usual_m_s, least_m_s)
 
 
 # --- ArduCopter ---------------------------------------------------------------------------------------------
 
-_CAPACITY = Quantity("", {"BATT_CAPACITY": 1.0}, "mAh", None, without=_NO_STAGE)
-_LOW = Quantity("", {"BATT_LOW_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
-_CRITICAL = Quantity("", {"BATT_CRT_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
-_ALTITUDE = Quantity(
+_CAPACITY = VehicleQuantity("", {"BATT_CAPACITY": 1.0}, "mAh", None, without=_NO_STAGE)
+_LOW = VehicleQuantity("", {"BATT_LOW_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
+_CRITICAL = VehicleQuantity("", {"BATT_CRT_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
+_ALTITUDE = VehicleQuantity(
     "the altitude of returns", {"RTL_ALT": _CENTI, "RTL_ALT_M": 1.0}, "m", ARDUCOPTER.altitude_m
 )
 _RETURN = _speed(
@@ -46,21 +46,21 @@ _CLIMB = _speed("the speed of climbs", {"WPNAV_SPEED_UP": _CENTI, "WP_SPD_UP": 1
 _DESCENT = _speed(
     "the speed of descents", {"WPNAV_SPEED_DN": _CENTI, "WP_SPD_DN": 1.0}, ARDUCOPTER.descent_m_s
 )
-_ACCELERATION = Quantity(
+_ACCELERATION = VehicleQuantity(
     "the acceleration of legs",
     {"WPNAV_ACCEL": _CENTI * _GAINED, "WP_ACC": _GAINED},
     "m/s²",
     ARDUCOPTER.acceleration_m_s2,
     _WEAKEST_M_S2,
 )
-_LOITER = Quantity("the wait above home", {"RTL_LOIT_TIME": 1e-3}, "s", _USUAL_LOITER_S)
+_LOITER = VehicleQuantity("the wait above home", {"RTL_LOIT_TIME": 1e-3}, "s", _USUAL_LOITER_S)
 _HIGH_LANDING = _speed(
     "the speed of a landing's first part (0: that of descents)",
     {"LAND_SPEED_HIGH": _CENTI, "LAND_SPD_HIGH_MS": 1.0},
     0.0,
     least_m_s=0.0,
 )
-_SLOWLY_BELOW = Quantity(
+_SLOWLY_BELOW = VehicleQuantity(
     "the height of a landing's last part",
     {"LAND_ALT_LOW": _CENTI, "LAND_ALT_LOW_M": 1.0},
     "m",
@@ -75,41 +75,41 @@ ARDUCOPTER_QUANTITIES = (
 )  # fmt: skip
 
 
-def arducopter_energy(told: Told) -> EnergyFacts:
+def arducopter_energy(values: QuantityValues) -> EnergyFacts:
     """The stages in percent of the capacity, and the way home."""
     return EnergyFacts(
-        low_percent=_stage_percent(told, _LOW),
-        critical_percent=_stage_percent(told, _CRITICAL),
+        low_percent=_stage_percent(values, _LOW),
+        critical_percent=_stage_percent(values, _CRITICAL),
         way_home=WayHome(
-            altitude_m=told[_ALTITUDE],
-            climb_m_s=told[_CLIMB],
-            speed_m_s=told[_RETURN] or told[_LEGS],
-            acceleration_m_s2=told[_ACCELERATION],
-            hover_s=told[_LOITER] + _SETTLES_S,
-            descent_m_s=told[_HIGH_LANDING] or told[_DESCENT],
-            slowly_below_m=told[_SLOWLY_BELOW],
-            landing_m_s=told[_LANDING],
+            altitude_m=values[_ALTITUDE],
+            climb_m_s=values[_CLIMB],
+            speed_m_s=values[_RETURN] or values[_LEGS],
+            acceleration_m_s2=values[_ACCELERATION],
+            hover_s=values[_LOITER] + _SETTLES_S,
+            descent_m_s=values[_HIGH_LANDING] or values[_DESCENT],
+            slowly_below_m=values[_SLOWLY_BELOW],
+            landing_m_s=values[_LANDING],
         ),
-        guessed=told.guessed,
+        guessed=values.guessed,
     )
 
 
-def _stage_percent(told: Told, stage: Quantity) -> float | None:
+def _stage_percent(values: QuantityValues, stage: VehicleQuantity) -> float | None:
     """The stage is a charge that is left; 0 stands for none."""
-    left_mah, capacity_mah = told.known(stage), told.known(_CAPACITY)
+    left_mah, capacity_mah = values.known(stage), values.known(_CAPACITY)
     return 100 * left_mah / capacity_mah if left_mah and capacity_mah else None
 
 
 # --- PX4 ----------------------------------------------------------------------------------------------------
 
-_LOW_SHARE = Quantity("", {"BAT_LOW_THR": 100.0}, "%", None, without=_NO_STAGE)
-_CRITICAL_SHARE = Quantity("", {"BAT_CRIT_THR": 100.0}, "%", None, without=_NO_STAGE)
-_PX4_ALTITUDE = Quantity("the altitude of returns", {"RTL_RETURN_ALT": 1.0}, "m", PX4.altitude_m)
+_LOW_SHARE = VehicleQuantity("", {"BAT_LOW_THR": 100.0}, "%", None, without=_NO_STAGE)
+_CRITICAL_SHARE = VehicleQuantity("", {"BAT_CRIT_THR": 100.0}, "%", None, without=_NO_STAGE)
+_PX4_ALTITUDE = VehicleQuantity("the altitude of returns", {"RTL_RETURN_ALT": 1.0}, "m", PX4.altitude_m)
 _CRUISE = _speed("the speed of returns", {"MPC_XY_CRUISE": 1.0}, PX4.speed_m_s)
 _FASTEST = _speed("the highest speed of legs", {"MPC_XY_VEL_MAX": 1.0}, _USUAL.ground_speed_m_s)
 _PX4_CLIMB = _speed("the speed of climbs", {"MPC_Z_V_AUTO_UP": 1.0}, _USUAL.climb_m_s)
 _PX4_DESCENT = _speed("the speed of descents", {"MPC_Z_V_AUTO_DN": 1.0}, PX4.descent_m_s)
-_PX4_ACCELERATION = Quantity(
+_PX4_ACCELERATION = VehicleQuantity(
     "the acceleration of legs", {"MPC_ACC_HOR": 1.0}, "m/s²", _USUAL.acceleration_m_s2, _WEAKEST_M_S2
 )
 PX4_QUANTITIES = (
@@ -117,18 +117,18 @@ PX4_QUANTITIES = (
 )  # fmt: skip
 
 
-def px4_energy(told: Told) -> EnergyFacts:
+def px4_energy(values: QuantityValues) -> EnergyFacts:
     """The stages, and the way home."""
     return EnergyFacts(
-        low_percent=told.known(_LOW_SHARE) or None,  # 0 stands for none
-        critical_percent=told.known(_CRITICAL_SHARE) or None,
+        low_percent=values.known(_LOW_SHARE) or None,  # 0 stands for none
+        critical_percent=values.known(_CRITICAL_SHARE) or None,
         way_home=replace(
-            PX4, altitude_m=told[_PX4_ALTITUDE], speed_m_s=told[_CRUISE], descent_m_s=told[_PX4_DESCENT]
+            PX4, altitude_m=values[_PX4_ALTITUDE], speed_m_s=values[_CRUISE], descent_m_s=values[_PX4_DESCENT]
         ),
-        guessed=told.guessed,
+        guessed=values.guessed,
     )
 
 
-def px4_abilities(told: Told) -> Abilities:
+def px4_abilities(values: QuantityValues) -> Abilities:
     """How its legs may be flown."""
-    return Abilities(told[_FASTEST], told[_PX4_CLIMB], told[_PX4_DESCENT], told[_PX4_ACCELERATION])
+    return Abilities(values[_FASTEST], values[_PX4_CLIMB], values[_PX4_DESCENT], values[_PX4_ACCELERATION])

@@ -1,4 +1,4 @@
-"""A vehicle at the other end of a MAVLink connection, as far as it is listened to and asked.
+"""A vehicle at the other end of a MAVLink connection: what it reports, and questions to it.
 
 Questions, such as for a report or a parameter, change nothing: they are sent whoever has the vehicle.
 """
@@ -10,6 +10,7 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -21,26 +22,20 @@ from upwash.core.vehicle.control import Heartbeat, Latch
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.signing import Signing
 from upwash.ports import HomeMoved, LinkChanged, LinkTrouble, PositionDoubted, VehicleNews, VehicleText
-from upwash.real.mavlink.boot_clock import BootClock
-from upwash.real.mavlink.firmware import Firmware
-from upwash.real.mavlink.hearing import Message, is_signed
-from upwash.real.mavlink.identity import Heard, Identity, sender_of
-from upwash.real.mavlink.link import MavlinkLink
-from upwash.real.mavlink.numbering import Numbering
-from upwash.real.mavlink.ranges import admits
-from upwash.real.mavlink.search import Search
-from upwash.real.mavlink.settings import Patience
+from upwash.real.mavlink.gate import Troubles, admits
+from upwash.real.mavlink.identity import AutopilotInfo, Identity, first_heartbeat, sender_of
+from upwash.real.mavlink.link import MavlinkLink, Opener
+from upwash.real.mavlink.numbering import BootClock, Numbering
+from upwash.real.mavlink.receiver import Message, is_signed
 from upwash.real.mavlink.streams import Streams
-from upwash.real.mavlink.telemetry import Telemetry
-from upwash.real.mavlink.troubles import Troubles
+from upwash.real.mavlink.telemetry import FirmwareProfile, VehicleTelemetry
 from upwash.support.background import end, kept_up, only_logged, start
 
 _HEARTBEAT_S = 1.0
+_HEARTBEAT, _SYSTEM_TIME = mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
 _TELL_WHOSE = ("HEARTBEAT", "CURRENT_MODE", "POSITION_TARGET_GLOBAL_INT", "POSITION_TARGET_LOCAL_NED")
-_BLIND_S = (
-    1.5  # after a defect in taking one of these in, unless the next one was taken in; they come once a second
-)
+_BLIND_S = 1.5  # after a defect in taking in one of these, which come once a second, until one is taken in
 _STOOD_S = 1.0  # on the ground before its motors stop
 _WRONG_TIMES = 2  # in a row that sequence numbers do not count
 _NUMBERS_PROBLEM = (
@@ -51,36 +46,50 @@ _SIGNS = (
     "signs its messages and answers none that is not signed: name the file of its key as autopilot.signing_key, or "
     "remove the key from the vehicle with a ground station"
 )
-_NEWS_KEPT = 1000  # until somebody listens
-_AT_WILL = VehicleText, HomeMoved, PositionDoubted  # what a vehicle, or a forger, may say without end
-_AT_WILL_PER_S, _AT_WILL_AT_ONCE = 5.0, 100.0
+_NEWS_KEPT = 1000  # until there is a listener
+_UNBOUNDED = VehicleText, HomeMoved, PositionDoubted  # a vehicle, or a forger, may send these without end
+_UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
 
 
-class HeardVehicle:
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long the driver waits for reports and answers."""
+
+    answer_s: float = 1.0  # for the answer to a command, before it is repeated
+    effect_s: float = 2.5  # for the mode or the motors to change, before the command is repeated
+    attempts: int = 8
+    others_s: float = 2.5  # for the heartbeats of other vehicles, which come once a second
+    signed_s: float = 4.0  # for any answer of a vehicle that signs its messages
+    quiet_after_s: float = 2.5  # without any message, the link counts as lost, and attempts no longer count
+    dead_after_s: float = 10.0  # without any message, TCP reconnects, and the vehicle may have another port
+    lost_after_s: float = 120.0  # without any message, the verb in progress fails
+
+
+class ObservedVehicle:
     """The vehicle with that `system` on the connection, or without `system` the only vehicle on it.
 
-    Others on the connection are ignored. Messages that arrive twice or late are ignored too: a mode that the vehicle
-    has left, an answer to an earlier attempt. A message that cannot be true is a sign of life and nothing else
-    (`ranges`), and an exception in the handling of one costs that message alone (`troubles`). But while reports of
-    whose the vehicle is cannot be taken in, the vehicle counts as silent, and gets no command. `firmwares` can be
-    flown; `firmware` is right after `found` returned.
+    Others on the connection are ignored, and so are messages that arrive twice or late: a mode that the vehicle has
+    left, an answer to an earlier attempt. An impossible message is a sign of life only, and an exception in the
+    handling of a message costs that message alone (`gate`). But while reports that tell who has the vehicle cannot
+    be taken in, the vehicle counts as silent, and gets no command. `firmware`, one of the `firmwares`, is right
+    after `found` returned.
     """
 
     def __init__(
         self,
-        connection: str,
+        connection: str | Opener,
         patience: Patience,
-        firmwares: Sequence[Firmware],
+        firmwares: Sequence[FirmwareProfile],
         *,
         signing: Signing | None = None,
         system: int | None = None,
     ) -> None:
-        self.telemetry = Telemetry()
+        self.telemetry = VehicleTelemetry()
         self.patience = patience
         self.identity = Identity(firmwares, system=system, tell=self.tell)
         self._loop = asyncio.get_running_loop()
         self._troubles = Troubles(self.tell)
-        self._at_will = Allowance(_AT_WILL_PER_S, at_once=_AT_WILL_AT_ONCE)
+        self._unbounded = Allowance(_UNBOUNDED_PER_S, at_once=_UNBOUNDED_AT_ONCE)
         self._missed_s: dict[str, float] = {}  # when a report of the owner could not be taken in, by its kind
         self.latch = Latch(self._loop.time())
         self._hear_news: Callable[[VehicleNews], None] | None = None
@@ -96,19 +105,19 @@ class HeardVehicle:
         self._is_signing = signing is not None
         self._told_numbers = False
         self._last_heard_s = self._loop.time()
-        self.mode_told_s = -math.inf  # when it last was
+        self.mode_told_s = -math.inf  # when it last reported its mode
         self._news = asyncio.Event()
         self._link = MavlinkLink(
             connection,
-            self._hear,
+            partial(self._spare, self._sort_out),
             signing=signing,
             follows=self.identity.follows,
-            overheard=self._overhear,
+            overheard=partial(self._spare, self.identity.overhear),
             moved_after_s=patience.dead_after_s,
         )
-        self.heartbeat_word: Callable[[], int] = lambda: 0  # what else each of our heartbeats says
-        self.hindrance: Callable[[], str] = lambda: ""  # what is known of why it takes long
-        self.missed_after_s = math.inf  # after so long a silence of the link its dead man may have acted
+        self.heartbeat_word: Callable[[], int] = lambda: 0  # the custom_mode of our heartbeats
+        self.hindrance: Callable[[], str] = lambda: ""  # the known reason why a verb takes long
+        self.missed_after_s = math.inf  # after a silence of this length its dead man may have acted
         self._tasks = [self._keep_up(self._accompany), self._keep_up(self._watch_link)]
 
     async def found(
@@ -116,50 +125,47 @@ class HeardVehicle:
     ) -> None:
         """Returns when the vehicle sends heartbeats, and no other vehicle does.
 
-        Raises AutopilotNotHeard if no vehicle sends any. Raises AutopilotError if a vehicle that cannot be flown
-        does, if several vehicles do, or if the vehicle answers signed questions alone. `waiting` gets the reason of
-        the wait and its seconds.
+        Raises AutopilotNotHeard if no vehicle sends any; AutopilotError if the vehicle cannot be flown, if there are
+        several, or if the vehicle answers signed questions only. `waiting` gets the reason of the wait and its
+        seconds.
         """
-        search = Search(self._link, self.identity)
-        await search.over(
-            self._news.wait, within_s=within_s, waiting=waiting
+        await first_heartbeat(
+            self._link, self.identity, self._news.wait, within_s=within_s, waiting=waiting
         )  # the vehicle's first message sets the event
         if self.identity.system is None:
             await asyncio.sleep(self.patience.others_s)
         self.require_alone("connect")
         self._asks = True
         self._streams.begin(self.firmware, self._loop.time())
-        await self._require_answers()
+        if self._is_signing or not self._only_signed:
+            return
+        # A vehicle that signs may hear only signed messages: it answers no question then.
+        answered = await self.happens(
+            "connect", lambda: bool(self.telemetry.answers), within_s=self.patience.signed_s
+        )
+        if not answered:
+            raise AutopilotRefused("connect", f"{self.identity.vehicle} on {self._link.connection} {_SIGNS}")
 
     def require_alone(self, step: str) -> None:
         """Raises AutopilotRefused while several vehicles may be meant."""
         if self.identity.doubt:
             raise AutopilotRefused(step, self.identity.doubt)
 
-    async def _require_answers(self) -> None:
-        """A vehicle that signs may hear nothing that is not signed: it answers no question then."""
-        if self._is_signing or not self._only_signed:
-            return
-        if not await self.happens(
-            "connect", lambda: bool(self.telemetry.answers), within_s=self.patience.signed_s
-        ):
-            raise AutopilotRefused("connect", f"{self.identity.vehicle} on {self._link.connection} {_SIGNS}")
-
     @property
-    def firmware(self) -> Firmware:
-        """What it runs, once it was found."""
+    def firmware(self) -> FirmwareProfile:
+        """Its firmware, once it was found."""
         return self.identity.firmware
 
     @property
-    def found_vehicle(self) -> Heard:
-        """What its heartbeat says that it is, once it was found."""
+    def found_vehicle(self) -> AutopilotInfo:
+        """Its ids and type, once it was found."""
         vehicle = self.identity.vehicle
         assert vehicle is not None, "it was not found yet"  # noqa: S101
         return vehicle
 
     @property
     def ids(self) -> tuple[int, int]:
-        """Its system and component; zeros, which stand for everybody, until it was found."""
+        """Its system and component; until it was found zeros, which address everybody."""
         return self.identity.ids or (0, 0)
 
     @property
@@ -169,7 +175,7 @@ class HeardVehicle:
 
     @property
     def elapsed_s(self) -> float:
-        """The vehicle's own time, from when it was first heard."""
+        """The vehicle's own time since its first message."""
         return self._clock.elapsed_s
 
     @property
@@ -180,7 +186,7 @@ class HeardVehicle:
 
     @property
     def said_lately(self) -> str:
-        """What it said in the last seconds, the most severe first."""
+        """The vehicle's texts of the last seconds, the most severe first."""
         return self.telemetry.said_lately(self._loop.time())
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
@@ -190,8 +196,8 @@ class HeardVehicle:
             hear(self._unheard_news.popleft())
 
     def tell(self, news: VehicleNews) -> None:
-        """Passes news on to the listener, or keeps the news until there is one; floods are cut to five a second."""
-        if isinstance(news, _AT_WILL) and not self._at_will.take(1, now_s=self._loop.time()):
+        """Passes news on to the listener, or keeps them for one; floods are cut to five a second."""
+        if isinstance(news, _UNBOUNDED) and not self._unbounded.take(1, now_s=self._loop.time()):
             what = type(news).__name__
             self._troubles.count("flood", what, f"the vehicle says more than is told and logged ({what})")
             return
@@ -211,24 +217,24 @@ class HeardVehicle:
 
     @property
     def linked(self) -> bool:
-        """Whether the vehicle has been heard lately."""
+        """Whether the vehicle's last message is younger than `quiet_after_s`."""
         return self._loop.time() < self._last_heard_s + self.patience.quiet_after_s
 
     async def link_lost(self) -> None:
-        """Returns when nothing has been heard of the vehicle for `quiet_after_s`."""
+        """Returns after `quiet_after_s` without a message of the vehicle."""
         while self.linked:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout_at(self._last_heard_s + self.patience.quiet_after_s):
                     await self._news.wait()
 
     async def link_restored(self) -> None:
-        """Returns when the vehicle is heard, at once if it is."""
+        """Returns when a message of the vehicle comes, at once while it is linked."""
         while not self.linked:
             await self._news.wait()
 
     @property
     def silent_s(self) -> float:
-        """For how long nothing has been heard of it."""
+        """The time since the vehicle's last message."""
         return self._loop.time() - self._last_heard_s
 
     def heard_since(self, number: int, time_s: float) -> bool:
@@ -237,19 +243,17 @@ class HeardVehicle:
 
     @property
     def unix_s(self) -> float | None:
-        """The time now by the vehicle's GPS; None while it does not know it."""
-        told_s = self.telemetry.unix_s
-        return told_s and told_s + self._loop.time() - self._streams.heard_s(
-            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
-        )
+        """The time now by the vehicle's GPS, in seconds since 1970; None while it does not know it."""
+        reported_s = self.telemetry.unix_s
+        return reported_s and reported_s + self._loop.time() - self._streams.heard_s(_SYSTEM_TIME)
 
     async def close(self) -> None:
-        """Gives up the connection."""
+        """Closes the connection; the vehicle is left as it is."""
         await end(*self._tasks)
         await self._link.close()
 
     def _keep_up(self, work: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
-        """Has the work go on after a defect, with a warning: a vehicle that hears nothing may end the flight."""
+        """Repeats the work after a defect, with a warning: a vehicle that hears nothing may end the flight."""
 
         def tell(defect: Exception) -> None:
             self.tell(LinkTrouble("defect", f"a defect of upwash: {type(defect).__name__}: {defect}"))
@@ -258,13 +262,15 @@ class HeardVehicle:
         return start(kept, name="the vehicle's link", failed=only_logged)
 
     async def until(self, step: str, condition: Callable[[], bool]) -> None:
-        """Returns when the condition, looked at with each message, is true; raises AutopilotLost on silence."""
+        """Returns when the condition, checked at each message, is true; raises AutopilotLost on silence."""
         while not condition():
             try:
                 async with asyncio.timeout_at(self._last_heard_s + self.patience.lost_after_s):
                     await self._news.wait()
             except TimeoutError:
-                raise AutopilotLost(step, self._silence()) from None
+                link, lost_after_s = self._link, self.patience.lost_after_s
+                problem = f"nothing was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
+                raise AutopilotLost(step, problem) from None
 
     async def happens(self, step: str, condition: Callable[[], bool], *, within_s: float) -> bool:
         """Whether the condition comes true within the time."""
@@ -300,25 +306,25 @@ class HeardVehicle:
         finally:
             timer.cancel()
 
-    def ask(self, message: Callable[[int, int], Message]) -> None:
-        """Sends a question, made for a system and component: one that changes nothing about how the vehicle flies."""
-        self._link.send(message(*self.ids))
+    def ask(self, message: Message) -> None:
+        """Sends a question to the vehicle: a message that changes nothing about its flight."""
+        self._link.send(message)
 
     def ask_for(self, number: int) -> None:
         """Asks for one report of that message number. A mode comes by HEARTBEAT, up to a second late by itself."""
         self.question(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
     def question(self, command: int, *parameters: float) -> None:
-        """Sends a command that only asks, once; nobody waits for its answer."""
+        """Sends a command that only asks, once, without a wait for its answer."""
+        self.ask(self.command_long(command, *parameters))
+
+    def command_long(self, command: int, *parameters: float, attempt: int = 0) -> Message:
+        """A COMMAND_LONG to the vehicle; missing parameters are 0."""
         padded = (*parameters, *[0.0] * (7 - len(parameters)))
-        self.ask(
-            lambda system, component: mavlink.MAVLink_command_long_message(
-                system, component, command, 0, *padded
-            )
-        )
+        return mavlink.MAVLink_command_long_message(*self.ids, command, attempt, *padded)
 
     def beat(self) -> None:
-        """Sends a heartbeat, as it also does once a second."""
+        """Sends a heartbeat, in addition to the one each second."""
         self._link.send(
             mavlink.MAVLink_heartbeat_message(
                 mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
@@ -331,17 +337,11 @@ class HeardVehicle:
         )
 
     def _silence_so_far_s(self) -> float:
-        now_silent_s = self._loop.time() - self._last_heard_s
-        return self._silent_s + (now_silent_s if now_silent_s >= self.patience.quiet_after_s else 0.0)
+        silent_s = self.silent_s
+        return self._silent_s + (silent_s if silent_s >= self.patience.quiet_after_s else 0.0)
 
-    def _spare(self, step: Callable[..., None], message: Message, *more: float) -> bool:
+    def _spare(self, step: Callable[..., object], message: Message, *more: float) -> bool:
         return self._troubles.spare(message, partial(step, message, *more))
-
-    def _overhear(self, message: Message) -> None:
-        self._spare(self.identity.overhear, message)
-
-    def _hear(self, message: Message) -> None:
-        self._spare(self._sort_out, message)
 
     def _sort_out(self, message: Message) -> None:
         identity, linked, now_s = self.identity, self.linked, self._loop.time()
@@ -377,24 +377,24 @@ class HeardVehicle:
         return all(done)
 
     def _count_as_heard(self, message: Message, now_s: float, *, is_report: bool, linked: bool) -> None:
-        """It is a sign of life, and a report where it was taken in."""
+        """It is a sign of life, and a report if it was taken in."""
         self._silent_s = self._silence_so_far_s()
         self._last_heard_s = now_s
         self._only_signed &= is_signed(message)
         if is_report:
             self._streams.heard(message, now_s)
         if self._asks and not linked:
-            self.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+            self.ask_for(_HEARTBEAT)
             self._streams.begin(self.firmware, now_s)
 
     def _suspect_dead_man(self, now_s: float) -> None:
-        """What it said when it acted is lost where the link was."""
-        silent_s = now_s - self._last_heard_s
-        if silent_s >= self.missed_after_s:
-            self.telemetry.suspect_dead_man(f"its dead man, after {silent_s:.0f} s without a link", now_s)
+        """A silent link loses the text by which the dead man says that it acts."""
+        if self.silent_s >= self.missed_after_s:
+            why = f"its dead man, after {self.silent_s:.0f} s without a link"
+            self.telemetry.suspect_dead_man(why, now_s)
 
     def _look_for_restart(self, message: Message, now_s: float) -> None:
-        """Tells the latch; what the vehicle said before of the ground is not true any more."""
+        """Reports a restart to the latch; the landed state from before it is not true any more."""
         before_s, boot_ms = self._clock.boot_s, getattr(message, "time_boot_ms", None)
         if boot_ms is None or not self._clock.take(boot_ms / 1e3, now_s):
             return
@@ -403,7 +403,7 @@ class HeardVehicle:
         self._judge(lambda: self.latch.report_restart(why, now_s))
 
     def judge_target(self, place: Position | None) -> None:
-        """Tells the latch where the vehicle says that it steers to, above the sea; None: it follows a velocity."""
+        """Reports the vehicle's target, above the sea, to the latch; None: it follows a velocity."""
         self._judge(lambda: self.latch.report_target(place, self._loop.time()))
 
     def _judge(self, report: Callable[[], None]) -> None:
@@ -413,7 +413,7 @@ class HeardVehicle:
             self.tell(self.latch.control)
 
     def _take_control(self, message: Message, now_s: float) -> None:
-        """Feeds the latch with each heartbeat, and with what says that a fail-safe chose the mode."""
+        """Feeds the latch with each heartbeat, and with reports of modes that a fail-safe chose."""
         if self.telemetry.mode is None or message.get_type() not in _TELL_THE_MODE:
             return
         if message.get_type() != "FENCE_STATUS":
@@ -421,11 +421,12 @@ class HeardVehicle:
         mode, told = self.mode_name, self.telemetry
         # ArduCopter says that it stands as soon as its motors stop, wherever that is.
         stands = told.stands if told.armed or now_s - told.airborne_s > _STOOD_S else False
-        moved = told.remote.moved(now_s)
-        report = Heartbeat(mode, told.armed, self.firmware.failsafe(told, mode), stands, moved)
+        report = Heartbeat(
+            mode, told.armed, self.firmware.failsafe(told, mode), stands, told.remote.moved(now_s)
+        )
         self._judge(lambda: self.latch.report(report, now_s))
         if told.disarmed_s == now_s and not self.latch.control.is_ours:
-            self.ask_for(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)  # which tells a restart
+            self.ask_for(_SYSTEM_TIME)  # which shows a restart
 
     def _tell_texts(self, _message: Message, _now_s: float) -> None:
         new = self.telemetry.texts_heard - self._texts_told
@@ -439,7 +440,9 @@ class HeardVehicle:
             await self._link.opened.wait()
             self.beat()
             self._look_at_reports()
-            self._leave_a_dead_connection()
+            # A peer that vanished silently leaves a connection behind that brings nothing.
+            if self.now_s - max(self._last_heard_s, self._link.opened_s) > self.patience.dead_after_s:
+                self._link.reopen()
             await asyncio.sleep(_HEARTBEAT_S)
 
     async def _watch_link(self) -> None:
@@ -454,7 +457,7 @@ class HeardVehicle:
             self.tell(LinkChanged(linked=True, silent_s=self._last_heard_s - since_s))
 
     def _look_at_reports(self) -> None:
-        """Has them asked for where they are missing, and tells of numbers that do not count."""
+        """Asks for missing reports, and tells of sequence numbers that do not count up."""
         if not self._asks:
             return
         numbering = self._numbering
@@ -463,13 +466,3 @@ class HeardVehicle:
         if numbering.wrong_times >= _WRONG_TIMES and not self._told_numbers:
             self._told_numbers = True
             self.tell(LinkTrouble("numbers", _NUMBERS_PROBLEM))
-
-    def _leave_a_dead_connection(self) -> None:
-        """A peer that vanished without a word leaves a connection behind on which nothing ever comes."""
-        last_sign_s = max(self._last_heard_s, self._link.opened_s)
-        if self._loop.time() - last_sign_s > self.patience.dead_after_s:
-            self._link.reopen()
-
-    def _silence(self) -> str:
-        link, lost_after_s = self._link, self.patience.lost_after_s
-        return f"nothing was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"

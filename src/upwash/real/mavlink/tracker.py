@@ -1,7 +1,7 @@
 """Where a vehicle is by its reports, relative to the mission's home, and whether it can be there.
 
 Altitudes count from the ground below the take-off, by the vehicle's altitude above the sea. A ground station may move
-the vehicle's home in flight, and what the vehicle then says about its height above home changes at once.
+the vehicle's home in flight: the reported height above home then changes at once.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, distance_m
 from upwash.core.vehicle.continuity import Continuity
 from upwash.ports import HomeMoved, PositionDoubted
-from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _HOME = Position(0.0, 0.0)
@@ -27,7 +27,7 @@ _RESTLESS_S = 5.0  # for this time after a jump the vehicle cannot be armed
 _MANY_JUMPS = 3  # in that time: no filter settles so
 
 
-class Whereabouts:
+class PositionTracker:
     """Follows a vehicle's position, home and target; tells the latch of a target in the program's own mode."""
 
     def __init__(self, vehicle: MavlinkVehicle, frame: LocalFrame) -> None:
@@ -35,7 +35,7 @@ class Whereabouts:
         self._telemetry = vehicle.telemetry
         self._frame = frame
         self._ground_m: float | None = None  # below the take-off, above the sea
-        self._home: Position | None = None  # the vehicle's, as it was last told of
+        self._home: Position | None = None  # the vehicle's, as it was last reported
         self._continuity = Continuity()
         self._last_jump: tuple[float, float] | None = None
         self._jumped_s: deque[float] = deque(maxlen=_MANY_JUMPS)  # by this computer's clock
@@ -46,13 +46,13 @@ class Whereabouts:
     @property
     def position(self) -> Position:
         """The last known position; home until the vehicle knows its own."""
-        told = self._telemetry
-        if told.position is None:
+        telemetry = self._telemetry
+        if telemetry.position is None:
             return _HOME
-        here = self._frame.position(told.position)
-        if self._ground_m is None or told.above_sea_m is None:
+        here = self._frame.position(telemetry.position)
+        if self._ground_m is None or telemetry.above_sea_m is None:
             return here
-        return here.at_altitude(told.above_sea_m - self._ground_m)
+        return here.at_altitude(telemetry.above_sea_m - self._ground_m)
 
     @property
     def home(self) -> Position | None:
@@ -62,7 +62,7 @@ class Whereabouts:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the vehicle can be where it says, and says that it is sure."""
+        """Whether the vehicle can be where it reports, and reports that it is sure."""
         return self._telemetry.knows_its_place is not False and not self._continuity.doubt_m
 
     @property
@@ -85,9 +85,9 @@ class Whereabouts:
 
     def fix_ground(self) -> None:
         """Altitudes count from its home as it is now on."""
-        told = self._telemetry
-        if told.position is not None and told.above_sea_m is not None:
-            self._ground_m = told.home_above_sea_m
+        telemetry = self._telemetry
+        if telemetry.position is not None and telemetry.above_sea_m is not None:
+            self._ground_m = telemetry.home_above_sea_m
         self._home = self._present_home()
 
     def above_sea(self, position: Position) -> GeoPosition:
@@ -97,14 +97,15 @@ class Whereabouts:
 
     def hear(self, message: Message) -> None:
         """Takes in a message of the vehicle."""
+        time_s, velocity = self._vehicle.elapsed_s, self._telemetry.velocity or Velocity()
         match message.get_type():
             case "GLOBAL_POSITION_INT" if self._telemetry.position is not None:
                 here = self._frame.position(self._telemetry.position)
-                self._continuity.take_estimate(here, time_s=self._vehicle.elapsed_s, velocity=self._velocity)
+                self._continuity.take_estimate(here, time_s=time_s, velocity=velocity)
                 self._look_at_jumps()
             case "GPS_RAW_INT" if message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX:
                 there = self._frame.position(GeoPosition(message.lat / 1e7, message.lon / 1e7))
-                self._continuity.take_receiver(there, time_s=self._vehicle.elapsed_s, velocity=self._velocity)
+                self._continuity.take_receiver(there, time_s=time_s, velocity=velocity)
                 self._look_at_jumps()
             case "HOME_POSITION":
                 self._look_at_home()
@@ -116,15 +117,9 @@ class Whereabouts:
                     self._vehicle.judge_target(None)
 
     @property
-    def _velocity(self) -> Velocity:
-        return self._telemetry.velocity or Velocity()
-
-    @property
     def _steers_by_targets(self) -> bool:
-        firmware = self._vehicle.firmware
-        return (
-            self.watches_targets and firmware.keeps_targets and self._vehicle.mode_name == firmware.own_mode
-        )
+        firmware, mode = self._vehicle.firmware, self._vehicle.mode_name
+        return self.watches_targets and firmware.keeps_targets and mode == firmware.own_mode
 
     def _look_at_jumps(self) -> None:
         continuity, now_s = self._continuity, self._vehicle.now_s

@@ -1,0 +1,110 @@
+"""The gate between packets and the driver: impossible numbers are dropped, and a defect costs one message.
+
+A message with a number that is not finite or out of range is dropped, unless MAVLink has a value for "not known":
+the number then gets that value. The table holds the numbers that the driver uses; integers that cannot be out of
+range are not in it.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.eventlog.schema import LinkTroubleName
+from upwash.ports import LinkTrouble
+from upwash.real.mavlink.receiver import Message
+
+_log = logging.getLogger("upwash.mavlink")
+
+
+class Troubles:
+    """Counts each trouble, and calls `tell` at its first, tenth, hundredth time and so on."""
+
+    def __init__(self, tell: Callable[[LinkTrouble], None]) -> None:
+        self._tell = tell
+        self._times: Counter[tuple[LinkTroubleName, str]] = Counter()
+
+    def count(self, about: LinkTroubleName, what: str, why: str) -> bool:
+        """Counts the trouble with `what`; whether `tell` was called."""
+        self._times[about, what] += 1
+        times = self._times[about, what]
+        tells = str(times).rstrip("0") == "1"
+        if tells:
+            self._tell(LinkTrouble(about, why if times == 1 else f"{why}; so far {times} times"))
+        return tells
+
+    def spare(self, message: Message, step: Callable[[], object]) -> bool:
+        """Whether the step took the message in. An exception ends the step alone: it is logged and counted."""
+        try:
+            step()
+        except Exception as error:  # noqa: BLE001 - a defect in one message's handling may not end the connection
+            kind = message.get_type()
+            why = f"a defect of upwash: {kind} of the vehicle was not taken in ({error!r})"
+            if self.count("defect", kind, why):
+                _log.error("%s", why, exc_info=error)
+            return False
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The numbers from `least` to `most`; `unknown` is MAVLink's value for "not known", if it has one."""
+
+    least: float
+    most: float
+    unknown: int | None = None
+
+
+Ranges: TypeAlias = Mapping[str, Mapping[str, Range]]
+"""By message and field, in the message's units."""
+
+LATITUDE_E7, LONGITUDE_E7 = Range(-90e7, 90e7), Range(-180e7, 180e7)
+ABOVE_SEA_M = Range(-1e3, 1e5)
+_ABOVE_SEA_MM, _ABOVE_HOME_MM = Range(-1e6, 1e8), Range(-1e7, 1e8)
+_ANGLE_RAD, _DIRECTION_DEG = Range(-2 * math.tau, 2 * math.tau), Range(-360.0, 360.0)
+_WIND_M_S, _WIND_PART_M_S = Range(0.0, 150.0), Range(-150.0, 150.0)
+_PERCENT = Range(-1, 100, unknown=-1)
+_UNDEFINED, _LANDING = mavlink.MAV_LANDED_STATE_UNDEFINED, mavlink.MAV_LANDED_STATE_LANDING
+_LATEST_UNIX_US = 4_102_444_800e6  # 2100
+
+RANGES: Ranges = MappingProxyType(
+    {
+        "GLOBAL_POSITION_INT": {
+            "lat": LATITUDE_E7,
+            "lon": LONGITUDE_E7,
+            "alt": _ABOVE_SEA_MM,
+            "relative_alt": _ABOVE_HOME_MM,
+        },
+        "GPS_RAW_INT": {"lat": LATITUDE_E7, "lon": LONGITUDE_E7},
+        "HOME_POSITION": {"latitude": LATITUDE_E7, "longitude": LONGITUDE_E7, "altitude": _ABOVE_SEA_MM},
+        "ATTITUDE": {"roll": _ANGLE_RAD, "pitch": _ANGLE_RAD, "yaw": _ANGLE_RAD},
+        "WIND": {"speed": _WIND_M_S, "direction": _DIRECTION_DEG},
+        "WIND_COV": {"wind_x": _WIND_PART_M_S, "wind_y": _WIND_PART_M_S},
+        "SYS_STATUS": {"battery_remaining": _PERCENT},
+        "BATTERY_STATUS": {"battery_remaining": _PERCENT},
+        "EXTENDED_SYS_STATE": {"landed_state": Range(_UNDEFINED, _LANDING, unknown=_UNDEFINED)},
+        "SYSTEM_TIME": {"time_unix_usec": Range(0, _LATEST_UNIX_US, unknown=0)},
+    }
+)
+
+
+def admits(message: Message, ranges: Ranges, troubles: Troubles) -> bool:
+    """Whether each number of the message is possible or marked as not known; the others are counted as troubles."""
+    kind = message.get_type()
+    for name, span in ranges.get(kind, {}).items():
+        value = getattr(message, name)
+        if span.least <= value <= span.most:
+            continue
+        without = "the message was dropped" if span.unknown is None else "the number counts as not known"
+        troubles.count("out-of-range", f"{kind}.{name}", f"{name} of {kind} was {value:g}: {without}")
+        if span.unknown is None:
+            return False
+        setattr(message, name, span.unknown)
+    return True

@@ -1,0 +1,170 @@
+"""Which bytes of a connection are believed: by signature and, where anyone may send, by the sender's address."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.mavlink.packets import PacketReader
+from upwash.mavlink.signing import Refusal, Signing
+
+Message: TypeAlias = Any  # pymavlink's messages are not typed
+Address: TypeAlias = tuple[Any, ...]  # host and port, and more with IPv6
+
+_LONGEST_INTRODUCTION_BYTES = 2048  # no router sends longer datagrams
+_OVERHEARD_EACH_S = 0.05
+# The header of an autopilot's heartbeat: looking for it costs a thousandth of reading nonsense.
+_HEARTBEAT = re.compile(rb"\xfd\x09[\x00\x01]...\x01\x00\x00\x00|\xfe\x09..\x01\x00", re.DOTALL)
+
+
+def from_autopilot(message: Message) -> bool:
+    """Whether it is the heartbeat of an autopilot."""
+    if message.get_type() != "HEARTBEAT" or message.get_srcSystem() == 0:
+        return False
+    flies = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+    return bool(flies and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1)
+
+
+def is_signed(message: Message) -> bool:
+    """Whether it has a signature, right or wrong."""
+    return bool(message.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
+
+
+class MessageReceiver:
+    """Passes believed messages on to `heard`; `refused` is why an autopilot's last heartbeat was not believed.
+
+    `follows` recognizes the vehicle's heartbeat. `overheard` gets the messages of other senders.
+    """
+
+    def __init__(
+        self,
+        heard: Callable[[Message], object],
+        follows: Callable[[Message], bool],
+        signing: Signing | None,
+        overheard: Callable[[Message], object] = lambda _: None,
+    ) -> None:
+        self.refused: Refusal | None = None
+        self._heard = heard
+        self._follows = follows
+        self._overheard = overheard
+        self._signing = signing
+
+    def reader(self) -> PacketReader:
+        """A reader for one stream."""
+        return PacketReader(self._signing)
+
+    def take(self, data: bytes, reader: PacketReader | None = None) -> bool:
+        """Passes on the messages in the bytes of a stream, or in a datagram; whether any was believed.
+
+        A datagram holds whole messages. It is read by itself: a broken datagram cannot spoil the next.
+        """
+        messages, _ = self._judged(data, reader or self.reader())
+        return self._pass_on(messages)
+
+    def meet(self, data: bytes) -> tuple[bool, bool]:
+        """Passes on a datagram of an unknown sender only if it holds the vehicle's heartbeat.
+
+        Returns whether it was passed on, and whether a holder of the key signed an autopilot's heartbeat in it.
+        """
+        messages, has_key = self._judged(data, self.reader())
+        if any(self._follows(message) for message in messages):
+            return self._pass_on(messages), True
+        for message in messages:
+            self._overheard(message)
+        return False, has_key
+
+    def overhear(self, data: bytes) -> None:
+        """Notes the autopilots in a datagram of another address; with a key, only those that have the key."""
+        for message, _ in PacketReader().read(data):
+            packet = bytes(message.get_msgbuf())
+            if self._signing is None or self._signing.forgery(packet) is None:
+                self._overheard(message)
+
+    def _pass_on(self, messages: list[Message]) -> bool:
+        for message in messages:
+            self._heard(message)
+        return bool(messages)
+
+    def _judged(self, data: bytes, reader: PacketReader) -> tuple[list[Message], bool]:
+        """The believed messages, and whether an autopilot's heartbeat was refused for its age alone."""
+        read = reader.read(data)
+        late = False
+        for message, refusal in read:
+            if from_autopilot(message):
+                self.refused = refusal
+                late |= refusal is Refusal.STALE
+        return [message for message, refusal in read if refusal is None], late
+
+
+class Peer:
+    """The one address that a port which anyone may send to listens to and answers.
+
+    It is the address of the first heartbeat of the vehicle. After `moved_after_s` without a believed message, as
+    when a router restarts, the vehicle's heartbeat from another port of the same host makes that port the peer;
+    where messages are signed, from any host. Without signatures the first sender is believed, and so is every
+    sender that uses the peer's address.
+    """
+
+    def __init__(self, receiver: MessageReceiver, *, moved_after_s: float, signed: bool) -> None:
+        self.address: Address | None = None
+        self.ignored = 0  # datagrams of others
+        self.last_ignored: Address | None = None
+        self._receiver = receiver
+        self._moved_after_s = moved_after_s
+        self._signed = signed
+        self._heard_s = 0.0
+        self._overheard_s = -math.inf
+        self._late: Address | None = None  # of a vehicle with outdated signatures, while there is no peer
+
+    @property
+    def answered(self) -> Address | None:
+        """The address to send to.
+
+        A vehicle without GPS may sign with the time of its last flight. It adopts our time once it hears our
+        heartbeat, and is believed from then on. Nothing else is sent before there is a peer.
+        """
+        return self.address or self._late
+
+    def take(self, data: bytes, address: Address, now_s: float) -> None:
+        """Receives the peer's datagram, or makes the sender of the vehicle's heartbeat the peer."""
+        if address == self.address:
+            if self._receiver.take(data):
+                self._heard_s = now_s
+        elif self._may_be(address, now_s) and _may_introduce(data):
+            self._meet(data, address, now_s)
+        else:
+            self._ignore(address)
+            self._overhear(data, now_s)
+
+    def _may_be(self, address: Address, now_s: float) -> bool:
+        if self.address is None:
+            return True
+        silent = now_s - self._heard_s > self._moved_after_s
+        return silent and (self._signed or address[0] == self.address[0])
+
+    def _meet(self, data: bytes, address: Address, now_s: float) -> None:
+        is_vehicle, has_key = self._receiver.meet(data)
+        if is_vehicle:
+            self.address, self._heard_s = address, now_s
+        elif has_key:
+            self._late = address
+        else:
+            self._ignore(address)
+
+    def _overhear(self, data: bytes, now_s: float) -> None:
+        """Notes another vehicle at another address, at a rate that a flood does not raise."""
+        if now_s - self._overheard_s >= _OVERHEARD_EACH_S and _may_introduce(data):
+            self._overheard_s = now_s
+            self._receiver.overhear(data)
+
+    def _ignore(self, address: Address) -> None:
+        self.ignored += 1
+        self.last_ignored = address
+
+
+def _may_introduce(data: bytes) -> bool:
+    return len(data) <= _LONGEST_INTRODUCTION_BYTES and _HEARTBEAT.search(data) is not None
