@@ -15,8 +15,8 @@ from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.mavlink.packets import PacketReader
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.condition import FaultKind
 from upwash.vehicle.body.connection import PeerConnection, StandIn
+from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.telemetry import UNASKED_S
 from upwash.vehicle.server import firmware
