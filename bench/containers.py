@@ -27,15 +27,15 @@ from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
-from upwash.real.instances.docker.container import ContainerSettings as DockerSettings
+from upwash.real.instances.containers import reference_of
+from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
-from upwash.real.instances.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.instances.lxd.container import ContainerSettings as LxdSettings
+from upwash.real.instances.docker.runtime import DockerRuntime
+from upwash.real.instances.lxd.container import LxdSettings
 from upwash.real.instances.lxd.engine import Engine, EngineAddress
-from upwash.real.instances.lxd.runtime import ContainerRuntime as LxdRuntime
+from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
 from upwash.real.instances.sandbox import find_sandbox
-from upwash.real.instances.service_image import reference_of
 from upwash.real.link.door import Lead, leading, opened_door
 from upwash.real.link.link import GrpcDialer, GrpcLink
 from upwash.real.trust.authority import make_keys
@@ -200,7 +200,7 @@ async def docker_containers(
         await engine.connect()
         image = package(Recipe(load_service_alone(PROGRAM), format="docker"), folder, report=lambda _: None)
         await engine.import_image(image)
-        await runtime.prepare([], ["echo"])
+        await runtime.prepare({"": ["echo"]})
         yield runtime
     finally:
         await runtime.close()
@@ -219,7 +219,7 @@ async def lxd_containers(
         await engine.connect()
         await engine.import_image(package(Recipe(load_service_alone(PROGRAM)), folder, report=lambda _: None))
         yield runtime
-        await runtime.prepare([SERVER], [])  # deletes its containers
+        await runtime.prepare({SERVER: []})  # deletes its containers
     finally:
         await runtime.close()
 

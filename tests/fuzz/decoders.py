@@ -37,7 +37,7 @@ from upwash.eventlog.results import read_result
 from upwash.mavlink.ftp import Opcode, Packet, read_packet
 from upwash.mavlink.signing import Signing
 from upwash.plans.reading import read_plan
-from upwash.real.instances.control import Called, Ended, Ready, Said, from_instance, line
+from upwash.real.instances.control import Called, Printed, Ready, ServiceEnded, from_instance, line
 from upwash.real.instances.foreign import Answer, ForeignProgram
 from upwash.real.link.frames import PREFACE, FrameCounter
 from upwash.real.link.framing import frame
@@ -436,7 +436,7 @@ def decoders() -> Mapping[str, Decoder]:
         "reports of an instance": Decoder(
             from_instance.decode,
             (ValueError, RecursionError),
-            tuple(line(each) for each in (Ready(":1"), Called("drone"), Said(b"x"), Ended(1))),
+            tuple(line(each) for each in (Ready(":1"), Called("drone"), Printed(b"x"), ServiceEnded(1))),
         ),
         "messages of a vehicle": Decoder(
             lambda data: _messages_of_a_vehicle(_with_right_checksums(data)),

@@ -18,8 +18,8 @@ from upwash.launch.daemon import serve
 from upwash.launch.status import ask_status
 from upwash.ports import Program
 from upwash.real.host.service_manager import ServiceManager
-from upwash.real.instances.lxd.engine import EngineImage, EngineInstance
-from upwash.real.instances.service_image import ServiceImage
+from upwash.real.instances.containers import HeldImage, ServiceImage
+from upwash.real.instances.lxd.engine import EngineInstance
 from upwash.real.trust.authority import make_keys
 
 LANES = 3
@@ -46,10 +46,10 @@ class Engine:
     async def connect(self) -> None: ...
     async def close(self) -> None: ...
 
-    async def images(self) -> list[EngineImage]:
+    async def images(self) -> list[HeldImage]:
         program = Program("package:Detector")
         image = ServiceImage("detector", program, "host", "3.11", version("upwash"), "", concurrency=LANES)
-        return [EngineImage("f00", image.properties(), "2026")]
+        return [HeldImage("f00", image.properties(), "2026")]
 
     async def instances(self) -> list[EngineInstance]:
         return []

@@ -20,8 +20,7 @@ from upwash.packaging.base import lay_base, lay_init
 from upwash.packaging.contents import copy_distributions, copy_program, copy_setting, extra_of
 from upwash.packaging.image import Recipe, package
 from upwash.packaging.shipping import find_service
-from upwash.real.instances.lxd.engine import EngineImage
-from upwash.real.instances.lxd.image import newest_images
+from upwash.real.instances.containers import HeldImage, newest_images
 
 
 @pytest.fixture
@@ -76,7 +75,7 @@ def test_what_was_copied_is_enough_to_import_an_instance(services: Path, tmp_pat
     program = copy_program(f"{services}:Workbench", tmp_path)
     copy_distributions((), tmp_path)
     script = (
-        "import upwash.real.instances.instance, upwash.real.instances.container_init\n"
+        "import upwash.real.instances.instance, upwash.real.instances.lxd.init\n"
         "from upwash.rpc.service import load_service; "
         f"load_service({str(tmp_path) + program!r})"
     )
@@ -198,7 +197,7 @@ def test_settings_go_into_the_image_with_the_files_that_they_name(tmp_path: Path
     with tarfile.open(package(recipe, tmp_path / "images", report=lambda _: None)) as image:
         metadata = image.extractfile("metadata.yaml")
         assert metadata is not None
-        said = EngineImage("f00", json.load(metadata)["properties"], "2026")
+        said = HeldImage("f00", json.load(metadata)["properties"], "2026")
         found = newest_images([said])["reader"]
         packed = found.program
         model = str(packed.settings["model"])

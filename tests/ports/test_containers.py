@@ -13,32 +13,31 @@ import pytest
 from upwash.core.admission.limits import Limits
 from upwash.errors import EngineError, UsageError
 from upwash.ports import Program
-from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
+from upwash.real.instances.containers import HeldImage, ServiceImage, newest_images
 from upwash.real.instances.lxd.container import (
-    Container,
-    ContainerSettings,
+    LxdContainer,
+    LxdSettings,
     addresses,
     definition,
     in_order,
     known_container,
     new_container,
 )
-from upwash.real.instances.lxd.engine import Engine, EngineAddress, EngineImage, EngineInstance
-from upwash.real.instances.lxd.image import newest_images
-from upwash.real.instances.service_image import ServiceImage
+from upwash.real.instances.lxd.credentials import ControlCredentials, new_control_credentials
+from upwash.real.instances.lxd.engine import Engine, EngineAddress, EngineInstance
 
 SUBNET = IPv4Network("10.9.0.0/29")  # of six addresses
-SETTINGS = ContainerSettings(SUBNET)
+SETTINGS = LxdSettings(SUBNET)
 DETECTOR = ServiceImage("detector", Program("package:Detector", {"threads": 2}), "host", "3.11", "1.0", "f00")
 
 
-def held(container: Container, settings: ContainerSettings = SETTINGS) -> EngineInstance:
+def held(container: LxdContainer, settings: LxdSettings = SETTINGS) -> EngineInstance:
     """The container as an engine tells of it, once it was created."""
     asked = definition(container, settings, base="host", engine="lxd")
     return EngineInstance(container.name, "Stopped", container.member, asked["config"], asked["devices"])  # type: ignore[arg-type]
 
 
-def made(server: str = "s1", *others: EngineInstance, member: str = "m1") -> Container:
+def made(server: str = "s1", *others: EngineInstance, member: str = "m1") -> LxdContainer:
     return new_container(server, DETECTOR, SETTINGS, member=member, taken=addresses(others))
 
 
@@ -92,16 +91,16 @@ def test_a_member_that_lost_an_instance_is_tried_last_and_the_one_with_the_fewes
 
 def test_of_several_images_the_one_that_was_imported_last_counts() -> None:
     images = [
-        EngineImage(fingerprint, replace(DETECTOR, fingerprint="").properties(), uploaded_at)
+        HeldImage(fingerprint, replace(DETECTOR, fingerprint="").properties(), uploaded_at)
         for fingerprint, uploaded_at in (
             ("old", "2026-01-01T10"),
             ("new", "2026-03-01T09"),
             ("older", "2025"),
         )
     ]
-    someones = EngineImage("x", {"upwash.service": "detector"}, "2027")
+    someones = HeldImage("x", {"upwash.service": "detector"}, "2027")
     earlier = {key: value for key, value in DETECTOR.properties().items() if key != "upwash.concurrency"}
-    assert newest_images([*images, someones, EngineImage("y", earlier, "2028")]) == {
+    assert newest_images([*images, someones, HeldImage("y", earlier, "2028")]) == {
         "detector": replace(DETECTOR, fingerprint="new")
     }
 

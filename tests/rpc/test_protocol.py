@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
 from upwash.core.admission.clients import Client
 from upwash.errors import GarbledReply, Refused
-from upwash.ports import AnsweredCall, Instance, InstanceSpec, Link
+from upwash.ports import AnsweredCall, Instance, InstanceSpec, Link, Program, ignored
 from upwash.real.instances.control import (
     Admitted,
     Answered,
     Called,
-    Ended,
     Failed,
     FromInstance,
+    Printed,
     Ready,
-    Said,
+    ServiceEnded,
     line,
 )
 from upwash.real.instances.instance_control import InstanceControl
@@ -51,6 +51,7 @@ from upwash.rpc.protocol import (
 )
 from upwash.server.daemon import EdgeServer
 
+SPEC = InstanceSpec("s1", "test", Program(""), methods=frozenset({"work"}))
 ESCAPE = "\x1b[2J\x9b31m\u202e\r\nall is well"
 LEASE = {"drone": "heron", "certificate": "", "ends_in_s": 1.0}
 SERVER = {"name": "s1", "slots": 1, "leases": [LEASE], "instances": []}
@@ -142,10 +143,10 @@ told = st.sampled_from(
             Admitted(),
             Answered(drone="heron", method="work", queued_s=0.1, took_s=0.1),
             Called("heron"),
-            Ended(1),
+            ServiceEnded(1),
             Failed("why"),
             Ready(":1"),
-            Said(b"words"),
+            Printed(b"words"),
         )
     ]
 )
@@ -160,13 +161,14 @@ def test_an_instance_that_says_anything_is_heard_out_or_hung_up_on(lines: list[b
         reports.feed_eof()
         called: list[str] = []
         control = InstanceControl(
-            "test@s1",
-            called.append,
+            SPEC,
             Output("test@s1"),
+            called=called.append,
+            answered=ignored,
             reports=reports,
             orders=Silent(),  # type: ignore[arg-type]
         )
-        begin: Any = Ended(0)  # whatever it is told
+        begin: Any = ServiceEnded(0)  # whatever it is told
         assert await control.begin(begin) == "127.0.0.1:1"
         async with asyncio.timeout(5.0):
             await control.ended()
@@ -185,15 +187,14 @@ def test_an_instance_is_believed_only_what_can_be_so() -> None:
         called: list[str] = []
         answered: list[AnsweredCall] = []
         control = InstanceControl(
-            "test@s1",
-            called.append,
+            SPEC,
             Output("test@s1"),
+            called=called.append,
             answered=answered.append,
-            methods=frozenset({"work"}),
             reports=reports,
             orders=Silent(),  # type: ignore[arg-type]
         )
-        begin: Any = Ended(0)  # whatever it is told
+        begin: Any = ServiceEnded(0)  # whatever it is told
         await control.begin(begin)
         admitting = asyncio.create_task(control.admit(frozenset({"heron"})))
         await asyncio.sleep(0)

@@ -23,14 +23,14 @@ from tests.system.container_site import (
 from upwash.core.admission.limits import Limits
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
-from upwash.real.instances.docker.container import ContainerSettings as DockerSettings
+from upwash.real.instances.containers import reference_of
+from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
-from upwash.real.instances.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.instances.lxd.container import ContainerSettings as LxdSettings
+from upwash.real.instances.docker.runtime import DockerRuntime
+from upwash.real.instances.lxd.container import LxdSettings
 from upwash.real.instances.lxd.engine import Engine, EngineAddress
-from upwash.real.instances.lxd.runtime import ContainerRuntime as LxdRuntime
+from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.instances.runtime import sockets_in
-from upwash.real.instances.service_image import reference_of
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.credentials import Credentials, fingerprint
 
@@ -81,7 +81,7 @@ def docker_host(
             )
             try:
                 await engine.connect()
-                await runtime.prepare(["s1", "s2"], list(images or SERVICES))
+                await runtime.prepare({"s1": list(images or SERVICES), "s2": []})
                 yield site_of(runtime, credentials("heron"), services)
             finally:
                 await runtime.close()
@@ -124,9 +124,7 @@ def lxd_host(
             try:
                 await engine.import_image(workbench_image)
                 await engine.import_image(vandal_image)
-                await runtime.prepare(
-                    ["s1", "s2"], [("s1", "workbench"), ("s1", "vandal"), ("s2", "workbench")]
-                )
+                await runtime.prepare({"s1": ["workbench", "vandal"], "s2": ["workbench"]})
                 yield site_of(runtime, credentials("heron"), services)
             finally:
                 await runtime.close()

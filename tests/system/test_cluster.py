@@ -16,10 +16,10 @@ from tests.system.cluster import OwnCluster, own_cluster
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
-from upwash.real.instances.lxd.container import ContainerSettings
+from upwash.real.instances.lxd.container import LxdSettings
 from upwash.real.instances.lxd.engine import Engine, EngineAddress
-from upwash.real.instances.lxd.instance import ContainerInstance
-from upwash.real.instances.lxd.runtime import ContainerRuntime
+from upwash.real.instances.lxd.instance import LxdInstance
+from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.authority import make_keys
 from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
@@ -62,7 +62,7 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
     dialer = GrpcDialer("heron", shown("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
     echo = spec_of(load_service(f"{services}:Workbench")).methods["echo"]
 
-    async def call(instance: ContainerInstance, server: str) -> object:
+    async def call(instance: LxdInstance, server: str) -> object:
         link = dialer.dial(reached(instance.endpoint), server=server)
         try:
             _, request = echo.encode((b"photo",), {})
@@ -71,11 +71,12 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
         finally:
             await link.close()
 
-    async def use(runtime: ContainerRuntime) -> None:
-        async def start(server: str) -> tuple[ContainerInstance, str]:
+    async def use(runtime: LxdRuntime) -> None:
+        async def start(server: str) -> tuple[LxdInstance, str]:
             instance = await runtime.start(
                 InstanceSpec(server, "workbench", Program("")), called=lambda _: None
             )
+            assert isinstance(instance, LxdInstance)
             await instance.admit(heron)
             return instance, instance.container.member
 
@@ -120,7 +121,7 @@ async def with_runtime(
     cluster: OwnCluster,
     credentials: Credentials,
     image: Path,
-    use: Callable[[ContainerRuntime], Awaitable[None]],
+    use: Callable[[LxdRuntime], Awaitable[None]],
 ) -> None:
     addresses = [
         EngineAddress(url, cluster.certificate, cluster.key, cluster.engine_certificate)
@@ -128,9 +129,9 @@ async def with_runtime(
     ]
     engine = Engine(addresses, project="default")
     async with led(credentials) as lead:
-        runtime = ContainerRuntime(
+        runtime = LxdRuntime(
             engine,
-            ContainerSettings(IPv4Network(cluster.site.services), interface="eth0"),
+            LxdSettings(IPv4Network(cluster.site.services), interface="eth0"),
             freezes=False,
             lead=lead,
             max_message_bytes=MAX_MESSAGE_BYTES,
@@ -138,7 +139,7 @@ async def with_runtime(
         try:
             await engine.connect()
             await engine.import_image(image)
-            await runtime.prepare(SERVERS, [(server, "workbench") for server in SERVERS])
+            await runtime.prepare({server: ["workbench"] for server in SERVERS})
             await use(runtime)
         finally:
             await runtime.close()

@@ -9,8 +9,8 @@ from tests.system.container_site import Host, Site
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
-from upwash.real.instances.control_credentials import SERVICE_PORT
-from upwash.real.instances.lxd.instance import ContainerInstance
+from upwash.real.instances.lxd.credentials import SERVICE_PORT
+from upwash.real.instances.lxd.instance import LxdInstance
 
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd")]
 
@@ -19,7 +19,7 @@ def test_a_service_has_no_rights_and_reaches_nobody(lxd_host: Host) -> None:
     async def use(site: Site) -> None:
         vandal, neighbour = await site.start("s1", "vandal"), await site.start("s2", "workbench")
         assert await site.call(vandal, "s1", "identity") == [1000, 0]
-        assert isinstance(neighbour, ContainerInstance)
+        assert isinstance(neighbour, LxdInstance)
         host = neighbour.container.address
         assert await site.call(vandal, "s1", "reach", host, SERVICE_PORT) != "connected"
         assert await site.call(vandal, "s1", "reach", "169.254.0.1", 22) == "TimeoutError"
@@ -44,7 +44,7 @@ def test_a_paced_start_takes_its_time_and_a_thaw_does_not(lxd_host: Host) -> Non
 
 def test_an_image_of_another_release_is_refused(lxd_host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
     async def use(site: Site) -> None:
-        monkeypatch.setattr("upwash.real.instances.service_image.version", lambda _: "9.9")
+        monkeypatch.setattr("upwash.real.instances.containers.version", lambda _: "9.9")
         with pytest.raises(InstanceError, match=r"made with upwash .*, and this is 9\.9: make it again"):
             await site.start("s1", "workbench")
 

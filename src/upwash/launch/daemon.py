@@ -216,17 +216,12 @@ async def _runtime(
     """What runs instances, and the lanes of services by their images, where it runs them from images."""
     lead = leading(door, config.listen.rpartition(":")[0], _instance_ports(config)) if door else None
     listen = sockets_in(sockets) if lead else _beside(config.listen, sockets)
-    if config.runtime.kind == "lxd":
-        from upwash.launch.containers import lxd_containers
+    if config.runtime.kind != "process":
+        from upwash.launch.containers import containers
 
-        assert lead is not None  # noqa: S101 - the configuration was checked for certificates
-        async with lxd_containers(config, confinement.limits(config), lead) as in_lxd:
-            yield in_lxd, in_lxd.concurrency
-    elif config.runtime.kind == "docker":
-        from upwash.launch.containers import docker_containers
-
-        async with docker_containers(config, confinement.limits(config), lead, sockets, listen) as in_docker:
-            yield in_docker, in_docker.concurrency
+        limits = confinement.limits(config)
+        async with containers(config, limits, lead, sockets=sockets, listen=listen) as runtime:
+            yield runtime, runtime.concurrency
     else:
         processes = ProcessRuntime(
             listen,

@@ -30,7 +30,7 @@ _FROM_USR = ("bin", "lib", "lib64")
 _INIT = f"""\
 #!/bin/sh
 export {" ".join(f"{name}={value}" for name, value in ENVIRONMENT.items())}
-exec {PYTHON} -m upwash.real.instances.container_init
+exec {PYTHON} -m upwash.real.instances.lxd.init
 """
 
 

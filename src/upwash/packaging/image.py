@@ -27,7 +27,7 @@ from upwash.packaging.contents import (
     copy_word,
 )
 from upwash.ports import Program
-from upwash.real.instances.service_image import ServiceImage, reference_of
+from upwash.real.instances.containers import ServiceImage, reference_of
 from upwash.rpc.service import spec_of
 from upwash.rpc.settings import with_files
 

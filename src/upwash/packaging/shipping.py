@@ -13,11 +13,9 @@ from upwash.errors import UsageError
 from upwash.launch.containers import docker_engine, docker_images, lxd_engine
 from upwash.missions.bundled import LoadedService, bundled_service, load_service_alone, load_services
 from upwash.packaging.image import Format
+from upwash.real.instances.containers import ServiceImage, labelled_image, newest_images
 from upwash.real.instances.docker.engine import DockerEngine
-from upwash.real.instances.docker.image import labelled_image
 from upwash.real.instances.lxd.engine import Engine
-from upwash.real.instances.lxd.image import newest_images
-from upwash.real.instances.service_image import ServiceImage
 
 _HASH_SHOWN = 12
 E = TypeVar("E", bound=Engine | DockerEngine)
@@ -76,7 +74,7 @@ async def _docker_offers(daemon: DaemonConfig) -> list[Offer]:
     async with _connected(docker_engine(daemon.runtime)) as engine:
         for service, reference in docker_images(daemon).items():
             held = await engine.image(reference)
-            image = labelled_image(held.labels, held.id) if held else None
+            image = labelled_image(held) if held else None
             offers.append(_offer(service, image, reference))
     return offers
 

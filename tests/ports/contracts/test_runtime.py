@@ -17,15 +17,15 @@ from tests.podman import OwnPodman
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError, LinkError, NoLease, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
-from upwash.real.instances.docker.container import ContainerSettings as DockerSettings
+from upwash.real.instances.containers import reference_of
+from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
-from upwash.real.instances.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.instances.lxd.container import ContainerSettings
+from upwash.real.instances.docker.runtime import DockerRuntime
+from upwash.real.instances.lxd.container import LxdSettings
 from upwash.real.instances.lxd.engine import Engine, EngineAddress
-from upwash.real.instances.lxd.runtime import ContainerRuntime
+from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
 from upwash.real.instances.sandbox import Sandbox, find_sandbox
-from upwash.real.instances.service_image import reference_of
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
@@ -215,9 +215,9 @@ async def containers(
 ) -> AsyncIterator[Site]:
     engine = Engine([EngineAddress(f"unix:{socket}")], project="default")
     async with led(shown("s1")) as lead:
-        runtime = ContainerRuntime(
+        runtime = LxdRuntime(
             engine,
-            ContainerSettings(IPv4Network("10.147.70.0/24")),
+            LxdSettings(IPv4Network("10.147.70.0/24")),
             freezes=freezes,
             lead=lead,
             max_message_bytes=1_000_000,
@@ -225,7 +225,7 @@ async def containers(
         try:
             await engine.connect()
             await engine.import_image(image)
-            await runtime.prepare(["s1"], [("s1", "workbench")])
+            await runtime.prepare({"s1": ["workbench"]})
             heron = shown("heron")
             dialer = GrpcDialer("heron", heron, max_message_bytes=1_000_000)
             yield Site(runtime, dialer, spec, frozenset({fingerprint(heron.certificate)}))
@@ -251,7 +251,7 @@ async def docker_containers(
         await engine.connect()
         for image in images:
             await engine.import_image(image)
-        await runtime.prepare(["s1"], ["workbench"])
+        await runtime.prepare({"s1": ["workbench"]})
         yield Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec)
     finally:
         await runtime.close()

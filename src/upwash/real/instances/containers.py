@@ -1,17 +1,119 @@
-"""What containers have in common, whichever engine holds them: their names, and instances that are kept frozen."""
+"""What containers have in common, whichever engine runs them: their images, names and runtime."""
 
 from __future__ import annotations
 
+import functools
 import logging
 import re
 import secrets
-from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 
-from upwash.errors import InstanceError
-from upwash.ports import Answered, InstanceSpec
+import msgspec
+
+from upwash.errors import EngineError, InstanceError
+from upwash.ports import Answered, InstanceSpec, Program, ignored
+from upwash.real.instances.instance_control import ControlledInstance
+from upwash.support.commands import command
+
+_log = logging.getLogger("upwash.containers")
 
 _LONGEST_PART = 16  # characters
+_PREFIX = "upwash."
+_settings = msgspec.json.Decoder(dict[str, object])
+_words = msgspec.json.Decoder(tuple[str, ...])
+
+
+@dataclass(frozen=True, slots=True)
+class HeldImage:
+    """An image that an engine holds, with its labels or properties."""
+
+    id: str
+    labels: Mapping[str, str]
+    imported_at: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceImage:
+    """A service's image, by its packager's labels: program, base system, Python and upwash.
+
+    An instance computes `concurrency` calls at a time.
+    """
+
+    service: str
+    program: Program
+    base: str
+    python: str
+    release: str
+    fingerprint: str = ""
+    methods: frozenset[str] = frozenset()
+    concurrency: int = 1
+
+    def properties(self) -> dict[str, str]:
+        """The labels of the image."""
+        return {
+            "description": f"{self.service}, a service of upwash",
+            f"{_PREFIX}service": self.service,
+            f"{_PREFIX}program": self.program.path,
+            f"{_PREFIX}settings": msgspec.json.encode(self.program.settings, order="sorted").decode(),
+            f"{_PREFIX}command": msgspec.json.encode(self.program.command).decode(),
+            f"{_PREFIX}base": self.base,
+            f"{_PREFIX}python": self.python,
+            f"{_PREFIX}release": self.release,
+            f"{_PREFIX}methods": ",".join(sorted(self.methods)),
+            f"{_PREFIX}concurrency": str(self.concurrency),
+        }
+
+    def require_release(self, remedy: str) -> None:
+        """Raises EngineError, with the remedy, unless the image was made with this release of upwash."""
+        own = version("upwash")
+        if self.release != own:
+            raise EngineError(
+                f"the image of {self.service} was made with upwash {self.release}, and this is {own}: {remedy}"
+            )
+
+
+def image_of(held: HeldImage) -> ServiceImage | None:
+    """The service's image; None for other images, and for images of early versions, which lack labels."""
+    said = {name.removeprefix(_PREFIX): value for name, value in held.labels.items()}
+    concurrency = said.get("concurrency", "")
+    if not said.get("service") or not concurrency.isdecimal():
+        return None
+    try:
+        settings = _settings.decode(said.get("settings") or "{}")
+        words = _words.decode(said.get("command") or "[]")
+    except msgspec.MsgspecError:
+        return None
+    return ServiceImage(
+        said["service"],
+        Program(said.get("program", ""), settings, words),
+        said.get("base", ""),
+        said.get("python", ""),
+        said.get("release", ""),
+        held.id,
+        frozenset(filter(None, said.get("methods", "").split(","))),
+        int(concurrency),
+    )
+
+
+def labelled_image(held: HeldImage) -> ServiceImage | None:
+    """The image of a Dockerfile, where the labels `upwash.service` and `upwash.program` suffice; None for others."""
+    labels = {name: value for name, value in held.labels.items() if value}
+    image = image_of(HeldImage(held.id, {f"{_PREFIX}concurrency": "1", **labels}))
+    return image if image and image.program.path else None
+
+
+def newest_images(images: Iterable[HeldImage]) -> Mapping[str, ServiceImage]:
+    """The image of each service that was imported last, by the service's name."""
+    found = filter(None, map(image_of, sorted(images, key=lambda image: image.imported_at)))
+    return {image.service: image for image in found}
+
+
+def packaging(service: str) -> str:
+    """The command that makes the service's image and imports it into the configured engine."""
+    return command("upwash", "package", service, "--config", "CONFIG", "--output", "DIR", "--import")
 
 
 def slug(name: str) -> str:
@@ -19,59 +121,71 @@ def slug(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
 
 
+def reference_of(service: str) -> str:
+    """The name under which Docker or Podman holds the packaged image of a service."""
+    return f"upwash-{slug(service)}:latest"
+
+
 def container_name(service: str, server: str) -> str:
-    """A name for a new container, as it may stand in a host's name."""
+    """A new container's name, which is also a valid host name."""
     parts = (slug(name)[:_LONGEST_PART] or "x" for name in (service, server))
     return f"upwash-{'-'.join(parts)}-{secrets.token_hex(3)}"
 
 
-class FreezableInstance(Protocol):
-    """An instance that can be frozen; `image` is the id of that of which its container is made."""
+class ContainerRuntime(ABC):
+    """Starts each instance in a container; if it `freezes`, it keeps one frozen for each server and service."""
 
-    @property
-    def image(self) -> str:
-        """The id of its image."""
+    def __init__(self, *, freezes: bool, max_message_bytes: int) -> None:
+        self.concurrency: dict[str, int] = {}  # of each service's image, once it is prepared
+        self._freezes = freezes
+        self._max_message_bytes = max_message_bytes
+        self._frozen: dict[tuple[str, str], tuple[str, ControlledInstance]] = {}  # with their images
 
-    async def resume(self, *, called: Callable[[str], None], answered: Answered) -> None:
-        """Has it serve again; raises InstanceError."""
-
-    async def end(self) -> None:
-        """Stops it, frozen or not."""
-
-
-I = TypeVar("I", bound=FreezableInstance)  # noqa: E741
-
-
-class FrozenInstances(Generic[I]):
-    """Instances that are frozen instead of stopped: at most one of each service on each server."""
-
-    def __init__(self, log: logging.Logger) -> None:
-        self._log = log
-        self._kept: dict[tuple[str, str], I] = {}
-
-    def keep(self, server: str, service: str, instance: I) -> None:
-        """Takes an instance that was frozen."""
-        self._kept[server, service] = instance
-
-    async def thawed(
-        self, spec: InstanceSpec, image: str, *, called: Callable[[str], None], answered: Answered
-    ) -> I | None:
-        """The frozen instance, serving again; None where there is none of that image that can. Others end."""
-        frozen = self._kept.pop((spec.server, spec.service), None)
-        if frozen is None:
-            return None
-        if frozen.image == image:
-            try:
-                await frozen.resume(called=called, answered=answered)
-            except InstanceError as error:
-                self._log.warning("%s cannot be thawed and is started anew: %s", spec.name, error)
-            else:
-                return frozen
-        await frozen.end()
-        return None
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
+    ) -> ControlledInstance:
+        """An instance that is ready to serve; raises InstanceError, and leaves nothing behind then."""
+        image = await self._image(spec.service)
+        fingerprint, frozen = self._frozen.pop((spec.server, spec.service), ("", None))
+        if frozen is not None:
+            if fingerprint == image.fingerprint:
+                try:
+                    await frozen.resume(called=called, answered=answered)
+                except InstanceError as error:
+                    _log.warning("%s cannot be thawed and is started anew: %s", spec.name, error)
+                else:
+                    return frozen
+            await frozen.end()
+        keep = functools.partial(self._keep, image.fingerprint) if self._freezes else None
+        return await self._start(replace(spec, methods=image.methods), image, called, answered, keep)
 
     async def close(self) -> None:
-        """Ends them all."""
-        for instance in self._kept.values():
+        """End the frozen instances; the engine is closed too."""
+        for _, instance in self._frozen.values():
             await instance.end()
-        self._kept.clear()
+        self._frozen.clear()
+
+    def _keep(self, image: str, instance: ControlledInstance) -> None:
+        self._frozen[instance.spec.server, instance.spec.service] = (image, instance)
+
+    @abstractmethod
+    async def prepare(self, services: Mapping[str, Collection[str]]) -> None:
+        """End what an earlier daemon left of these servers, and check the image of each of their services.
+
+        Raises UsageError if no engine answers, EngineError if it refuses or an image is missing or cannot run.
+        """
+
+    @abstractmethod
+    async def _image(self, service: str) -> ServiceImage:
+        """The service's image as the engine holds it now; raises EngineError."""
+
+    @abstractmethod
+    async def _start(
+        self,
+        spec: InstanceSpec,
+        image: ServiceImage,
+        called: Callable[[str], None],
+        answered: Answered,
+        keep: Callable[[ControlledInstance], None] | None,
+    ) -> ControlledInstance:
+        """An instance in a container that runs from now on."""

@@ -1,10 +1,10 @@
-"""What a program and the service instances that it started say to each other: lines of JSON.
+"""The messages between a program and the service instances that it started: lines of JSON.
 
-A process hears its program over a socket pair, a container over TLS. Either also ends the
-instance: when the program dies, however it dies, the instance reads an end of file.
+They pass over a socket pair to a process, and over TLS to a container. An instance ends when the line ends, however
+its program died.
 
-The service is in the same process as the instance's end and may write whatever it likes, so the program believes only
-what can be so, and hangs up on an instance that says more than `MOST_REPORTS_PER_S`.
+The service runs in the same process as the instance's end and may write anything there. So the program accepts only
+possible reports, and hangs up on an instance that sends more than `MOST_REPORTS_PER_S`.
 """
 
 from __future__ import annotations
@@ -17,18 +17,17 @@ import msgspec
 from upwash.core.admission.limits import Limits
 from upwash.support.heat import Surroundings
 
-if TYPE_CHECKING:  # an instance has no use for it
+if TYPE_CHECKING:  # instances need not load it
     from upwash.ports import InstanceSpec, Program
 
 MOST_REPORTS_PER_S = 2000  # two for each call
 
 
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
-    """To the instance, first: what to be.
+    """To the instance, first: what to serve, and where.
 
-    gRPC listens at `listen`. The inherited socket's connections are handed on to gRPC; in a container those of the
-    address `outside`, from holders of the same `credentials`. Each connection announces its caller if it
-    `is_announced`.
+    gRPC listens at `listen`. It gets the connections of the inherited socket, or of the address `outside`, where TLS
+    admits holders of the same `credentials` only. If `is_announced`, a connection's first line names its caller.
     Without `listen`, calls arrive over the inherited socket itself (`direct`).
     """
 
@@ -41,7 +40,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     heats: Surroundings | None = None
     is_announced: bool = False
     outside: str = ""
-    credentials: str = msgspec.field(default="", name="leash")  # as images of earlier versions read it
+    credentials: str = msgspec.field(default="", name="leash")  # the key in images of earlier versions
     limits: Limits | None = None  # in a sandbox
     command: tuple[str, ...] = ()  # of a program in another language
 
@@ -56,7 +55,7 @@ def begin_of(
     outside: str = "",
     limits: Limits | None = None,
 ) -> Begin:
-    """What an instance of the spec is to be, with the program as it is where the instance runs."""
+    """The first message to an instance of the spec; the program's paths are those where the instance runs."""
     return Begin(
         program=program.path,
         settings=dict(program.settings),
@@ -72,15 +71,15 @@ def begin_of(
     )
 
 
-class Admit(msgspec.Struct, frozen=True, tag="admit"):
-    """To the instance: answer these drones and no others, and of those that are finishing what has arrived."""
+class AdmitDrones(msgspec.Struct, frozen=True, tag="admit"):
+    """To the instance: answer these drones only; of finishing drones, the calls that have arrived."""
 
     drones: list[str]
     finishing: list[str] = []
 
 
 class Drain(msgspec.Struct, frozen=True, tag="drain"):
-    """To the instance: refuse every further call for this reason, and say when none is under way."""
+    """To the instance: refuse further calls for this reason, and report when no call is in progress."""
 
     why: str
 
@@ -98,11 +97,11 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
 
 
 class Admitted(msgspec.Struct, frozen=True, tag="admitted"):
-    """From the instance: the oldest Admit that was not acknowledged yet is in force."""
+    """From the instance: the oldest unconfirmed AdmitDrones is in force."""
 
 
 class Drained(msgspec.Struct, frozen=True, tag="drained"):
-    """From the instance: no call is under way, and none will be."""
+    """From the instance: no call is in progress, and none will be."""
 
 
 class Called(msgspec.Struct, frozen=True, tag="called"):
@@ -112,38 +111,35 @@ class Called(msgspec.Struct, frozen=True, tag="called"):
 
 
 class Answered(msgspec.Struct, frozen=True, kw_only=True, tag="answered"):
-    """From the instance: this drone's call of this method has its outcome.
+    """From the instance: a call has its outcome, after it queued and was computed for these times."""
 
-    The call waited so long for its turn, and then was so long in the service.
-    """
-
-    drone: str = ""  # which instances in images of earlier versions do not say
+    drone: str = ""  # missing in images of earlier versions
     method: str
     queued_s: float = 0.0
     took_s: float
     outcome: Literal["value", "raised", "dropped"] = "value"
 
 
-class Said(msgspec.Struct, frozen=True, tag="said"):
-    """From a container: what the service in it printed, after as many bytes as were left out."""
+class Printed(msgspec.Struct, frozen=True, tag="said"):
+    """From a container: output of the service, after `left_out` bytes that were dropped."""
 
     output: bytes
     left_out: Annotated[int, msgspec.Meta(ge=0)] = 0
 
 
-class Ended(msgspec.Struct, frozen=True, tag="ended"):
-    """From a container, last: the service in it ended with this code, or by that signal if negative."""
+class ServiceEnded(msgspec.Struct, frozen=True, tag="ended"):
+    """From a container, last: the exit code of its service, or a negative signal number."""
 
     code: int
 
 
-FromInstance = Ready | Failed | Admitted | Drained | Called | Answered | Said | Ended
+FromInstance = Ready | Failed | Admitted | Drained | Called | Answered | Printed | ServiceEnded
 
 _encoder = msgspec.json.Encoder()
-to_instance = msgspec.json.Decoder(Begin | Admit | Drain)
+to_instance = msgspec.json.Decoder(Begin | AdmitDrones | Drain)
 from_instance: msgspec.json.Decoder[FromInstance] = msgspec.json.Decoder(FromInstance)
 
 
-def line(message: Begin | Admit | Drain | FromInstance) -> bytes:
+def line(message: Begin | AdmitDrones | Drain | FromInstance) -> bytes:
     """A message as one line of JSON."""
     return _encoder.encode(message) + b"\n"

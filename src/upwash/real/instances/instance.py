@@ -29,7 +29,7 @@ from upwash.core.admission.limits import Allowance
 from upwash.errors import Refused, UsageError
 from upwash.real.instances.control import (
     MOST_REPORTS_PER_S,
-    Admit,
+    AdmitDrones,
     Admitted,
     Answered,
     Begin,
@@ -41,9 +41,9 @@ from upwash.real.instances.control import (
     line,
     to_instance,
 )
-from upwash.real.instances.control_credentials import ControlCredentials
 from upwash.real.instances.foreign import ForeignProgram
 from upwash.real.instances.limits import apply_limits
+from upwash.real.instances.lxd.credentials import ControlCredentials
 from upwash.real.link.announced import Inside
 from upwash.real.link.direct import DirectListener
 from upwash.real.link.listener import Health, Listener
@@ -236,7 +236,7 @@ def main() -> NoReturn:
     while True:
         message = to_instance.decode(orders.get())
         match message:
-            case Admit(drones, finishing):
+            case AdmitDrones(drones, finishing):
                 instance.admit(drones, finishing)
             case Drain(why):
                 instance.drain(why)

@@ -1,8 +1,7 @@
-"""A program's end of the control line to one service instance, whatever carries it.
+"""The program's end of a service instance: its control line, and what all instances do by it.
 
-The other end may be a service that means harm. What it says is bounded in length and number, and heard only where
-it can be so: calls of drones that it was told to admit, answers to these by methods that its service declares, after
-no longer than it has been running.
+The other end may be a hostile service. Its messages are limited in length and number, and reports count only if they
+are possible: calls of admitted drones, of declared methods, no longer than the instance has run.
 """
 
 from __future__ import annotations
@@ -10,70 +9,57 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 
 import msgspec
 
 from upwash import ports
 from upwash.core.admission.limits import Allowance
 from upwash.errors import InstanceError
-from upwash.real.instances.control import (
-    MOST_REPORTS_PER_S,
-    Admit,
-    Admitted,
-    Answered,
-    Begin,
-    Called,
-    Drain,
-    Drained,
-    Ended,
-    Failed,
-    FromInstance,
-    Ready,
-    Said,
-    from_instance,
-    line,
-)
+from upwash.real.instances import control
 from upwash.real.instances.output import Output
+from upwash.real.link.announced import Connect
+from upwash.real.link.door import Lead, Passage
 from upwash.real.link.streams import hang_up
 from upwash.support.background import start
 from upwash.support.text import words_of
+from upwash.support.waiting import first
 
 _log = logging.getLogger("upwash.instance")
 
 _ADMIT_S = 5.0
-LONGEST_LINE_BYTES = 2**17  # what a container's init may say at once
-_LONGEST_REASON = 10_000  # characters of why it cannot serve
-# Twice what an instance keeps to; at once, what may wait in between while this program is busy.
-_MOST_MESSAGES_PER_S = 2 * MOST_REPORTS_PER_S
+LONGEST_LINE_BYTES = 2**17  # the longest message of a container's process 1
+_LONGEST_REASON = 10_000  # characters
+# Twice what an instance sends at most; a backlog may form while this program is busy.
+_MOST_MESSAGES_PER_S = 2 * control.MOST_REPORTS_PER_S
 _MOST_MESSAGES_AT_ONCE = 10_000
-_MOST_BYTES_PER_S = 2**20  # above all a container's output, of which its init passes on a quarter of that
+_MOST_BYTES_PER_S = 2**20  # mostly output: a container's process 1 passes on a quarter of this
 _MOST_BYTES_AT_ONCE = 2**24
 
 
 class InstanceControl:
-    """Tells the instance what to be and whom to admit; hears who called, what it prints, and when it is gone."""
+    """Sends an instance its orders, and receives its reports until the instance is gone."""
 
     def __init__(
         self,
-        name: str,
-        called: Callable[[str], None],
+        spec: ports.InstanceSpec,
         output: Output,
         *,
-        answered: ports.Answered = ports.ignored,
-        methods: frozenset[str] = frozenset(),
+        called: Callable[[str], None],
+        answered: ports.Answered,
         reports: asyncio.StreamReader,
         orders: asyncio.StreamWriter,
     ) -> None:
-        self.code: int | None = None  # with which a container's service ended, if it said so
+        self.code: int | None = None  # the exit code that a container reported
         self.fault = ""  # why this end hung up
-        self._name = name
         self.called = called
         self.answered = answered
-        self._methods = methods  # that the service declares
+        self._name = spec.name
+        self._methods = spec.methods
         self._admitted: frozenset[str] = frozenset()
-        self._told = Admit([])  # last
+        self._last_order = control.AdmitDrones([])
         self._ready_s = 0.0
         self._messages = Allowance(_MOST_MESSAGES_PER_S, at_once=_MOST_MESSAGES_AT_ONCE)
         self._bytes = Allowance(_MOST_BYTES_PER_S, at_once=_MOST_BYTES_AT_ONCE)
@@ -84,34 +70,35 @@ class InstanceControl:
         self._drained: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._listening: asyncio.Task[None] | None = None
 
-    async def begin(self, begin: Begin) -> str:
-        """Tells the instance what to be; returns the address that it serves at once it does.
+    async def begin(self, begin: control.Begin) -> str:
+        """The address at which the instance serves, once it is ready.
 
-        Raises InstanceError with its reason, and EOFError where it ended without one.
+        Raises InstanceError with the instance's reason, and EOFError if the line ended without a reason.
         """
-        self._orders.write(line(begin))
+        self._orders.write(control.line(begin))
         while True:
-            match await self._hear():
-                case Ready(address):
+            match await self._receive():
+                case control.Ready(address):
                     self._ready_s = _now_s()
                     self._listening = start(
                         self._listen(), name=f"the control line of {self._name}", failed=self._lose
                     )
                     return address
-                case Failed(why):
+                case control.Failed(why):
                     raise InstanceError(f"{self._name} did not start: {words_of(why[:_LONGEST_REASON])}")
-                case Said(output, left_out):
+                case control.Printed(output, left_out):
                     self._output.add(output, left_out=left_out)
                 case None if self.fault:
                     raise InstanceError(f"{self._name} did not start: {self.fault}")
-                case None | Ended():
+                case None | control.ServiceEnded():
                     raise EOFError
                 case other:
-                    raise InstanceError(f"{self._name} said {type(other).__name__} before it was ready")
+                    raise InstanceError(f"{self._name} sent {type(other).__name__} before it was ready")
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        self._told, self._admitted = Admit(sorted(drones), sorted(finishing)), drones | finishing
+        """Have only these drones answered; raises InstanceError if the instance does not confirm it in 5 s."""
+        self._last_order = control.AdmitDrones(sorted(drones), sorted(finishing))
+        self._admitted = drones | finishing
         try:
             async with asyncio.timeout(_ADMIT_S):
                 await self.health()
@@ -119,59 +106,59 @@ class InstanceControl:
             raise InstanceError(f"{self._name} does not answer its runtime") from None
 
     async def health(self) -> None:
-        """Returns once the instance confirms whom it serves; raises InstanceError where it is gone."""
+        """Return once the instance confirms its last admission; raises InstanceError if it is gone."""
         confirmed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._tell(self._told)
+        self._send(self._last_order)
         self._admissions.append(confirmed)
         await confirmed
 
     async def drain(self, why: str) -> None:
-        """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
-        self._tell(Drain(why))
+        """Have further calls refused for that reason; returns when no call is in progress, or the line ended."""
+        self._send(control.Drain(why))
         await asyncio.shield(self._drained)
 
     @property
     def is_over(self) -> bool:
-        """Whether the other end is gone, or never said that it serves."""
+        """Whether the instance is gone, or was never ready."""
         return self._listening is None or self._listening.done()
 
     async def ended(self) -> None:
-        """Returns when the other end is gone."""
+        """Return when the instance is gone."""
         if self._listening is not None:
             await asyncio.wait([self._listening])
 
     async def close(self) -> None:
-        """Hangs up, by which the instance ends."""
+        """Hang up, which ends the instance."""
         if self._listening is not None:
             self._listening.cancel()
-        hang_up(self._orders.transport)  # whoever is frozen takes no part in a farewell
+        hang_up(self._orders.transport)  # a frozen process never closes its end
         with contextlib.suppress(OSError):
             await self._orders.wait_closed()
 
-    def _tell(self, message: Admit | Drain) -> None:
+    def _send(self, message: control.AdmitDrones | control.Drain) -> None:
         if self.is_over:
             raise InstanceError(f"{self._name} is gone")
-        self._orders.write(line(message))
+        self._orders.write(control.line(message))
 
-    async def _hear(self) -> FromInstance | None:
-        """The next message; None at the end, and where the line broke or this end has to hang up."""
+    async def _receive(self) -> control.FromInstance | None:
+        """The next message; None at the end of the line, also if this end has to hang up."""
         try:
             text = await self._reports.readline()
-            message = from_instance.decode(text) if text else None
+            message = control.from_instance.decode(text) if text else None
         except OSError:
             return None
         except (ValueError, RecursionError, msgspec.MsgspecError):
-            self._hang_up("it said something that cannot be understood")
+            self._hang_up("it sent a message that cannot be decoded")
             return None
         if not (self._messages.take(1, now_s=_now_s()) and self._bytes.take(len(text), now_s=_now_s())):
-            self._hang_up("it said too much over its control line")
+            self._hang_up("it sent too much over its control line")
             return None
-        if isinstance(message, Ended):
+        if isinstance(message, control.ServiceEnded):
             self.code = message.code
         return message
 
     def _lose(self, defect: Exception) -> None:
-        self._hang_up(f"a defect in hearing it: {type(defect).__name__}: {defect}")
+        self._hang_up(f"a defect in reading its messages: {type(defect).__name__}: {defect}")
 
     def _hang_up(self, why: str) -> None:
         self.fault = why
@@ -180,7 +167,7 @@ class InstanceControl:
 
     async def _listen(self) -> None:
         try:
-            while not self.fault and (message := await self._hear()) is not None:
+            while not self.fault and (message := await self._receive()) is not None:
                 self._take_in(message)
         finally:
             for confirmed in self._admissions:
@@ -189,38 +176,175 @@ class InstanceControl:
             if not self._drained.done():
                 self._drained.set_result(None)
 
-    def _take_in(self, message: FromInstance) -> None:
+    def _take_in(self, message: control.FromInstance) -> None:
         match message:
-            case Called(drone):
+            case control.Called(drone):
                 if drone in self._admitted:
                     self.called(drone)
-            case Answered():
-                if self._can_be_so(message):
+            case control.Answered():
+                if self._is_possible(message):
                     self.answered(
                         ports.AnsweredCall(
                             message.drone, message.method, message.queued_s, message.took_s, message.outcome
                         )
                     )
-            case Admitted() if self._admissions:
+            case control.Admitted() if self._admissions:
                 confirmed = self._admissions.popleft()
                 if not confirmed.done():
                     confirmed.set_result(None)
-            case Drained() if not self._drained.done():
+            case control.Drained() if not self._drained.done():
                 self._drained.set_result(None)
-            case Said(output, left_out):
+            case control.Printed(output, left_out):
                 self._output.add(output, left_out=left_out)
-            case Ended():
+            case control.ServiceEnded():
                 pass
             case _:
-                self._hang_up("it said something out of turn")
+                self._hang_up("it sent a message out of turn")
 
-    def _can_be_so(self, call: Answered) -> bool:
+    def _is_possible(self, call: control.Answered) -> bool:
         return (
             call.drone in self._admitted
             and call.method in self._methods
             and min(call.queued_s, call.took_s) >= 0.0
             and call.queued_s + call.took_s <= _now_s() - self._ready_s
         )
+
+
+class ControlledInstance(ABC):
+    """An instance with a control line; it is frozen instead of stopped if there is a `keep` to take it.
+
+    Callers are led to it through the door if there is a `lead`.
+    """
+
+    def __init__(
+        self,
+        spec: ports.InstanceSpec,
+        *,
+        called: Callable[[str], None],
+        answered: ports.Answered,
+        lead: Lead | None,
+        keep: Callable[[ControlledInstance], None] | None = None,
+    ) -> None:
+        self.spec = spec
+        self.endpoint = ""
+        self._called = called
+        self._answered = answered
+        self._lead = lead
+        self._keep = keep
+        self._passage: Passage | None = None
+        self._output = Output(spec.name)
+        self._control: InstanceControl | None = None
+        self._stopped = asyncio.Event()
+
+    @property
+    def control(self) -> InstanceControl:
+        """The control line of an instance that was started."""
+        assert self._control is not None  # noqa: S101 - it has begun
+        return self._control
+
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
+        """Have only these drones answered; raises InstanceError if the instance does not confirm it."""
+        await self.control.admit(drones, finishing)
+
+    async def drain(self, why: str) -> None:
+        """Have further calls refused for that reason; returns when no call is in progress.
+
+        The instance never answers again, and is not kept.
+        """
+        self._keep = None
+        await self.control.drain(why)
+
+    async def health(self) -> None:
+        """Return at the instance's next reply; raises InstanceError if it is gone."""
+        await self.control.health()
+
+    async def exited(self) -> str:
+        """How the instance ended, with its last lines of output, once it has; "stopped" for a frozen one."""
+        return await first(self.how_it_ended(), self._until_stopped())
+
+    async def stop(self) -> None:
+        """Freeze the instance if it is kept, else end it; returns when that is done."""
+        if self._keep is None or self.control.is_over:
+            await self.end()
+        elif not self._stopped.is_set():
+            self._stopped.set()
+            await self._shut()
+            try:
+                await self.control.admit(frozenset())
+                await self.freeze()
+            except InstanceError as error:
+                _log.warning("%s cannot be frozen and is stopped: %s", self.spec.name, error)
+                await self.end()
+            else:
+                self._keep(self)
+
+    async def resume(self, *, called: Callable[[str], None], answered: ports.Answered) -> None:
+        """Have a frozen instance serve again; raises InstanceError."""
+        self._stopped.clear()
+        self.control.called, self.control.answered = called, answered
+        await self.thaw()
+        await self.control.admit(frozenset())
+        await self.open()
+
+    @abstractmethod
+    async def how_it_ended(self) -> str:
+        """How the instance ended, with its last lines of output, once it has."""
+
+    @abstractmethod
+    async def end(self) -> None:
+        """End the instance, frozen or not; returns when it is gone."""
+
+    @abstractmethod
+    async def open(self) -> None:
+        """Let callers in; raises InstanceError if the instance cannot be reached."""
+
+    async def freeze(self) -> None:
+        """Suspend what runs; raises InstanceError."""
+        raise InstanceError(f"{self.spec.name} is a process")
+
+    async def thaw(self) -> None:
+        """Let a frozen instance go on; raises InstanceError."""
+        raise InstanceError(f"{self.spec.name} is a process")
+
+    def _connect_control(
+        self, reports: asyncio.StreamReader, orders: asyncio.StreamWriter
+    ) -> InstanceControl:
+        self._control = InstanceControl(
+            self.spec,
+            self._output,
+            called=self._called,
+            answered=self._answered,
+            reports=reports,
+            orders=orders,
+        )
+        return self._control
+
+    async def _lead_to(self, connect: Connect) -> None:
+        if self._lead is not None:
+            self._passage = await self._lead(self.spec.server, connect)
+            self.endpoint = self._passage.endpoint
+
+    async def _shut(self) -> None:
+        if self._passage is not None:
+            await self._passage.close()
+            self._passage = None
+
+    async def _until_stopped(self) -> str:
+        await self._stopped.wait()
+        return "stopped"
+
+
+@contextlib.asynccontextmanager
+async def starting(instance: ControlledInstance) -> AsyncIterator[None]:
+    """Have the start in the block take `start_pace_s` at least; an instance that does not start is ended."""
+    now_s = asyncio.get_running_loop().time
+    paced_until_s = now_s() + instance.spec.start_pace_s
+    try:
+        yield
+        await asyncio.sleep(paced_until_s - now_s())
+    except BaseException:
+        await instance.end()
+        raise
 
 
 def _now_s() -> float:

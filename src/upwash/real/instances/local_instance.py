@@ -1,4 +1,4 @@
-"""One service instance on this machine, whatever runs it: it is spoken to over sockets that were handed to it."""
+"""A service instance on this machine, in a process or a container: it gets its sockets from this program."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ import msgspec
 from upwash.errors import InstanceError
 from upwash.ports import Answered, InstanceSpec
 from upwash.real.instances.control import Begin
-from upwash.real.instances.instance_control import InstanceControl
-from upwash.real.instances.output import Output, chunks_of
+from upwash.real.instances.instance_control import ControlledInstance, InstanceControl
+from upwash.real.instances.output import chunks_of
 from upwash.real.link.announced import announcing_at
 from upwash.real.link.direct import Calls, direct_pair
-from upwash.real.link.door import Lead, Passage
+from upwash.real.link.door import Lead
 from upwash.real.link.streams import connected_pair, endpoint_of, hang_up, listening_socket
 from upwash.support.background import end, only_logged, start
 from upwash.support.waiting import first
@@ -32,31 +32,31 @@ _INSIDE = "unix:/tmp/instance.sock"  # in its own /tmp
 
 @dataclass(frozen=True, slots=True)
 class Handed:
-    """The instance's ends: its control line, what it prints to, and where callers come if it does not listen."""
+    """The instance's ends: its control line, its output, and its socket for callers if it does not listen itself."""
 
     control: socket.socket
     output: socket.socket
     outside: socket.socket | None
 
 
-class Running(Protocol):
+class ServiceProcess(Protocol):
     """What runs an instance: a group of processes, or a container."""
 
     async def ended(self) -> int:
-        """Returns its exit code, negative for a signal, when its first process has ended."""
+        """The exit code of its first process once that has ended; negative for a signal."""
 
     async def end(self) -> None:
-        """Ends it with everything that it started; returns when it is gone."""
+        """End it with all processes that it started; returns when they are gone."""
 
 
-Run = Callable[[InstanceSpec, Handed], Awaitable[Running]]
+Run = Callable[[InstanceSpec, Handed], Awaitable[ServiceProcess]]
 
 
-class LocalInstance:
-    """An instance that `run` starts: the control line to it, its output, and the way of callers to it.
+class LocalInstance(ControlledInstance):
+    """An instance that `run` starts.
 
-    It prints into a socket pair instead of a pipe of asyncio's: the end of such a process is noticed only when its
-    pipes are closed too, and a child that it left behind would hold them open.
+    It prints into a socket pair instead of a pipe of asyncio's: asyncio reports the end of a process only when its
+    pipes are closed too, and a child that the service left behind would hold them open.
     """
 
     def __init__(
@@ -67,29 +67,22 @@ class LocalInstance:
         called: Callable[[str], None],
         answered: Answered,
         lead: Lead | None = None,
+        keep: Callable[[ControlledInstance], None] | None = None,
     ) -> None:
-        self.endpoint = ""
-        self.spec = spec
+        super().__init__(spec, called=called, answered=answered, lead=lead, keep=keep)
         self._run = run
-        self._lead = lead
-        self._called = called
-        self._answered = answered
-        self._passage: Passage | None = None
         self._calls: Calls | None = None
         self._path = ""  # of the socket to which callers are led
         self._files: list[Path] = []  # that its sockets leave
-        self._running: Running | None = None
-        self._output = Output(spec.name)
+        self._running: ServiceProcess | None = None
         self._prints: asyncio.StreamWriter | None = None  # kept, or the socket would be closed with it
         self._listening: asyncio.Task[None] | None = None
-        self._control: InstanceControl | None = None
 
     async def begin(self, begin: Begin, *, is_apart: bool) -> None:
-        """Starts it and tells it what to be; returns when it is ready, raises InstanceError.
+        """Start the instance; returns when it is ready, raises InstanceError.
 
-        One that `is_apart` has no address to listen at, and behind a door each connection has a first line: it
-        inherits the listening socket, and hands on what comes to it. Without an address the
-        instance is called over a pair: `take_calls`.
+        An instance that `is_apart` cannot listen at an address of this machine, and behind a door each connection has
+        a first line: both inherit the listening socket. Without an address, calls pass over a pair: `take_calls`.
         """
         listen, endpoint = begin.listen, ""
         if listen.startswith("unix:"):
@@ -108,14 +101,13 @@ class LocalInstance:
         try:
             address = await control.begin(begin)
         except EOFError:
-            raise InstanceError(f"{self.spec.name} did not start: {await self.exited()}") from None
-        if self._lead is not None:
-            self._path = listen.removeprefix("unix:")
-            await self._open()
-        elif outside is not None:
+            raise InstanceError(f"{self.spec.name} did not start: {await self.how_it_ended()}") from None
+        if outside is not None:
             self.endpoint = endpoint
         else:
             self.endpoint = address if address.startswith("unix:") else f":{address.rpartition(':')[2]}"
+        self._path = listen.removeprefix("unix:")
+        await self.open()
 
     def take_calls(self) -> Calls:
         """The program's end of the pair to an instance without an address; only once."""
@@ -123,30 +115,22 @@ class LocalInstance:
         calls, self._calls = self._calls, None
         return calls
 
-    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        await self.control.admit(drones, finishing)
+    async def open(self) -> None:
+        """Lead callers to the instance through the door, if there is one."""
+        await self._lead_to(announcing_at(self._path))
 
-    async def drain(self, why: str) -> None:
-        """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
-        await self.control.drain(why)
-
-    async def health(self) -> None:
-        """Returns at its next sign of life; raises InstanceError where it is gone."""
-        await self.control.health()
-
-    async def exited(self) -> str:
-        """Returns how it ended, with its last words, when it does."""
+    async def how_it_ended(self) -> str:
+        """How the instance ended, with its last lines of output, once it has."""
         assert self._running is not None and self._listening is not None  # noqa: S101 - it has begun
-        code = await self._end_of(self._running)
-        if code is None:
+        code = await first(self._running.ended(), self._cut())
+        if code is None:  # it runs on, although its control line is cut
             return self.control.fault or "it closed its control line"
         await self._running.end()  # what a crashed service had started
         await asyncio.wait([self._listening], timeout=STOP_GRACE_S)
         return self.control.fault or self._output.explain(code)
 
-    async def stop(self) -> None:
-        """Ends it and everything that it started; returns when it is gone."""
+    async def end(self) -> None:
+        """End the instance and all processes that it started; returns when they are gone."""
         await self._shut()
         if self._calls is not None:
             _, unused = self.take_calls()
@@ -154,7 +138,7 @@ class LocalInstance:
         try:
             if self._running is not None:
                 await self._running.end()
-        finally:  # also where its end is given up
+        finally:  # also if the wait for its end is given up
             await self._hang_up()
 
     async def _hang_up(self) -> None:
@@ -169,29 +153,8 @@ class LocalInstance:
             with contextlib.suppress(ConnectionError):
                 await self._prints.wait_closed()
 
-    @property
-    def control(self) -> InstanceControl:
-        """The control line to it, once it was started."""
-        assert self._control is not None  # noqa: S101 - it has begun
-        return self._control
-
-    async def _open(self) -> None:
-        """Leads callers to it, through the door."""
-        assert self._lead is not None  # noqa: S101 - there is a door
-        self._passage = await self._lead(self.spec.server, announcing_at(self._path))
-        self.endpoint = self._passage.endpoint
-
-    async def _shut(self) -> None:
-        if self._passage is not None:
-            await self._passage.close()
-            self._passage = None
-
-    async def _end_of(self, running: Running) -> int | None:
-        """Its code when it has ended; None for one that goes on although its control line is cut."""
-        return await first(running.ended(), self._cut())
-
     async def _cut(self) -> None:
-        """Returns when this end has hung up, or the other end has for longer than it needs to end."""
+        """Return when this end has hung up, or the other end hung up and had time to end."""
         await self.control.ended()
         if not self.control.fault:
             await asyncio.sleep(STOP_GRACE_S)
@@ -214,15 +177,7 @@ class LocalInstance:
             try:
                 (reports, orders), control = await connected_pair()
                 theirs.enter_context(control)
-                self._control = InstanceControl(
-                    self.spec.name,
-                    self._called,
-                    self._output,
-                    answered=self._answered,
-                    methods=self.spec.methods,
-                    reports=reports,
-                    orders=orders,
-                )
+                found = self._connect_control(reports, orders)
                 (prints, self._prints), output = await connected_pair()
                 theirs.enter_context(output)
                 self._running = await self._run(self.spec, Handed(control, output, outside))
@@ -231,7 +186,7 @@ class LocalInstance:
         self._listening = start(
             self._listen(prints), name=f"the output of {self.spec.name}", failed=only_logged
         )
-        return self._control
+        return found
 
     async def _listen(self, prints: asyncio.StreamReader) -> None:
         async for chunk in chunks_of(prints):

@@ -16,7 +16,8 @@ from weakref import WeakSet, WeakValueDictionary
 
 from upwash.errors import InstanceError
 from upwash.ports import Answered, InstanceSpec, ignored
-from upwash.real.instances.control import Begin, begin_of
+from upwash.real.instances.control import begin_of
+from upwash.real.instances.instance_control import starting
 from upwash.real.instances.local_instance import STOP_GRACE_S, Handed, LocalInstance
 from upwash.real.instances.sandbox import Sandbox, open_call_filter
 from upwash.real.link.direct import DirectLink
@@ -25,7 +26,12 @@ from upwash.support.loading import module_command
 
 _log = logging.getLogger("upwash.instance")
 _KILL_S = 5.0  # for a killed process to be gone, which one in the kernel's hands never is
-SIGNALLED = 128  # how a shell, and bubblewrap, tell by which signal a process was killed
+_SIGNALLED = 128
+
+
+def exit_code(code: int) -> int:
+    """The exit code that a shell, bubblewrap or a container engine passed on, negative for a signal."""
+    return _SIGNALLED - code if _SIGNALLED < code < _SIGNALLED + signal.NSIG else code
 
 
 def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
@@ -63,21 +69,8 @@ class ProcessRuntime:
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> LocalInstance:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
-        loop = asyncio.get_running_loop()
-        paced_until_s = loop.time() + spec.start_pace_s
         instance = LocalInstance(spec, self._run, called=called, answered=answered, lead=self._lead)
-        try:
-            await instance.begin(self._begin(spec), is_apart=self._sandbox is not None)
-            await asyncio.sleep(paced_until_s - loop.time())
-        except BaseException as error:
-            await instance.stop()
-            if isinstance(error, InstanceError) and self._sandbox is not None:
-                raise InstanceError(f"{error}{self._sandbox.remedy(str(error), spec.program)}") from error
-            raise
-        return instance
-
-    def _begin(self, spec: InstanceSpec) -> Begin:
-        return begin_of(
+        begin = begin_of(
             spec,
             spec.program,
             listen=self._listen(spec),
@@ -85,6 +78,14 @@ class ProcessRuntime:
             is_announced=self._lead is not None,
             limits=spec.limits if self._sandbox else None,
         )
+        try:
+            async with starting(instance):
+                await instance.begin(begin, is_apart=self._sandbox is not None)
+        except InstanceError as error:
+            if self._sandbox is None:
+                raise
+            raise InstanceError(f"{error}{self._sandbox.remedy(str(error), spec.program)}") from error
+        return instance
 
     async def _run(self, spec: InstanceSpec, handed: Handed) -> ProcessGroup:
         inherited = [each.fileno() for each in (handed.control, handed.outside) if each is not None]
@@ -138,9 +139,7 @@ class ProcessGroup:
     async def ended(self) -> int:
         """Returns its exit code, negative for a signal, when it has ended."""
         code = await self._process.wait()
-        if self._is_in_sandbox and SIGNALLED < code < SIGNALLED + signal.NSIG:
-            return SIGNALLED - code  # as bubblewrap passes on how a process in it was killed
-        return code
+        return exit_code(code) if self._is_in_sandbox else code
 
     async def end(self) -> None:
         """Asks it to end, and then kills it with everything that it started; returns when it is gone."""

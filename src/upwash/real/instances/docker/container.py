@@ -1,4 +1,4 @@
-"""A container of Docker or Podman: what it may use and see, and how a service in it is handed its sockets."""
+"""A container of Docker or Podman: what it may use and see, and how its service gets its sockets."""
 
 from __future__ import annotations
 
@@ -19,31 +19,30 @@ import msgspec
 from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import InstanceSpec
-from upwash.real.instances.containers import container_name
+from upwash.real.instances.containers import ServiceImage, container_name
 from upwash.real.instances.docker.engine import DockerEngine, last_line
 from upwash.real.instances.docker.inside import COMMAND, HANDOFF
 from upwash.real.instances.local_instance import STOP_GRACE_S, Handed
-from upwash.real.instances.runtime import SIGNALLED
-from upwash.real.instances.service_image import ServiceImage
+from upwash.real.instances.runtime import exit_code
 from upwash.support.background import begin
 from upwash.support.waiting import first
 
 _log = logging.getLogger("upwash.docker")
 
-SERVER = "upwash.server"  # the label by which a daemon knows its containers again
+SERVER = "upwash.server"  # the label by which a daemon finds its containers
 _USER = "1000:1000"
-_LOG_SIZE = "64k"  # of what is printed before the daemon hands over another place for it
+_LOG_SIZE = "64k"  # of output before the service has its sockets
 _FIRST_KILLED = 1000  # when the machine runs out of memory, as services in a sandbox
 _TAKES_OVER_S = 20.0
 _LOOK_S = 0.5
 _ENDS_S = 5.0
-_LONGEST_CODE = 8  # bytes: a service that means harm might write there too
+_LONGEST_CODE = 8  # bytes: a hostile service might write there too
 _NANO = 10**9
-_told = msgspec.json.Decoder(dict[str, str])
+_labels = msgspec.json.Decoder(dict[str, str])
 
 
 @dataclass(frozen=True, slots=True)
-class ContainerSettings:
+class DockerSettings:
     """What every container of a daemon may use.
 
     Sockets are handed over below the `folder`, which no other user may enter.
@@ -56,16 +55,16 @@ class ContainerSettings:
 
 def definition(
     image: ServiceImage,
-    settings: ContainerSettings,
+    settings: DockerSettings,
     *,
     server: str,
     command: Sequence[str],
     folder: Path | None,
 ) -> dict[str, object]:
-    """What an engine is asked to create: no network, no rights, nothing to write to but memory.
+    """A container's definition: no network, no rights, and only memory to write to.
 
-    The folder, with the socket at which the daemon hands over the service's own, is mounted where
-    `upwash.real.instances.docker.inside` looks for it.
+    The folder has the socket over which the daemon hands over the service's own. It is mounted where
+    `upwash.real.instances.docker.inside` expects it.
     """
     binds = [f"{folder}:{Path(HANDOFF).parent}:ro"] if folder else []
     if image.base == "host":
@@ -104,61 +103,59 @@ def definition(
     }
 
 
-class Container:
-    """One that runs, and has taken over the sockets of its service."""
+class DockerContainer:
+    """A container that runs, whose service has its sockets."""
 
     def __init__(self, engine: DockerEngine, name: str, line: socket.socket) -> None:
-        self.name = name
         self._engine = engine
+        self._name = name
         self._line = line
         self._is_paused = False
-        self._ended = begin(self._end_of())
+        self._ended = begin(self._await_end())
 
     async def ended(self) -> int:
-        """Returns the exit code of its service, negative for a signal, when that has ended."""
+        """The exit code of the container's service once that has ended; negative for a signal."""
         return await asyncio.shield(self._ended)
 
     async def end(self) -> None:
-        """Asks the service to end, then removes the container; where the engine does not answer it ends by itself."""
-        try:
+        """Ask the service to end, then remove the container; without its daemon a container ends by itself."""
+        with contextlib.suppress(EngineError):  # it has ended meanwhile
             if not self._is_paused and not self._ended.done():
-                await self._engine.signal(self.name, "SIGTERM")
+                await self._engine.ask(lambda api: api.kill(self._name, "SIGTERM"))
                 await asyncio.wait([self._ended], timeout=STOP_GRACE_S)
-        except EngineError:  # it has ended meanwhile
-            pass
         try:
-            await self._engine.remove(self.name)
+            await self._engine.remove(self._name)
         except EngineError as error:
-            _log.warning("container %s could not be removed: %s", self.name, error)
+            _log.warning("container %s could not be removed: %s", self._name, error)
         self._line.close()
 
     async def pause(self) -> None:
-        """Freezes it."""
-        await self._engine.pause(self.name)
+        """Freeze all processes in the container."""
+        await self._engine.ask(lambda api: api.pause(self._name))
         self._is_paused = True
 
     async def unpause(self) -> None:
-        """Lets it go on."""
-        await self._engine.unpause(self.name)
+        """Let a frozen container go on."""
+        await self._engine.ask(lambda api: api.unpause(self._name))
         self._is_paused = False
 
-    async def _end_of(self) -> int:
-        """By its process 1; by the engine, where that could not say it."""
-        loop, said = asyncio.get_running_loop(), b""
+    async def _await_end(self) -> int:
+        """The exit code that process 1 reports; the engine's, if process 1 could not report one."""
+        loop, report = asyncio.get_running_loop(), b""
         with contextlib.suppress(OSError):
-            while len(said) <= _LONGEST_CODE and (chunk := await loop.sock_recv(self._line, _LONGEST_CODE)):
-                said += chunk
-        if re.fullmatch(rb"-?\d{1,3}\n", said):
-            return int(said)
+            while len(report) <= _LONGEST_CODE and (chunk := await loop.sock_recv(self._line, _LONGEST_CODE)):
+                report += chunk
+        if re.fullmatch(rb"-?\d{1,3}\n", report):
+            return int(report)
         with contextlib.suppress(EngineError):
-            return _code(await self._engine.wait(self.name, wait_s=_ENDS_S))
+            return exit_code(await self._engine.wait(self._name, wait_s=_ENDS_S))
         return -signal.SIGKILL
 
 
 async def run(
-    engine: DockerEngine, image: ServiceImage, settings: ContainerSettings, spec: InstanceSpec, handed: Handed
-) -> Container:
-    """Runs a service on these sockets in a new container; raises EngineError, with nothing left of it."""
+    engine: DockerEngine, image: ServiceImage, settings: DockerSettings, spec: InstanceSpec, handed: Handed
+) -> DockerContainer:
+    """A new container with a service on these sockets; raises EngineError, and leaves nothing behind then."""
     with (
         tempfile.TemporaryDirectory(prefix="c-", dir=settings.folder) as folder,  # what is mounted remains
         _handoff(Path(folder)) as door,
@@ -166,7 +163,7 @@ async def run(
         made = definition(image, settings, server=spec.server, command=COMMAND, folder=Path(folder))
         name = await engine.create(made)
         try:
-            await engine.start(name)
+            await engine.ask(lambda api: api.start(name))
             line = await _taken_over(engine, name, door, spec)
         except BaseException:
             await engine.remove(name)
@@ -174,13 +171,13 @@ async def run(
     assert handed.outside is not None  # noqa: S101 - a container has nowhere to listen itself
     sockets = [handed.control.fileno(), handed.output.fileno(), handed.outside.fileno()]
     socket.send_fds(line, [b"!"], sockets)
-    return Container(engine, name, line)
+    return DockerContainer(engine, name, line)
 
 
 def _handoff(folder: Path) -> socket.socket:
     """The socket at which a container asks for those of its service.
 
-    Its user is another one. Nobody else of this machine gets into the folder above.
+    The container's user may enter this folder; other users of this machine cannot enter the folder above it.
     """
     door = socket.socket(socket.AF_UNIX)
     path = folder / Path(HANDOFF).name
@@ -193,22 +190,22 @@ def _handoff(folder: Path) -> socket.socket:
 
 
 async def describe(
-    engine: DockerEngine, image: ServiceImage, settings: ContainerSettings, *, server: str
+    engine: DockerEngine, image: ServiceImage, settings: DockerSettings, *, server: str
 ) -> Mapping[str, str]:
-    """What the image's program says of its service, run alone in a container; raises EngineError."""
+    """The labels that the image's program prints, run alone in a container; raises EngineError."""
     name = await engine.create(
         definition(image, settings, server=server, command=(*COMMAND, image.program.path), folder=None)
     )
     try:
-        await engine.start(name)
+        await engine.ask(lambda api: api.start(name))
         code = await engine.wait(name, wait_s=_TAKES_OVER_S)
-        output, errors = await engine.said(name)
+        output, errors = await engine.output(name)
     finally:
         await engine.remove(name)
     try:
         if code != 0:
             raise ValueError(last_line(output, errors))
-        return _told.decode(last_line(output))
+        return _labels.decode(last_line(output))
     except (ValueError, msgspec.MsgspecError) as error:
         raise EngineError(
             f"the image of {image.service} does not say what {image.program.path} declares: {error}; it needs "
@@ -219,7 +216,7 @@ async def describe(
 async def _taken_over(
     engine: DockerEngine, name: str, door: socket.socket, spec: InstanceSpec
 ) -> socket.socket:
-    """The line to its process 1, once that has called."""
+    """The connection from the container's process 1."""
     try:
         async with asyncio.timeout(_TAKES_OVER_S):
             line, _ = await first(
@@ -234,11 +231,7 @@ async def _taken_over(
 
 
 async def _require_running(engine: DockerEngine, name: str, spec: InstanceSpec) -> NoReturn:
-    """Raises InstanceError once the container runs no more."""
-    while await engine.is_running(name):  # noqa: ASYNC110 - an engine tells nobody
+    """Raises InstanceError once the container has ended."""
+    while (await engine.ask(lambda api: api.inspect_container(name)))["State"].get("Running"):  # noqa: ASYNC110
         await asyncio.sleep(_LOOK_S)
-    raise InstanceError(f"{spec.name} did not start: {last_line(*await engine.said(name))}")
-
-
-def _code(status: int) -> int:
-    return SIGNALLED - status if SIGNALLED < status < SIGNALLED + signal.NSIG else status
+    raise InstanceError(f"{spec.name} did not start: {last_line(*await engine.output(name))}")

@@ -1,7 +1,4 @@
-"""The container engine, Docker or Podman, through Docker's own client library, which speaks to both.
-
-The library blocks, so each request runs in a thread, with a bounded wait.
-"""
+"""Docker or Podman through Docker's own client library; each request runs in a thread, with a time limit."""
 
 from __future__ import annotations
 
@@ -9,13 +6,13 @@ import asyncio
 import contextlib
 import functools
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from upwash.errors import EngineError, UsageError
+from upwash.real.instances.containers import HeldImage
 from upwash.support.loading import extra
 
 _log = logging.getLogger("upwash.docker")
@@ -26,28 +23,12 @@ _REMOVALS = 3
 _AGAIN_S = 0.3
 _THREADS = 8
 _LAST_WORDS = 20  # lines
-_SAYS_OF_LIMITS = {"memory_bytes": "MemoryLimit", "processes": "PidsLimit", "cpus": "CpuCfsQuota"}
+_KEYS_OF_LIMITS = {"memory_bytes": "MemoryLimit", "processes": "PidsLimit", "cpus": "CpuCfsQuota"}
 T = TypeVar("T")
 
 REMEDY = (
     "is it running (`systemctl start docker`, `systemctl start podman.socket`), and may this user use it?"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class HeldImage:
-    """An image that the engine holds."""
-
-    id: str
-    labels: Mapping[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class HeldContainer:
-    """A container that the engine holds."""
-
-    id: str
-    labels: Mapping[str, str]
 
 
 class DockerEngine:
@@ -59,107 +40,87 @@ class DockerEngine:
         self._client: Any = None
 
     async def connect(self) -> None:
-        """Returns when the engine answers; raises UsageError with the remedy."""
+        """Return when the engine answers; raises UsageError with the remedy."""
         version = await self._ask_first(lambda api: api.version())
-        names = [each["Name"] for each in version.get("Components") or ()]
+        names = [component["Name"] for component in version.get("Components") or ()]
         _log.info("%s %s answers", names[0] if names else "Docker", version["Version"])
 
     async def unenforced_limits(self) -> dict[str, str]:
-        """Why limits of these names cannot hold for its containers; raises UsageError with the remedy."""
+        """Why limits of these names cannot hold for containers; raises UsageError with the remedy."""
         info = await self._ask_first(lambda api: api.info())
         why = (
             f"the engine at {self.address} has no control group for it: give this machine or user the controllers "
             "cpu, memory and pids"
         )
-        return {name: why for name, says in _SAYS_OF_LIMITS.items() if info.get(says) is False}
+        return {name: why for name, key in _KEYS_OF_LIMITS.items() if info.get(key) is False}
 
     async def image(self, reference: str) -> HeldImage | None:
         """The image of that name, if the engine holds it."""
         from docker.errors import ImageNotFound
 
-        def ask(api: Any) -> HeldImage | None:
+        def inspect(api: Any) -> HeldImage | None:
             try:
                 found = api.inspect_image(reference)
             except ImageNotFound:
                 return None
             return HeldImage(found["Id"], (found.get("Config") or {}).get("Labels") or {})
 
-        return await self._ask(ask)
+        return await self.ask(inspect)
 
     async def pull(self, reference: str) -> str:
-        """Fetches an image from its registry, if it can; returns the last that the engine said of it."""
+        """Fetch an image from its registry; returns the engine's error, or "fetched"."""
 
-        def ask(api: Any) -> list[dict[str, Any]]:
+        def pull(api: Any) -> list[dict[str, Any]]:
             return list(api.pull(reference, stream=True, decode=True))
 
         try:
-            said = await self._ask(ask, wait_s=_PULL_S)
+            steps = await self.ask(pull, wait_s=_PULL_S)
         except EngineError as error:
             return str(error)
-        return next((str(each["error"]) for each in said if "error" in each), "fetched")
+        return next((str(step["error"]) for step in steps if "error" in step), "fetched")
 
     async def import_image(self, file: Path) -> None:
-        """Takes in an image file."""
+        """Import an image file."""
 
-        def post(api: Any) -> None:
+        def load(api: Any) -> None:
             with file.open("rb") as content:
                 for _ in api.load_image(content, quiet=True):
                     pass
 
-        await self._ask(post, wait_s=_PULL_S)
+        await self.ask(load, wait_s=_PULL_S)
 
-    async def containers(self, label: str) -> list[HeldContainer]:
-        """All containers with that label, running or not."""
-        found = await self._ask(lambda api: api.containers(all=True, filters={"label": label}))
-        return [HeldContainer(each["Id"], each.get("Labels") or {}) for each in found]
+    async def containers(self, label: str) -> dict[str, str]:
+        """The value of that label by the id of each container that has it, running or not."""
+        found = await self.ask(lambda api: api.containers(all=True, filters={"label": label}))
+        return {container["Id"]: container["Labels"][label] for container in found}
 
     async def create(self, definition: Mapping[str, object]) -> str:
-        """Makes a container, and returns its id."""
+        """Make a container; returns its id."""
 
         def create(api: Any) -> str:
             rest = {name: value for name, value in definition.items() if name != "host_config"}
             confinement = api.create_host_config(**definition["host_config"])  # type: ignore[arg-type]
             return str(api.create_container(**rest, host_config=confinement)["Id"])
 
-        return await self._ask(create)
-
-    async def start(self, container: str) -> None:
-        """Starts a container."""
-        await self._ask(lambda api: api.start(container))
-
-    async def signal(self, container: str, name: str) -> None:
-        """Sends its process 1 the signal of that name."""
-        await self._ask(lambda api: api.kill(container, name))
-
-    async def pause(self, container: str) -> None:
-        """Freezes all its processes."""
-        await self._ask(lambda api: api.pause(container))
-
-    async def unpause(self, container: str) -> None:
-        """Lets them go on."""
-        await self._ask(lambda api: api.unpause(container))
-
-    async def is_running(self, container: str) -> bool:
-        """Whether it runs."""
-        return bool((await self._ask(lambda api: api.inspect_container(container)))["State"].get("Running"))
+        return await self.ask(create)
 
     async def wait(self, container: str, *, wait_s: float) -> int:
-        """Its exit code, once it has ended."""
-        return int((await self._ask(lambda api: api.wait(container, timeout=wait_s)))["StatusCode"])
+        """The container's exit code once it has ended."""
+        return int((await self.ask(lambda api: api.wait(container, timeout=wait_s)))["StatusCode"])
 
-    async def said(self, container: str) -> tuple[str, str]:
-        """The last lines of what it printed to its output and to its errors."""
+    async def output(self, container: str) -> tuple[str, str]:
+        """The last lines of the container's output and of its errors."""
 
-        def ask(api: Any, **stream: bool) -> str:
+        def logs(api: Any, **stream: bool) -> str:
             return str(api.logs(container, tail=_LAST_WORDS, **stream).decode(errors="replace"))
 
         return (
-            await self._ask(functools.partial(ask, stdout=True, stderr=False)),
-            await self._ask(functools.partial(ask, stdout=False, stderr=True)),
+            await self.ask(functools.partial(logs, stdout=True, stderr=False)),
+            await self.ask(functools.partial(logs, stdout=False, stderr=True)),
         )
 
     async def remove(self, container: str) -> None:
-        """Kills it, if it runs, and deletes it; one that is gone is well."""
+        """Delete a container if it exists, running or not."""
         from docker.errors import NotFound
 
         def remove(api: Any) -> None:
@@ -167,34 +128,31 @@ class DockerEngine:
                 api.remove_container(container, force=True, v=True)
 
         for _ in range(_REMOVALS - 1):
-            try:
-                await self._ask(remove)
-            except EngineError:  # of one that ends by itself meanwhile
-                await asyncio.sleep(_AGAIN_S)
-            else:
-                return
-        await self._ask(remove)
+            with contextlib.suppress(EngineError):  # of a container that ends by itself meanwhile
+                return await self.ask(remove)
+            await asyncio.sleep(_AGAIN_S)
+        return await self.ask(remove)
 
     async def close(self) -> None:
-        """Waits for no more answers."""
+        """Hang up, without waiting for replies."""
         self._threads.shutdown(wait=False, cancel_futures=True)
         if self._client is not None:
             self._client.close()
 
-    async def _ask_first(self, ask: Callable[[Any], T]) -> T:
+    async def ask(self, work: Callable[[Any], T], *, wait_s: float = _ANSWER_S) -> T:
+        """What `work` returns, given the client library's interface to the engine; raises EngineError."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._threads, self._ask_now, work, wait_s)
+
+    async def _ask_first(self, work: Callable[[Any], T]) -> T:
         with extra("docker"):
-            import docker  # noqa: F401 - for a clear answer where it is missing
+            import docker  # noqa: F401 - for a clear error if it is missing
         try:
-            return await self._ask(ask)
+            return await self.ask(work)
         except EngineError as error:
             raise UsageError(f"{error}: {REMEDY}") from error
 
-    async def _ask(self, ask: Callable[[Any], T], *, wait_s: float = _ANSWER_S) -> T:
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._threads, functools.partial(self._ask_now, ask, wait_s))
-
-    def _ask_now(self, ask: Callable[[Any], T], wait_s: float) -> T:
-        """Runs in a thread; raises EngineError."""
+    def _ask_now(self, work: Callable[[Any], T], wait_s: float) -> T:
         import docker
         from docker.errors import APIError, DockerException
         from requests import RequestException
@@ -205,12 +163,11 @@ class DockerEngine:
             if self._client is None:
                 self._client = docker.APIClient(self.address, version="auto", timeout=_ANSWER_S)
             if wait_s == _ANSWER_S:
-                return ask(self._client)
-            patient = docker.APIClient(self.address, version="auto", timeout=wait_s)
-            try:
-                return ask(patient)
-            finally:
-                patient.close()
+                return work(self._client)
+            with contextlib.closing(
+                docker.APIClient(self.address, version="auto", timeout=wait_s)
+            ) as patient:
+                return work(patient)
         except APIError as error:
             raise EngineError(f"the engine at {self.address}: {error.explanation or error}") from error
         except (DockerException, RequestException, OSError) as error:
@@ -218,6 +175,6 @@ class DockerEngine:
 
 
 def last_line(*texts: str) -> str:
-    """The last words of a program that said something."""
-    lines: Sequence[str] = [line for text in texts for line in text.splitlines() if line.strip()]
-    return lines[-1].strip() if lines else "it said nothing"
+    """The last line of a program's output that is not blank."""
+    lines = [line for text in texts for line in text.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else "it printed nothing"

@@ -1,4 +1,4 @@
-"""What a container is made of: its limits, its one network address, and the marks by which it is known again."""
+"""A container of LXD or Incus: its limits, its one network address, and the marks by which a daemon finds it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from ipaddress import IPv4Network
 
 from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError
-from upwash.real.instances.container_init import CREDENTIALS, SCRATCH_BYTES
-from upwash.real.instances.containers import container_name
-from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
+from upwash.real.instances.containers import ServiceImage, container_name
+from upwash.real.instances.lxd.credentials import ControlCredentials, new_control_credentials
 from upwash.real.instances.lxd.engine import EngineInstance
-from upwash.real.instances.service_image import ServiceImage
+from upwash.real.instances.lxd.init import CREDENTIALS, SCRATCH_BYTES
 
 _SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
 _NIC = "eth0"
@@ -23,17 +22,15 @@ _LIMIT_KEYS = {
     "cpus": "limits.cpu",
     "disk_bytes": f"environment.{SCRATCH_BYTES}",
 }
-_GUEST_INTERFACE = {
-    "lxd": "security.devlxd",
-    "incus": "security.guestapi",
-}  # of the engine, inside the container
+# The key that hides the engine from programs in the container.
+_GUEST_INTERFACE = {"lxd": "security.devlxd", "incus": "security.guestapi"}
 
 
 @dataclass(frozen=True, slots=True)
-class ContainerSettings:
+class LxdSettings:
     """What every container of a daemon gets.
 
-    Each has an address of the subnet, which this machine reaches, and the interface's network if one is named.
+    Each has an address of the subnet, which this machine reaches, and the interface's network if there is one.
     """
 
     subnet: IPv4Network
@@ -43,12 +40,12 @@ class ContainerSettings:
     limits: Mapping[str, Limits] = field(default_factory=dict)  # by service
 
     def limits_of(self, service: str) -> Limits:
-        """What the containers of the service may use."""
+        """The limits of the service's containers."""
         return self.limits.get(service, DEFAULT_LIMITS)
 
 
 @dataclass(frozen=True, slots=True)
-class Container:
+class LxdContainer:
     """A container of one server's service, made from one image."""
 
     name: str
@@ -63,10 +60,10 @@ class Container:
 
 
 def new_container(
-    server: str, image: ServiceImage, settings: ContainerSettings, *, member: str, taken: Collection[str]
-) -> Container:
-    """A container that is not there yet, with an address that is not taken; raises EngineError."""
-    return Container(
+    server: str, image: ServiceImage, settings: LxdSettings, *, member: str, taken: Collection[str]
+) -> LxdContainer:
+    """A container to create, with a free address; raises EngineError if no address is left."""
+    return LxdContainer(
         name=container_name(image.service, server),
         server=server,
         service=image.service,
@@ -79,12 +76,12 @@ def new_container(
     )
 
 
-def known_container(instance: EngineInstance) -> Container | None:
-    """The container that an engine's instance is; None for one that upwash did not make."""
+def known_container(instance: EngineInstance) -> LxdContainer | None:
+    """The container that an engine reports; None if upwash did not make it."""
     config, nic = instance.config, instance.devices.get(_NIC, {})
     if not {_SERVER, _SERVICE, _IMAGE, f"environment.{CREDENTIALS}"} <= config.keys():
         return None
-    return Container(
+    return LxdContainer(
         name=instance.name,
         server=config[_SERVER],
         service=config[_SERVICE],
@@ -98,12 +95,12 @@ def known_container(instance: EngineInstance) -> Container | None:
 
 
 def definition(
-    container: Container, settings: ContainerSettings, *, base: str, engine: str
+    container: LxdContainer, settings: LxdSettings, *, base: str, engine: str
 ) -> dict[str, object]:
-    """What an engine is asked to create: unprivileged, limited, with nothing but its image and its address."""
+    """A container's definition: unprivileged, with limits, its image and its address only."""
     devices: dict[str, Mapping[str, str]] = {
         "root": {"type": "disk", "path": "/", "pool": settings.pool},
-        # No bridge, no DHCP, no neighbours: a cable to the host, which answers for the address on its interface.
+        # No bridge, no DHCP, no neighbours: a cable to the host, which answers ARP for the address.
         _NIC: {
             "type": "nic",
             "nictype": "routed",
@@ -140,26 +137,26 @@ def definition(
 
 
 def in_order(
-    online: Collection[str], containers: Collection[Container], suspects: Collection[str]
+    online: Collection[str], containers: Collection[LxdContainer], suspects: Collection[str]
 ) -> list[str]:
-    """The members to try: those that are not suspected of being lost first, then those with the fewest containers."""
+    """The members to try, in order: suspects last, members with few containers first."""
     held = [container.member for container in containers]
     return sorted(online, key=lambda member: (member in suspects, held.count(member), member))
 
 
 def addresses(instances: Collection[EngineInstance]) -> set[str]:
-    """The addresses that instances have, whoever made them."""
+    """The addresses of all instances, also of other programs' instances."""
     devices = [device for instance in instances for device in instance.devices.values()]
     return {device["ipv4.address"] for device in devices if "ipv4.address" in device}
 
 
 def _number(text: str | None) -> int | None:
-    """None also for another unit, which upwash does not write."""
+    """None also for a value with a unit, which upwash never writes."""
     return int(text) if text is not None and text.isdecimal() else None
 
 
 def _free_address(subnet: IPv4Network, taken: Collection[str]) -> str:
-    """One at random: the site's network may still remember who had the last one."""
+    """A random free address: neighbours may still have the last container's address in their caches."""
     free = [str(address) for address in subnet.hosts() if str(address) not in taken]
     if not free:
         raise EngineError(f"every address of {subnet} is taken: give runtime.network a larger subnet")

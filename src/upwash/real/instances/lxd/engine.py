@@ -1,7 +1,7 @@
-"""The container engine, LXD or Incus, through pylxd: what is asked of it, each with a bounded wait.
+"""LXD or Incus through pylxd; each request runs in a thread, with a time limit.
 
-pylxd blocks, so each request runs in a thread. Its models are left aside: they ask twice for everything and warn of
-what they do not know. Several addresses are those of one cluster's members; the first that answers is used.
+pylxd's models are not used: they send each request twice, and warn of unknown attributes. Several addresses are the
+members of one cluster; the first that answers is used.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from urllib.parse import quote
 
 from upwash.errors import EngineError, UsageError
+from upwash.real.instances.containers import HeldImage
 from upwash.real.trust.secrets import read_secret
 from upwash.support.loading import extra
 
@@ -28,16 +29,16 @@ _ANSWER_S = 10.0
 _LIST_S = 45.0
 _THREADS = 8
 _RETRY_S = 0.05
-_BUSY = "Instance is busy running"  # it ends by itself, for instance
+_BUSY = "Instance is busy running"  # it ends by itself, for example
 _DONE_ALREADY = {"start": ["already running"], "stop": ["already stopped", "is not running"]}
 T = TypeVar("T")
 
-THE_ONLY_ONE = "none"  # what an engine calls the place of a container where there is no cluster
+NO_CLUSTER = "none"  # the member's name on an engine without a cluster
 
 
 @dataclass(frozen=True, slots=True)
 class EngineAddress:
-    """Where the engine is: the path of its socket, or an HTTPS address with what is shown and believed there."""
+    """The path of the engine's socket, or its HTTPS address with this program's and the engine's certificates."""
 
     url: str
     certificate: Path | None = None
@@ -46,21 +47,12 @@ class EngineAddress:
 
 
 @dataclass(frozen=True, slots=True)
-class EngineImage:
-    """An image that the engine holds."""
-
-    fingerprint: str
-    properties: Mapping[str, str]
-    uploaded_at: str
-
-
-@dataclass(frozen=True, slots=True)
 class EngineInstance:
     """A container that the engine holds."""
 
     name: str
     status: str  # Running, Stopped, Frozen, Error
-    member: str  # of the cluster, or THE_ONLY_ONE
+    member: str  # of the cluster, or NO_CLUSTER
     config: Mapping[str, str]
     devices: Mapping[str, Mapping[str, str]]
 
@@ -76,9 +68,9 @@ class Engine:
         self._clients: dict[EngineAddress, Any] = {}
 
     async def connect(self) -> None:
-        """Returns when an engine answers that trusts this program; raises UsageError with the remedy."""
+        """Return when an engine answers that trusts this program; raises UsageError with the remedy."""
         with extra("lxd"):
-            import pylxd  # noqa: F401 - asked here once, for a clear answer
+            import pylxd  # noqa: F401 - for a clear error if it is missing
         for address in self._addresses:
             if address.key:
                 read_secret(address.key)  # pylxd would take one that others can read
@@ -95,13 +87,13 @@ class Engine:
         self.kind = environment["server"]
         _log.info("%s %s answers", environment["server"], environment["server_version"])
 
-    async def images(self) -> list[EngineImage]:
+    async def images(self) -> list[HeldImage]:
         """All images of the project."""
         found = await self._ask(lambda api: api.images.get(params={"recursion": 1}).json()["metadata"])
-        return [EngineImage(each["fingerprint"], each["properties"], each["uploaded_at"]) for each in found]
+        return [HeldImage(image["fingerprint"], image["properties"], image["uploaded_at"]) for image in found]
 
     async def import_image(self, file: Path) -> None:
-        """Takes in an image file; one that is there already is left as it is."""
+        """Import an image file, unless the engine holds that image."""
 
         def post(api: Any) -> Any:
             with file.open("rb") as content:
@@ -110,42 +102,41 @@ class Engine:
         await self._work(post, wait_s=120.0, done_already=("already exists",))
 
     async def instances(self) -> list[EngineInstance]:
-        """All containers of the project; of those on a lost member little more than the names."""
+        """All containers of the project; of containers on a lost member little more than the names."""
 
-        def ask(api: Any) -> Any:
-            # A cluster asks every member that it takes for online, and waits for those that are lost.
-            return api.instances.get(params={"recursion": 1}, timeout=(_CONNECT_S, _LIST_S)).json()[
-                "metadata"
-            ]
+        def get(api: Any) -> Any:
+            # A cluster asks each member that it believes to be online, and waits for lost members.
+            return api.instances.get(params={"recursion": 1}, timeout=(_CONNECT_S, _LIST_S)).json()
 
         return [
             EngineInstance(
-                each["name"],
-                each["status"],
-                each["location"],
-                each.get("config") or {},
-                each.get("expanded_devices") or {},
+                found["name"],
+                found["status"],
+                found["location"],
+                found.get("config") or {},
+                found.get("expanded_devices") or {},
             )
-            for each in await self._ask(ask)
+            for found in (await self._ask(get))["metadata"]
         ]
 
     async def members(self) -> list[str]:
-        """The members of the cluster that are online; without a cluster there is one."""
+        """The members of the cluster that are online; NO_CLUSTER alone without a cluster."""
 
-        def ask(api: Any) -> Any:
+        def get(api: Any) -> Any:
             if not api.cluster.get().json()["metadata"]["enabled"]:
-                return [{"server_name": THE_ONLY_ONE, "status": "Online"}]
+                return [{"server_name": NO_CLUSTER, "status": "Online"}]
             return api.cluster.members.get(params={"recursion": 1}).json()["metadata"]
 
-        return sorted(each["server_name"] for each in await self._ask(ask) if each["status"] == "Online")
+        found = await self._ask(get)
+        return sorted(member["server_name"] for member in found if member["status"] == "Online")
 
     async def create(self, definition: Mapping[str, object], *, member: str, wait_s: float) -> None:
-        """Creates a container on that member."""
-        params = {} if member == THE_ONLY_ONE else {"target": member}
+        """Create a container on that member."""
+        params = {} if member == NO_CLUSTER else {"target": member}
         await self._work(lambda api: api.instances.post(json=definition, params=params).json(), wait_s=wait_s)
 
     async def change(self, name: str, action: str, *, wait_s: float) -> None:
-        """Has a container start, stop (at once), freeze or unfreeze; one that runs or is stopped already is well."""
+        """Start, stop (at once), freeze or unfreeze a container, unless it is in that state already."""
         state = {"action": action, "force": True, "timeout": int(wait_s)}
         await self._work(
             lambda api: api.instances[name].state.put(json=state).json(),
@@ -154,17 +145,17 @@ class Engine:
         )
 
     async def delete(self, name: str, *, wait_s: float = 30.0) -> None:
-        """Deletes a container that is stopped."""
+        """Delete a stopped container."""
 
         def delete(api: Any) -> Any:
-            # pylxd returns nothing from a delete, so its session is asked for the operation to wait for.
+            # pylxd's own delete does not return the operation to wait for.
             address = api.instances[name]._api_endpoint
             return api.session.delete(address, params={"project": self._project}, timeout=_ANSWER_S).json()
 
         await self._work(delete, wait_s=wait_s)
 
     async def close(self) -> None:
-        """Waits for no more answers."""
+        """Hang up, without waiting for replies."""
         self._threads.shutdown(wait=False, cancel_futures=True)
         for api in self._clients.values():
             api.session.close()
@@ -172,9 +163,9 @@ class Engine:
     async def _work(
         self, begin: Callable[[Any], Any], *, wait_s: float, done_already: Sequence[str] = ()
     ) -> None:
-        """Has the engine do something that takes time, once a container is through with what it does.
+        """Have the engine run an operation, as soon as the container is not busy.
 
-        Raises EngineError where it fails or takes too long.
+        Raises EngineError if the operation fails or takes too long.
         """
         loop = asyncio.get_running_loop()
         give_up_s = loop.time() + wait_s
@@ -186,7 +177,7 @@ class Engine:
             await asyncio.sleep(_RETRY_S)
 
     async def _attempt(self, begin: Callable[[Any], Any], wait_s: float) -> str:
-        """Why it was not done; empty when it was."""
+        """Why the operation failed; empty if it succeeded."""
 
         def run(api: Any) -> Any:
             answer = begin(api)
@@ -245,7 +236,7 @@ def _client(address: EngineAddress, project: str) -> Any:
 
     if address.url.startswith("unix:"):
         path = address.url.removeprefix("unix:")
-        with socket.socket(socket.AF_UNIX) as probe:  # which says more plainly than pylxd what is wrong
+        with socket.socket(socket.AF_UNIX) as probe:  # its errors are plainer than pylxd's
             probe.connect(path)
         url = f"http+unix://{quote(path, safe='')}"
         session = get_session_for_url(url)
@@ -254,7 +245,9 @@ def _client(address: EngineAddress, project: str) -> Any:
         session = get_session_for_url(
             url, verify=str(address.engine_certificate), cert=(str(address.certificate), str(address.key))
         )
-    session.trust_env = False  # variables meant for others would replace the certificate that is believed
+    session.trust_env = (
+        False  # environment variables for other programs would replace the engine's certificate
+    )
     return pylxd.Client(endpoint=url, session=session, timeout=(_CONNECT_S, _ANSWER_S), project=project)
 
 

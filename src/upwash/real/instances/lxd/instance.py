@@ -1,4 +1,4 @@
-"""One service that runs in a container."""
+"""A service in a container of LXD or Incus, reached over the network."""
 
 from __future__ import annotations
 
@@ -11,23 +11,20 @@ import msgspec
 
 from upwash.core.admission.clients import Client
 from upwash.errors import EngineError, InstanceError
-from upwash.ports import Answered
+from upwash.ports import Answered, InstanceSpec
 from upwash.real.instances.control import Begin
-from upwash.real.instances.control_credentials import (
+from upwash.real.instances.instance_control import LONGEST_LINE_BYTES, ControlledInstance
+from upwash.real.instances.lxd.container import LxdContainer
+from upwash.real.instances.lxd.credentials import (
     CONTROL_PORT,
     SERVICE_PORT,
-    ControlCredentials,
     new_control_credentials,
     notice_silence,
 )
-from upwash.real.instances.instance_control import LONGEST_LINE_BYTES, InstanceControl
-from upwash.real.instances.lxd.container import Container
 from upwash.real.instances.lxd.engine import Engine
-from upwash.real.instances.output import Output
 from upwash.real.link.announced import announcement
-from upwash.real.link.door import Lead, Passage
+from upwash.real.link.door import Lead
 from upwash.real.link.streams import End
-from upwash.support.waiting import first
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -39,112 +36,61 @@ _RETRY_S = 0.02
 _ANSWERS_S = 5.0
 
 
-class ContainerInstance:
-    """A service in a container, from its start until it is stopped or frozen."""
+class LxdInstance(ControlledInstance):
+    """A service in a container; `lost` gets the cluster's member of a container that ended without a report."""
 
     def __init__(
         self,
-        container: Container,
+        container: LxdContainer,
+        spec: InstanceSpec,
         *,
-        name: str,
         engine: Engine,
         lost: Callable[[str], None],
-        keep: Callable[[ContainerInstance], None] | None,
+        called: Callable[[str], None],
+        answered: Answered,
         lead: Lead,
+        keep: Callable[[ControlledInstance], None] | None,
     ) -> None:
+        super().__init__(spec, called=called, answered=answered, lead=lead, keep=keep)
         self.container = container
-        self.endpoint = ""  # of a passage through the daemon's door
-        self._lead = lead
-        self._passage: Passage | None = None
-        self._credentials: ControlCredentials = new_control_credentials()  # of the service alone
-        self._lost = lost  # is told the member of one that ended without a word
-        self._name = name
+        self._credentials = new_control_credentials()  # of the service alone
+        self._lost = lost
         self._engine = engine
-        self._keep = keep  # takes the instance once it is frozen
-        self._output = Output(name)
-        self._control: InstanceControl | None = None
-        self._stopped = asyncio.Event()
 
-    @property
-    def image(self) -> str:
-        """The id of that of which its container is made."""
-        return self.container.image
-
-    async def begin(
-        self, begin: Begin, *, called: Callable[[str], None], answered: Answered, methods: frozenset[str]
-    ) -> None:
-        """Starts the container and tells it what to be; returns when it answers, raises InstanceError."""
-        name = self.container.name
-        await self._engine.change(name, "start", wait_s=_START_S)
-        reports, orders = await self._reach()
-        self._control = InstanceControl(
-            self._name,
-            called,
-            self._output,
-            answered=answered,
-            methods=methods,
-            reports=reports,
-            orders=orders,
-        )
+    async def begin(self, begin: Begin) -> None:
+        """Start the container and its service; returns when it answers, raises InstanceError."""
+        await self._engine.change(self.container.name, "start", wait_s=_START_S)
+        control = self._connect_control(*await self._reach())
         try:
-            await self._control.begin(msgspec.structs.replace(begin, credentials=self._credentials.text()))
+            await control.begin(msgspec.structs.replace(begin, credentials=self._credentials.text()))
         except EOFError:
-            raise InstanceError(f"{self._name} did not start: {self._how_it_ended()}") from None
-        await self._open()
+            raise InstanceError(f"{self.spec.name} did not start: {self._explain()}") from None
+        await self.open()
 
-    async def resume(self, *, called: Callable[[str], None], answered: Answered) -> None:
-        """Has a frozen instance serve again; raises InstanceError."""
-        assert self._control is not None  # noqa: S101 - it has begun
-        self._stopped.clear()
-        self._control.called, self._control.answered = called, answered
+    async def open(self) -> None:
+        """Lead callers to the service, once a connection to it succeeds."""
+        try:
+            async with asyncio.timeout(_ANSWERS_S), self._connect(Client("")):
+                pass
+        except OSError as error:
+            raise InstanceError(f"{self.spec.name} runs, but does not answer: {error}") from error
+        await self._lead_to(self._connect)
+
+    async def how_it_ended(self) -> str:
+        """How the service ended, with its last lines of output, once it has."""
+        await self.control.ended()
+        return "stopped" if self._stopped.is_set() else self._explain()
+
+    async def freeze(self) -> None:
+        """Suspend the container; raises EngineError."""
+        await self._engine.change(self.container.name, "freeze", wait_s=_FREEZE_S)
+
+    async def thaw(self) -> None:
+        """Let a frozen container go on; raises EngineError."""
         await self._engine.change(self.container.name, "unfreeze", wait_s=_FREEZE_S)
-        await self._control.admit(frozenset())
-        await self._open()
-
-    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        assert self._control is not None  # noqa: S101 - it has begun
-        await self._control.admit(drones, finishing)
-
-    async def drain(self, why: str) -> None:
-        """Has every further call refused for that reason; returns when none is under way, or nothing is left.
-
-        It never answers again, and is not kept.
-        """
-        assert self._control is not None  # noqa: S101 - it has begun
-        self._keep = None
-        await self._control.drain(why)
-
-    async def health(self) -> None:
-        """Returns at its next sign of life; raises InstanceError where it is gone."""
-        assert self._control is not None  # noqa: S101 - it has begun
-        await self._control.health()
-
-    async def exited(self) -> str:
-        """Returns how the service ended, with its last words, when it does."""
-        assert self._control is not None  # noqa: S101 - it has begun
-        await first(self._control.ended(), self._stopped.wait())
-        return "stopped" if self._stopped.is_set() else self._how_it_ended()
-
-    async def stop(self) -> None:
-        """Freezes the container if it is to be kept so, or stops it; returns when that is done."""
-        if self._stopped.is_set():
-            return
-        self._stopped.set()
-        await self._shut()
-        if self._keep is not None and self._control is not None and not self._control.is_over:
-            try:
-                await self._control.admit(frozenset())
-                await self._engine.change(self.container.name, "freeze", wait_s=_FREEZE_S)
-            except InstanceError as error:
-                _log.warning("%s cannot be frozen and is stopped: %s", self._name, error)
-            else:
-                self._keep(self)
-                return
-        await self.end()
 
     async def end(self) -> None:
-        """Stops the container; where the engine does not answer, what runs in it ends by itself."""
+        """Stop the container; if the engine does not answer, the service ends without its control line."""
         self._stopped.set()
         await self._shut()
         if self._control is not None:
@@ -155,7 +101,7 @@ class ContainerInstance:
             _log.warning("%s could not be stopped: %s", self.container.name, error)
 
     async def _reach(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        """The control line to the container's process 1, which is about to listen."""
+        """The control line to the container's process 1, which will listen soon."""
         credentials = self.container.credentials.context(is_server=False)
         try:
             async with asyncio.timeout(_REACHED_S):
@@ -175,22 +121,6 @@ class ContainerInstance:
                 "is there a route to the subnet of runtime.network?"
             ) from None
 
-    async def _open(self) -> None:
-        """Leads callers to the service, once that was reached."""
-        try:
-            async with asyncio.timeout(_ANSWERS_S):
-                async with self._connect(Client("")):
-                    pass
-        except OSError as error:
-            raise InstanceError(f"{self._name} runs, but does not answer: {error}") from error
-        self._passage = await self._lead(self.container.server, self._connect)
-        self.endpoint = self._passage.endpoint
-
-    async def _shut(self) -> None:
-        if self._passage is not None:
-            await self._passage.close()
-            self._passage = None
-
     @contextlib.asynccontextmanager
     async def _connect(self, client: Client) -> AsyncIterator[End]:
         _, end = await asyncio.get_running_loop().create_connection(
@@ -202,12 +132,10 @@ class ContainerInstance:
         finally:
             end.close()
 
-    def _how_it_ended(self) -> str:
-        assert self._control is not None  # noqa: S101 - it has begun
-        code = self._control.code
-        if self._control.fault:
-            return self._control.fault
-        if code is None:
+    def _explain(self) -> str:
+        if self.control.fault:
+            return self.control.fault
+        if self.control.code is None:
             self._lost(self.container.member)
             return "the container is gone, or cannot be reached"
-        return self._output.explain(code)
+        return self._output.explain(self.control.code)

@@ -1,6 +1,6 @@
 """Process 1 of a container: closes it off, runs the one service in it, and joins that to the daemon outside.
 
-`python -m upwash.real.instances.container_init`, with its control credentials in the environment. The service is a
+`python -m upwash.real.instances.lxd.init`, with its control credentials in the environment. The service is a
 process as any other service instance (`instance.py`), of a user without rights; what it and its daemon say to each
 other passes through here, as does what it prints. When the daemon hangs up, or the service ends, the container ends.
 """
@@ -15,8 +15,8 @@ import socket
 import subprocess
 
 from upwash.core.admission.limits import Allowance
-from upwash.real.instances.control import Ended, Failed, Said, line
-from upwash.real.instances.control_credentials import (
+from upwash.real.instances.control import Failed, Printed, ServiceEnded, line
+from upwash.real.instances.lxd.credentials import (
     CONTROL_PORT,
     SERVICE_PORT,
     ControlCredentials,
@@ -128,7 +128,7 @@ async def stand() -> None:
     if code is not None:
         await asyncio.wait([reporting, printing], timeout=_LAST_OUTPUT_S)
         with contextlib.suppress(OSError):
-            tell.write(line(Ended(code)))
+            tell.write(line(ServiceEnded(code)))
             await tell.drain()
             tell.close()
             await tell.wait_closed()
@@ -200,13 +200,13 @@ async def _pass_on_output(reader: asyncio.StreamReader, writer: asyncio.StreamWr
     with contextlib.suppress(OSError):
         async for chunk in chunks_of(reader):
             if passed.take(len(chunk), now_s=now_s()):
-                writer.write(line(Said(chunk, left_out)))
+                writer.write(line(Printed(chunk, left_out)))
                 await writer.drain()
                 left_out, last = 0, b""
             else:
                 left_out, last = left_out + len(chunk), last_of(last + chunk)
         if last:
-            writer.write(line(Said(last, left_out - len(last))))
+            writer.write(line(Printed(last, left_out - len(last))))
             await writer.drain()
 
 
