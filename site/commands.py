@@ -18,7 +18,7 @@ _HEAD = """\
 <!-- written by site/commands.py from the commands' own help: change that, then run `make docs` -->
 
 `upwash COMMAND --help` prints the same. Every command ends with one of
-these [exit codes](missions.md#how-a-command-ends):
+these [exit codes](flight-ends.md#how-a-command-ends):
 
 CODES
 

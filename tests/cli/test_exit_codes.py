@@ -59,7 +59,7 @@ def test_each_end_of_a_flight_has_its_code(
 def test_the_help_and_the_page_name_every_code(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["fly", "--help"])
-    told, page = capsys.readouterr().out, (ROOT / "docs" / "missions.md").read_text()
+    told, page = capsys.readouterr().out, (ROOT / "docs" / "flight-ends.md").read_text()
     for code in ExitCode:
         assert f"{code:<4}{MEANINGS[code]}" in told
         assert f"| {code:d} | " in page.partition("## How a command ends")[2]

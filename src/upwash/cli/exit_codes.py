@@ -1,4 +1,4 @@
-"""How a command ends, as scripts see it; docs/missions.md has the same table."""
+"""How a command ends, as scripts see it; docs/flight-ends.md has the same table."""
 
 from __future__ import annotations
 

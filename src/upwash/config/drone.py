@@ -125,7 +125,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The mission ends early below this battery level."""
     reserve_s: NotNegative | None = None
     """The mission ends early where the way home would leave fewer seconds of flight: [the
-    reserve](missions.md#the-reserve)."""
+    reserve](flight-ends.md#the-reserve)."""
     finish_by_s: Positive | None = None
     """When the mission is to be over, in seconds from arming: [lighter calls](lighter.md)."""
     lighter: KeysByKey = {}
