@@ -39,8 +39,7 @@ from upwash.real.instances.sandbox import find_sandbox
 from upwash.real.link.door import Lead, leading, opened_door
 from upwash.real.link.link import GrpcDialer, GrpcLink
 from upwash.real.trust.authority import make_keys
-from upwash.real.trust.credentials import fingerprint, read_credentials
-from upwash.real.trust.trust import Trust
+from upwash.real.trust.credentials import Trust, fingerprint, read_credentials
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import spec_of
 

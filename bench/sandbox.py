@@ -22,8 +22,7 @@ from upwash.real.instances.sandbox import find_sandbox
 from upwash.real.link.door import leading, opened_door
 from upwash.real.link.link import GrpcDialer, GrpcLink
 from upwash.real.trust.authority import make_keys
-from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
-from upwash.real.trust.trust import Trust
+from upwash.real.trust.credentials import Credentials, Trust, fingerprint, read_credentials
 from upwash.rpc.protocol import service_path
 
 REQUEST_BYTES = 430_000

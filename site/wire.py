@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from upwash.real.instances.foreign import Answer, Call, Settings
-from upwash.real.link.framing import frame
+from upwash.real.link.direct import frame
 from upwash.rpc.service import Fault, spec_of
 
 ROOT = Path(__file__).parents[1]

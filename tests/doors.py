@@ -9,12 +9,12 @@ from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
-from upwash.real.link.announced import Inside
-from upwash.real.link.door import Door, DoorLimits, Lead, leading, opened_door
+from upwash.real.link.door import Door, Lead, leading, opened_door
+from upwash.real.link.limits import DoorLimits
 from upwash.real.link.listener import Listener, WhoIs, cannot_listen
+from upwash.real.link.proxy import GrpcSocket
 from upwash.real.link.streams import listening_socket
-from upwash.real.trust.credentials import Credentials
-from upwash.real.trust.trust import Trust
+from upwash.real.trust.credentials import Credentials, Trust
 
 MakeListener = Callable[[str, WhoIs], Listener]
 
@@ -53,14 +53,13 @@ def behind_door(
     except OSError:
         raise cannot_listen(listen) from None
     with tempfile.TemporaryDirectory() as folder:
-        inside = Inside(f"{folder}/inside.sock")
+        inside = GrpcSocket(f"{folder}/inside.sock")
         listener = make(f"unix:{inside.path}", inside.client)
         door = Door(Trust(shown), limits)
-        door.open()
         listener.start()
-        passage = asyncio.run(door.lead(outside, inside.connect))
+        entrance = asyncio.run(door.lead(outside, inside.connect))
         try:
-            yield listener, door, passage.address
+            yield listener, door, entrance.address
         finally:
             asyncio.run(door.close())
             listener.stop()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from upwash.cli.main import command_line
-from upwash.real.network.networkmanager import Connection, Device, DeviceKind
+from upwash.real.network.networkmanager import Device, DeviceKind, NetworkConnection, NetworkState
 from upwash.real.network.profiles import interface_trouble, modified
 from upwash.support.commands import command
 
@@ -69,13 +69,9 @@ def test_a_shell_takes_a_shown_command_as_it_is_meant() -> None:
 
 
 def test_the_way_to_free_an_interface_names_whatever_is_active_there() -> None:
-    trouble = interface_trouble(
-        "wlan1",
-        networks=["s1-net"],
-        devices=[Device("/d", "wlan1", DeviceKind.WIFI, 100, True, "/a")],
-        connections=[Connection("/a", "u", NAME, "802-11-wireless", 2, ("/d",), ())],
-        profiles=[],
-    )
+    device = Device("/d", "wlan1", DeviceKind.WIFI, 100, True, "/a")
+    active = NetworkConnection("/a", "u", NAME, "802-11-wireless", 2, ("/d",), ())
+    trouble = interface_trouble("wlan1", ["s1-net"], NetworkState([device], [active], []))
     assert [shlex.split(shown) for shown in re.findall(r"`(.*?)`", trouble)] == [
         ["nmcli", "connection", "modify", NAME, "connection.autoconnect", "no"],
         ["nmcli", "connection", "down", NAME],

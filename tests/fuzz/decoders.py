@@ -39,8 +39,8 @@ from upwash.mavlink.signing import Signing
 from upwash.plans.reading import read_plan
 from upwash.real.instances.control import Called, Printed, Ready, ServiceEnded, from_instance, line
 from upwash.real.instances.foreign import Answer, ForeignProgram
-from upwash.real.link.frames import PREFACE, FrameCounter
-from upwash.real.link.framing import frame
+from upwash.real.link.direct import frame
+from upwash.real.link.limits import PREFACE, FrameCounter
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.receiver import MessageReceiver, Peer, from_autopilot
 from upwash.real.mavlink.signing import read_key

@@ -33,7 +33,7 @@ STALE_S = datetime(2025, 6, 1, tzinfo=UTC).timestamp()  # before the certificate
 
 
 @dataclass
-class OwnClock:
+class OwnClock(SystemClock):
     """Stands still until it is set."""
 
     says_s: float

@@ -252,7 +252,9 @@ def test_an_outdated_certificate_says_since_when(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(module, "_CERTIFICATE_LASTS", made_for)
     make_keys(tmp_path, drones=["heron"])
     day = (datetime.now(UTC) + made_for).strftime("%Y-%m-%d")
-    with pytest.raises(CredentialsError, match=rf"heron\.pem: expired since {day}.*make a new one"):
+    with pytest.raises(
+        CredentialsError, match=rf"heron\.pem: .*heron has expired: .* to {day}.*make a new one"
+    ):
         read(tmp_path, "heron")
 
 
@@ -261,7 +263,7 @@ def test_a_certificate_from_the_future_is_the_clocks_fault(
 ) -> None:
     monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=-1))
     make_keys(tmp_path, drones=["heron"])
-    with pytest.raises(CredentialsError, match=r"not valid before .*set this computer's clock"):
+    with pytest.raises(CredentialsError, match=r"is not valid yet: .*set this computer's clock"):
         read(tmp_path, "heron")
 
 
@@ -269,10 +271,10 @@ def test_the_key_is_not_shown_in_a_trace(keys: Path) -> None:
     assert "PRIVATE KEY" not in repr(read(keys, "heron"))
 
 
-def test_importing_the_module_is_light() -> None:
-    script = "import sys, upwash.real.trust.credentials; print(*sys.modules)"
+def test_an_instance_does_not_load_what_reads_certificates() -> None:
+    script = "import sys, upwash.real.instances.instance; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
-    assert not {"cryptography", "grpc", "asyncio"} & set(loaded.split())
+    assert "cryptography" not in loaded.split()
 
 
 class _Echo(grpc.GenericRpcHandler):  # type: ignore[misc]  # grpc has no types
@@ -543,12 +545,12 @@ def test_an_authority_that_has_expired_can_be_followed_by_another(
     monkeypatch.setattr(module, "_AUTHORITY_LASTS", timedelta(hours=-1))
     make_keys(tmp_path, drones=["heron"])
     monkeypatch.undo()
-    with pytest.raises(CredentialsError, match=r"authority\.pem: expired since"):
+    with pytest.raises(CredentialsError, match=r"authority\.pem: .*has expired"):
         make_keys(tmp_path, drones=["stork"])
     renew_authority(tmp_path)
     make_keys(tmp_path, drones=["stork"])
     assert read(tmp_path, "stork").problem_at(datetime.now(UTC)) == ""
-    with pytest.raises(CredentialsError, match=r"authority\.pem: expired since"):
+    with pytest.raises(CredentialsError, match=r"authority\.pem: .*has expired"):
         read(tmp_path, "heron")
 
 

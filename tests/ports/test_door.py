@@ -12,6 +12,7 @@ import socket
 import ssl
 import threading
 import tracemalloc
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -24,18 +25,17 @@ from tests.doors import behind_door
 from tests.waiting import wait_for
 
 from upwash.errors import CredentialsError, InstanceError, LinkError, Unreachable
-from upwash.real.link.announced import Inside, announcing_at
-from upwash.real.link.crowd import Crowd, Recent, Turns
-from upwash.real.link.door import Door, DoorLimits, leading, opened_door
-from upwash.real.link.frames import PREFACE, Counted, FrameCounter
+from upwash.real.link.door import Door, leading, opened_door
+from upwash.real.link.limits import PREFACE, ConnectionLimits, DoorLimits, FrameCounter, RateLimit
 from upwash.real.link.link import GrpcDialer
-from upwash.real.link.listener import Health, Listener, WhoIs
+from upwash.real.link.listener import HealthCheck, Listener, WhoIs
+from upwash.real.link.proxy import GrpcSocket, announcing_at
 from upwash.real.link.requests import Caller, Requests
 from upwash.real.link.streams import listening_socket
 from upwash.real.trust import authority as module
 from upwash.real.trust.authority import keys_in, make_keys
-from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
-from upwash.real.trust.trust import Trust, load_secret
+from upwash.real.trust.credentials import Credentials, Trust, fingerprint, read_credentials
+from upwash.real.trust.secrets import load_secret
 from upwash.sim.loop import run_virtually
 from upwash.support.waiting import never
 
@@ -58,7 +58,7 @@ def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
 def make(listen: str, who_is: WhoIs) -> Listener:
     requests = Requests(name_of_caller, max_message_bytes=100_000, concurrent=16, each=16)
     listener = Listener(listen, requests, who_is=who_is)
-    listener.add(Health(["s1"]))
+    listener.add(HealthCheck(["s1"]))
     return listener
 
 
@@ -344,8 +344,8 @@ def test_who_reads_nothing_takes_little_memory_and_gets_all_in_the_end(
     with served(credentials("s1")) as (door, _), listening_socket(f"unix:{path}") as talker:
         talking = threading.Thread(target=say_all)
         talking.start()
-        passage = asyncio.run(door.lead(listening_socket("127.0.0.1:0"), Inside(path).connect))
-        with spoken_to(f"127.0.0.1{passage.endpoint}", "heron", credentials) as heron:
+        entrance = asyncio.run(door.lead(listening_socket("127.0.0.1:0"), GrpcSocket(path).connect))
+        with spoken_to(f"127.0.0.1{entrance.endpoint}", "heron", credentials) as heron:
             tracemalloc.start()
             heard = bytearray()
             while len(heard) < len(answer):
@@ -381,8 +381,8 @@ def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
         listening = listening_socket("127.0.0.1:0")
         # Otherwise the system may keep for its reader all that is sent, and no sender waits.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**16)
-        passage = asyncio.run(door.lead(listening, announcing_at(path)))
-        plain = socket.create_connection(("127.0.0.1", int(passage.endpoint[1:])))
+        entrance = asyncio.run(door.lead(listening, announcing_at(path)))
+        plain = socket.create_connection(("127.0.0.1", int(entrance.endpoint[1:])))
         with context.wrap_socket(plain, server_hostname="s1") as stork:
             stork.settimeout(0.5)
             with pytest.raises(TimeoutError):  # nobody reads
@@ -412,7 +412,7 @@ def unused_ports() -> Iterator[int]:
 def test_instances_are_reached_at_the_ports_that_are_given_and_at_no_others(
     credentials: ReadCredentials,
 ) -> None:
-    nowhere = Inside("/nowhere").connect
+    nowhere = GrpcSocket("/nowhere").connect
 
     async def lead_three() -> list[str]:
         async with opened_door(Trust(credentials("s1"))) as door:
@@ -432,8 +432,8 @@ def test_instances_are_reached_at_the_ports_that_are_given_and_at_no_others(
 def test_drones_are_told_the_port_that_they_see(credentials: ReadCredentials) -> None:
     async def lead_one() -> tuple[str, str]:
         async with opened_door(Trust(credentials("s1"))) as door:
-            passage = await leading(door, "127.0.0.1", {port: 17_100})("s1", Inside("/nowhere").connect)
-            return passage.endpoint, passage.address
+            entrance = await leading(door, "127.0.0.1", {port: 17_100})("s1", GrpcSocket("/nowhere").connect)
+            return entrance.endpoint, entrance.address
 
     port = next(unused_ports())
     assert asyncio.run(lead_one()) == (":17100", f"127.0.0.1:{port}")
@@ -463,46 +463,36 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 )
 def test_frames_are_counted_however_they_are_cut(kinds: list[int], size: int, payload: bytes) -> None:
     spoken = PREFACE + b"".join(frame(kind, payload) for kind in kinds)
-    counter, whole = FrameCounter(), Counted()
+    counter, whole = FrameCounter(), Counter[str]()
     for start in range(0, len(spoken), size):
-        counted = counter.count(spoken[start : start + size])
-        whole.begun += counted.begun
-        whole.pieces += counted.pieces
-        whole.room += counted.room
-        whole.broken_off += counted.broken_off
-        whole.idle += counted.idle
-    assert whole == Counted(*(kinds.count(kind) for kind in (HEADERS, DATA, WINDOW_UPDATE, RST_STREAM, PING)))
+        whole += counter.count(spoken[start : start + size])
+    names = {HEADERS: "begun", DATA: "data", WINDOW_UPDATE: "window", RST_STREAM: "broken_off", PING: "idle"}
+    assert whole == Counter(names[kind] for kind in kinds)
 
 
 def test_the_oldest_of_a_crowded_group_goes_and_of_the_largest_where_all_are_too_many() -> None:
-    crowd: Crowd[str] = Crowd(3, most_of_group=2)
-    assert [crowd.enter(member, member[0]) for member in ("a1", "a2", "b1")] == [None, None, None]
-    assert crowd.enter("a3", "a") == "a1"
-    assert crowd.enter("c1", "c") == "a2"
-    crowd.leave("b1")
-    crowd.leave("b1")
-    assert len(crowd) == 2
-
-
-def test_who_was_longest_unseen_is_forgotten() -> None:
-    numbers = iter(range(10))
-    recent = Recent(lambda: next(numbers), most=2)
-    assert [recent.of(name) for name in ("a", "b", "a", "c", "b")] == [0, 1, 0, 2, 3]
+    limits: ConnectionLimits[str] = ConnectionLimits(3, per_group=2)
+    assert [limits.add(member, member[0]) for member in ("a1", "a2", "b1")] == [None, None, None]
+    assert limits.add("a3", "a") == "a1"
+    assert limits.add("c1", "c") == "a2"
+    limits.remove("b1")
+    limits.remove("b1")
+    assert len(limits) == 2
 
 
 def test_who_asks_again_and_again_keeps_nobody_else_out() -> None:
     async def scenario() -> None:
-        turns, now_s = Turns(20.0), asyncio.get_running_loop().time
+        limit, now_s = RateLimit(20.0), asyncio.get_running_loop().time
 
         async def ask_again_and_again() -> None:
             while True:
-                await turns.turn()
+                await limit.wait()
 
         crowd = [asyncio.create_task(ask_again_and_again()) for _ in range(10)]
         for _ in range(100):
             await asyncio.sleep(0.05)
             asked_s = now_s()
-            await turns.turn()
+            await limit.wait()
             assert now_s() - asked_s < 12 / 20
         for task in crowd:
             task.cancel()
@@ -520,8 +510,8 @@ def test_a_way_in_that_fails_ends_the_door_with_its_failure(
     async def main() -> None:
         async with opened_door(Trust(credentials("s1"))) as door:
             listening = Defective(fileno=listening_socket("127.0.0.1:0").detach())
-            passage = await door.lead(listening, announcing_at("/nowhere"))
-            with socket.create_connection(("127.0.0.1", int(passage.address.rpartition(":")[2]))):
+            entrance = await door.lead(listening, announcing_at("/nowhere"))
+            with socket.create_connection(("127.0.0.1", int(entrance.address.rpartition(":")[2]))):
                 async with asyncio.timeout(10.0):
                     await never()
 

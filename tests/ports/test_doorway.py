@@ -14,10 +14,8 @@ from typing import Any
 import pytest
 
 from upwash.core.admission.clients import Client
-from upwash.real.link import given_sockets
-from upwash.real.link.announced import Inside, announcing_at
-from upwash.real.link.given_sockets import GivenSocket, take
-from upwash.real.link.socket_proxy import SocketProxy
+from upwash.real.link import proxy
+from upwash.real.link.proxy import GivenSocket, GrpcSocket, SocketProxy, announcing_at, take
 from upwash.real.link.streams import listening_socket
 
 SILENT = 200
@@ -40,7 +38,7 @@ def test_connections_that_say_nothing_keep_nobody_out(tmp_path: Path) -> None:
         inside.listen(SILENT + 1)
         threading.Thread(target=echo, args=(inside,), daemon=True).start()
         outside = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=SILENT + 1))
-        SocketProxy(outside, Inside(str(tmp_path / "inside")), is_announced=False).open()
+        SocketProxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=False).open()
         for _ in range(SILENT):
             stack.enter_context(socket.create_connection(outside.getsockname()))
         honest = stack.enter_context(socket.create_connection(outside.getsockname(), timeout=10.0))
@@ -51,7 +49,7 @@ def test_connections_that_say_nothing_keep_nobody_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize("said", [b"heron\n", b"x" * 100_000], ids=["no client", "no line"])
 def test_who_announces_nobody_is_hung_up_on(tmp_path: Path, said: bytes) -> None:
     outside = listening_socket(f"unix:{tmp_path}/outside")
-    SocketProxy(outside, Inside(str(tmp_path / "inside")), is_announced=True).open()
+    SocketProxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=True).open()
     with socket.socket(socket.AF_UNIX) as stranger:
         stranger.settimeout(10.0)
         stranger.connect(outside.getsockname())
@@ -71,7 +69,7 @@ def test_all_that_was_said_before_it_hung_up_arrives(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as inside, socket.create_server(("127.0.0.1", 0)) as outside:
         inside.bind(str(tmp_path / "inside"))
         inside.listen()
-        SocketProxy(outside, Inside(str(tmp_path / "inside")), is_announced=False).open()
+        SocketProxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=False).open()
         with socket.create_connection(outside.getsockname(), timeout=10.0) as caller:
             speaking = threading.Thread(target=speak, args=inside.accept()[:1])
             speaking.start()
@@ -152,7 +150,7 @@ def test_only_a_connection_is_taken_and_nothing_else_kept() -> None:
 
 
 def test_an_instance_that_gives_nothing_does_not_hold_the_door_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(given_sockets, "_GIVEN_S", 0.05)
+    monkeypatch.setattr(proxy, "_GIVEN_S", 0.05)
     silent, taking = socket.socketpair()
     with silent, taking, pytest.raises(ConnectionAbortedError, match="no connection"):
         asyncio.run(take(taking))
@@ -160,7 +158,7 @@ def test_an_instance_that_gives_nothing_does_not_hold_the_door_up(monkeypatch: p
 
 def test_a_client_is_known_by_the_connection_that_it_is_given_until_it_hangs_up(tmp_path: Path) -> None:
     heron = Client("heron", "00aa")
-    inside = Inside(str(tmp_path / "inside"))
+    inside = GrpcSocket(str(tmp_path / "inside"))
 
     async def call() -> None:
         in_thread = asyncio.to_thread

@@ -22,9 +22,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.schema import Event, SetOff
 from upwash.real.host import journal as journal_module
-from upwash.real.host import log_file as log_file_module
-from upwash.real.host.journal import FileJournal, JournalNotifier, read_events
-from upwash.real.host.log_file import Unwritten
+from upwash.real.host.journal import FileJournal, JournalNotifier, Unwritten, read_events
 
 
 class Found(msgspec.Struct):
@@ -216,7 +214,7 @@ def test_a_full_disk_is_not_tried_at_every_event(tmp_path: Path, monkeypatch: py
 def test_what_is_too_much_for_memory_is_counted_and_told_in_the_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(log_file_module, "_MOST_BYTES", 200)
+    monkeypatch.setattr(journal_module, "_MOST_UNWRITTEN_BYTES", 200)
     log, unwritten = tmp_path / "log", Unwritten()
 
     def write(journal: FileJournal) -> None:

@@ -24,11 +24,10 @@ from tests.doors import behind_door
 from tests.waiting import wait_for
 
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable, UpwashError, UsageError
-from upwash.real.link.link import DRONE_METADATA, GrpcDialer, GrpcLink
-from upwash.real.link.listener import Listener, WhoIs
+from upwash.real.link.link import GrpcDialer, GrpcLink
+from upwash.real.link.listener import DRONE_METADATA, Listener, WhoIs
 from upwash.real.link.requests import Caller, Gate, Handler, Requests
-from upwash.real.trust.credentials import Credentials
-from upwash.real.trust.trust import server_context
+from upwash.real.trust.credentials import Credentials, server_context
 from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS, service_path
 
 MAX_MESSAGE_BYTES = 100_000
@@ -179,7 +178,6 @@ def test_the_handler_learns_how_much_time_is_left() -> None:
 
 ASK_BY_NAME = """
 import asyncio, sys
-from upwash.real.link.link import GrpcDialer
 async def ask(address):
     link = GrpcDialer("heron", None, max_message_bytes=100_000).dial(address, server="s1")
     print((await link.request("/upwash.test/echo", b"photo", timeout_s=4.0)).decode())

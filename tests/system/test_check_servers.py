@@ -16,7 +16,7 @@ from tests.system.daemons import config, daemon
 
 from upwash.config import DroneConfig, drone_config
 from upwash.launch.server_survey import survey_servers
-from upwash.real.network.finding import Finding
+from upwash.real.network import SurveyFinding
 
 pytestmark = pytest.mark.system
 
@@ -126,8 +126,8 @@ def found(
     daemons_s: float = 60.0,
     settings: Mapping[str, Any] | None = None,
     **tables: Any,
-) -> Finding:
-    async def survey(address: str) -> Finding:
+) -> SurveyFinding:
+    async def survey(address: str) -> SurveyFinding:
         async with contextlib.AsyncExitStack() as stack:
             if forward:
                 address = await stack.enter_async_context(forwarded(address))

@@ -22,10 +22,10 @@ from tests.system.fake_networkmanager import (
 )
 
 from upwash.errors import NetworkError, UsageError
-from upwash.real.network.finding import Finding
+from upwash.real.network import SurveyFinding
 from upwash.real.network.network import ManagedNetwork
 from upwash.real.network.networkmanager import connect_networkmanager
-from upwash.real.network.survey import survey_networks
+from upwash.real.network.profiles import survey_networks
 from upwash.sim.journal import MemoryJournal
 
 pytestmark = [pytest.mark.system, pytest.mark.root, pytest.mark.usefixtures("private_bus")]
@@ -370,8 +370,8 @@ async def _connect() -> None:
 
 def look(
     *devices: FakeDevice, profiles: tuple[FakeProfile, ...], may_join: str = "yes"
-) -> dict[str, Finding]:
-    async def survey() -> list[Finding]:
+) -> dict[str, SurveyFinding]:
+    async def survey() -> list[SurveyFinding]:
         async with running(*devices, profiles=profiles) as manager:
             manager.may_join = may_join
             servers = {"s1": "s1-net", "s2": "s2-net"}

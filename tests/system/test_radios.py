@@ -15,7 +15,7 @@ from upwash.cli.main import main
 from upwash.errors import NetworkError
 from upwash.real.network.network import ManagedNetwork
 from upwash.real.network.networkmanager import connect_networkmanager
-from upwash.real.network.survey import survey_networks
+from upwash.real.network.profiles import survey_networks
 from upwash.sim.journal import MemoryJournal
 
 pytestmark = [pytest.mark.system, pytest.mark.root]

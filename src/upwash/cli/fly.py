@@ -25,8 +25,7 @@ from upwash.eventlog.results import read_result
 from upwash.eventlog.schema import Event, MissionStarted
 from upwash.launch.flight import fly
 from upwash.launch.processes import ready_program
-from upwash.real.host.journal import Watcher, read_events
-from upwash.real.host.log_file import Unwritten
+from upwash.real.host.journal import Unwritten, Watcher, read_events
 from upwash.report.exports import write_result
 from upwash.report.record import record_of
 from upwash.support.loading import extra

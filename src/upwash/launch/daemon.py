@@ -24,14 +24,15 @@ from upwash.launch.confinement import Confinement, find_confinement
 from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
 from upwash.launch.daemon_services import DaemonServices
 from upwash.ports import InstanceSpec, Runtime
-from upwash.real.host.log import Sparing
+from upwash.real.host.log import RateLimitedLog
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
-from upwash.real.link.announced import Inside
-from upwash.real.link.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
+from upwash.real.link.door import Door, OnTraffic, leading, opened_door
 from upwash.real.link.hand_over import HandedOver, Served, Used, hand_over
-from upwash.real.link.listener import Health, Listener, cannot_listen
+from upwash.real.link.limits import DoorLimits
+from upwash.real.link.listener import HealthCheck, Listener, cannot_listen
+from upwash.real.link.proxy import GrpcSocket
 from upwash.real.link.requests import Caller, Requests
 from upwash.real.link.streams import listening_socket
 from upwash.server.daemon import EdgeServer, Image
@@ -54,7 +55,7 @@ _COMING_S = 30.0  # for a daemon to come up, beside its services
 _METRICS_S = 0.5  # between two looks at whether the daemon before still offers its metrics
 _ENDING_S = 30.0  # for all that follows the calls under way
 _PACES = 10.0  # a call may take that many times the slowest pace
-logging.getLogger("upwash.usage").addFilter(Sparing())  # a drone may come and go as often as it likes
+logging.getLogger("upwash.usage").addFilter(RateLimitedLog())  # a drone may come and go as often as it likes
 _CLOSING = "this edge server is shutting down"
 
 
@@ -79,14 +80,14 @@ async def serve(
     keys = DaemonKeys(config)
     loop = asyncio.get_running_loop()
 
-    def seen(server: str, drone: str) -> None:  # by the door, in its own thread
+    def on_traffic(server: str, drone: str) -> None:  # by the door, in its own thread
         loop.call_soon_threadsafe(edge.seen, server, drone)
 
     async with contextlib.AsyncExitStack() as stack:
         in_time = stack.enter_context(ending_in_time())
         outside = stack.enter_context(_listening(config, before)) if keys.credentials else None
         sockets = Path(stack.enter_context(_folder_for_sockets(config)))
-        door = await stack.enter_async_context(_door(keys, seen))
+        door = await stack.enter_async_context(_door(keys, on_traffic))
         runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, confinement))
         services.know_lanes(lanes)
         metrics = _metrics(config)
@@ -171,15 +172,15 @@ async def _answering(
     serving: Callable[[], bool],
 ) -> AsyncIterator[str]:
     """Has requests answered until the end of the block, through the door if there is one; yields the address."""
-    inside = Inside(f"{sockets}/daemon.sock") if door else None
+    inside = GrpcSocket(f"{sockets}/daemon.sock") if door else None
     listener = _listener(config, inside, handle)
-    listener.add(Health([each.name for each in config.identities], serving=serving))
+    listener.add(HealthCheck([each.name for each in config.identities], serving=serving))
     listener.start()
     try:
         if door and inside and outside:
-            passage = await door.lead(outside, inside.connect)
-            yield passage.address
-            await passage.close()
+            entrance = await door.lead(outside, inside.connect)
+            yield entrance.address
+            await entrance.close()
         else:
             yield listener.address
     finally:
@@ -200,12 +201,12 @@ def _call_limit_s(image: ImageConfig) -> float:
 
 
 @contextlib.asynccontextmanager
-async def _door(keys: DaemonKeys, seen: Seen) -> AsyncIterator[Door | None]:
+async def _door(keys: DaemonKeys, on_traffic: OnTraffic) -> AsyncIterator[Door | None]:
     """Where certificates are looked at, if there are any."""
     if keys.credentials is None:
         yield None
         return
-    async with opened_door(keys.trust(), door_limits(raise_limit_of_files()), seen=seen) as door:
+    async with opened_door(keys.trust(), DoorLimits.of_this_process(), on_traffic=on_traffic) as door:
         yield door
 
 
@@ -331,7 +332,7 @@ def _served(edge: EdgeServer) -> dict[str, Served]:
 # --- requests -----------------------------------------------------------------------------------------------
 
 
-def _listener(config: DaemonConfig, inside: Inside | None, handle: Handle) -> Listener:
+def _listener(config: DaemonConfig, inside: GrpcSocket | None, handle: Handle) -> Listener:
     loop = asyncio.get_running_loop()
 
     def answer_in_time(path: str, body: bytes, caller: Caller) -> bytes:

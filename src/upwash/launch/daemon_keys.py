@@ -11,8 +11,7 @@ from upwash.config import DaemonConfig
 from upwash.errors import CredentialsError
 from upwash.ports import Link
 from upwash.real.link.link import GrpcDialer
-from upwash.real.trust.credentials import Credentials, at_second, read_credentials, read_revoked
-from upwash.real.trust.trust import Trust
+from upwash.real.trust.credentials import Credentials, Trust, at_second, read_credentials, read_revoked
 from upwash.rpc.protocol import CertificateStatus
 from upwash.support.commands import command
 

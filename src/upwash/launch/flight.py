@@ -28,9 +28,14 @@ from upwash.launch.networks import opened_networks
 from upwash.launch.readiness import require_ready
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Autopilot, Camera, Journal
-from upwash.real.host.clock import SYSTEM_CLOCK, Clock, agree_on_time, keep_right_from_services, problem_by
-from upwash.real.host.journal import FileJournal, JournalNotifier, Watcher, read_events
-from upwash.real.host.log_file import Unwritten
+from upwash.real.host.clock import (
+    SYSTEM_CLOCK,
+    SystemClock,
+    agree_on_time,
+    keep_right_from_services,
+    problem_by,
+)
+from upwash.real.host.journal import FileJournal, JournalNotifier, Unwritten, Watcher, read_events
 from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
 from upwash.real.trust.credentials import Credentials
@@ -51,7 +56,7 @@ async def fly(
     resumes: bool = False,
     watchers: tuple[Watcher, ...] = (),
     unwritten: Unwritten | None = None,
-    clock: Clock = SYSTEM_CLOCK,
+    clock: SystemClock = SYSTEM_CLOCK,
 ) -> None:
     """Flies the configured mission with the configured vehicle, or another program with it.
 

@@ -28,7 +28,7 @@ from upwash.missions.bundled import load_specs
 from upwash.ports import Network
 from upwash.profiling.profiler import CallSample, require_answer
 from upwash.real.link.link import GrpcDialer
-from upwash.real.network.finding import Finding
+from upwash.real.network import SurveyFinding
 from upwash.rpc.service import ServiceSpec
 from upwash.sim.journal import MemoryJournal
 from upwash.support.background import beside
@@ -60,7 +60,7 @@ class _Wanted:
         ]
 
 
-async def survey_servers(config: DroneConfig) -> list[Finding]:
+async def survey_servers(config: DroneConfig) -> list[SurveyFinding]:
     """Whether each server can be used: its network joined, the drone's services started, each of them called.
 
     A call has a photo of the drone's camera, if the service takes one. Raises CredentialsError where the drone's
@@ -77,33 +77,34 @@ async def survey_servers(config: DroneConfig) -> list[Finding]:
         network = await network_on_the_ground(config, journal, stack)
         at_a_time = asyncio.Semaphore(1 if config.network.kind == "networkmanager" else max(1, len(reached)))
 
-        async def survey(server: ServerConfig) -> Finding:
+        async def survey(server: ServerConfig) -> SurveyFinding:
             async with at_a_time:
                 return await _survey(server, reached[server.name], wanted, network)
 
         return findings + await asyncio.gather(*map(survey, config.servers))
 
 
-async def _photos(config: DroneConfig) -> tuple[Look, list[Finding]]:
+async def _photos(config: DroneConfig) -> tuple[Look, list[SurveyFinding]]:
     """What the camera gives, with what is wrong with it."""
     try:
         seen = await look(config)
     except UpwashError as error:
-        return Look({}), [Finding("camera", "gives no photo", str(error))]
+        return Look({}), [SurveyFinding("camera", "gives no photo", str(error))]
     return seen, [
-        Finding("camera", f"gives {', '.join(seen.photos) or 'nothing'}", each) for each in seen.troubles
+        SurveyFinding("camera", f"gives {', '.join(seen.photos) or 'nothing'}", each)
+        for each in seen.troubles
     ]
 
 
 async def _survey(
     server: ServerConfig, endpoint: ServerEndpoint, wanted: _Wanted, network: Network
-) -> Finding:
+) -> SurveyFinding:
     subject = f"{server.name} at {server.address or '?'}"
     try:
         require_address(server)
         require_certificates(server, wanted.config)
     except UpwashError as error:
-        return Finding(subject, "not asked", str(error))
+        return SurveyFinding(subject, "not asked", str(error))
     session = ServerSession(endpoint, network=network, dialer=wanted.dialer)
     found = "is not reached"
     try:
@@ -119,10 +120,10 @@ async def _survey(
         async with beside(session.keep_lease(), name=f"the lease at {session.server}"):
             found += await _called(session, server, wanted, wanted.of(endpoint))
     except UpwashError as error:
-        return Finding(subject, found, str(error).removeprefix(f"{subject}: "))
+        return SurveyFinding(subject, found, str(error).removeprefix(f"{subject}: "))
     finally:
         await session.end(in_range=True)
-    return Finding(subject, found)
+    return SurveyFinding(subject, found)
 
 
 def _started(server: ServerConfig, services: Sequence[str], *, running: bool, took_s: float) -> str:

@@ -12,7 +12,7 @@ from upwash.launch.drone import (
 )
 from upwash.ports import VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot
-from upwash.real.network.finding import Finding
+from upwash.real.network import SurveyFinding
 from upwash.support.loading import extra
 
 _START_S = 120.0
@@ -70,10 +70,10 @@ async def _inspected(autopilot: MavlinkAutopilot) -> tuple[str, list[VehicleSett
     return "", settings
 
 
-async def survey_networks(config: DroneConfig) -> list[Finding]:
+async def survey_networks(config: DroneConfig) -> list[SurveyFinding]:
     """What NetworkManager has ready for the drone; raises NetworkError without one."""
     with extra("network"):
-        from upwash.real.network.survey import survey_networks
+        from upwash.real.network.profiles import survey_networks
     return await survey_networks(
         config.network.interfaces,
         {server.name: server.network for server in config.servers},

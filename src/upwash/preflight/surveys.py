@@ -15,7 +15,7 @@ from upwash.errors import UsageError
 
 if TYPE_CHECKING:
     from upwash.launch.survey import VehicleSurvey
-    from upwash.real.network.finding import Finding
+    from upwash.real.network import SurveyFinding
 
 
 def check_networks(config: DroneConfig, console: Console) -> bool:
@@ -42,7 +42,7 @@ def check_servers(config: DroneConfig, console: Console) -> bool:
     return _print(asyncio.run(survey_servers(config)), console)
 
 
-def _print(findings: Sequence[Finding], console: Console) -> bool:
+def _print(findings: Sequence[SurveyFinding], console: Console) -> bool:
     table = Table(box=None, padding=(0, 2))
     table.add_column("needed")
     table.add_column("found")

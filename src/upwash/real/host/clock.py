@@ -11,7 +11,6 @@ import os
 import sys
 import time
 from datetime import UTC, datetime
-from typing import Protocol
 
 from upwash.errors import CredentialsError
 from upwash.eventlog import schema
@@ -22,37 +21,24 @@ from upwash.support.commands import command
 _WRONG_S = 60.0  # TLS compares seconds, but certificates last years; a GPS without leap seconds is 18 s off
 _EARLIEST_UNIX_S = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # before: a receiver that lost count of weeks
 _LATEST_UNIX_S = datetime(2100, 1, 1, tzinfo=UTC).timestamp()  # after: a broken message
-_STA_UNSYNC = 0x40  # of adjtimex(2): nobody keeps the clock in time
+_STA_UNSYNC = 0x40  # of adjtimex(2): nothing keeps the clock in time
 _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 47, 4  # of prctl(2)
 
 
-class Clock(Protocol):
-    """A computer's clock."""
-
-    def now_s(self) -> float:
-        """What it says, in seconds since 1970."""
-
-    def is_kept(self) -> bool:
-        """Whether something keeps it in time, such as NTP."""
-
-    def set(self, unix_s: float) -> None:
-        """Sets it; raises OSError where this process may not."""
-
-
 class SystemClock:
-    """This computer's."""
+    """This computer's clock; a test has another one."""
 
     def now_s(self) -> float:
-        """As every process here sees it, and as TLS judges by."""
+        """Seconds since 1970, as every process here sees them, and as TLS judges by."""
         return time.time()
 
     def is_kept(self) -> bool:
-        """By what the kernel was told; False where it does not say."""
+        """Whether the kernel knows that something keeps the clock in time, such as NTP."""
         status = _adjtimex_status()
         return status is not None and not status & _STA_UNSYNC
 
     def set(self, unix_s: float) -> None:
-        """For the whole computer; it needs CAP_SYS_TIME."""
+        """Sets it for the whole computer; raises OSError without CAP_SYS_TIME."""
         time.clock_settime(time.CLOCK_REALTIME, unix_s)
 
 
@@ -60,36 +46,37 @@ SYSTEM_CLOCK = SystemClock()
 
 
 def agree_on_time(
-    gps_unix_s: float | None, credentials: Credentials, journal: Journal, *, clock: Clock = SYSTEM_CLOCK
+    gps_unix_s: float | None, credentials: Credentials, journal: Journal, *, clock: SystemClock = SYSTEM_CLOCK
 ) -> None:
-    """Sets the clock where it is wrong by the GPS, and refuses to go on with certificates that are not valid then.
+    """Sets the clock where it is wrong by the GPS; raises CredentialsError for certificates that are not valid then.
 
-    A clock that something keeps in time, or that may not be set, is left as it is. It is set to no time at which the
-    certificates are not valid: whoever forges the time gets no other. Raises CredentialsError.
+    A clock that something keeps in time, or that this process may not set, is left as it is. No clock is set to a
+    time at which the certificates are not valid: a forged time cannot make others valid.
     """
-    if gps_unix_s is not None and not _EARLIEST_UNIX_S <= gps_unix_s <= _LATEST_UNIX_S:
-        gps_unix_s = None
-    why = _set_if_wrong(gps_unix_s, credentials, journal, clock) if gps_unix_s is not None else _silence()
-    problem = problem_by(clock, credentials)
-    if problem:
+    if gps_unix_s is None or not _EARLIEST_UNIX_S <= gps_unix_s <= _LATEST_UNIX_S:
+        remedy = _remedy()
+        why = f"; the vehicle's GPS does not tell the time yet: wait for its fix and start again, or {remedy}"
+    else:
+        why = _set_if_wrong(gps_unix_s, credentials, journal, clock)
+    if problem := problem_by(clock, credentials):
         raise CredentialsError(f"{problem}{why}")
 
 
-def problem_by(clock: Clock, credentials: Credentials) -> str:
-    """Which of the certificates is not valid by the clock, with its dates; "" where all are."""
+def problem_by(clock: SystemClock, credentials: Credentials) -> str:
+    """Which certificate is not valid by the clock, with its dates; "" where all are."""
     return credentials.problem_at(_datetime(clock.now_s()))
 
 
 def keep_right_from_services() -> None:
-    """What this process starts from now on inherits no capability, so that no service can set the clock."""
+    """Lets the processes that this one starts inherit no capability, so that no service can set the clock."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
 
 
-def _set_if_wrong(gps_unix_s: float, credentials: Credentials, journal: Journal, clock: Clock) -> str:
-    """Returns what is to be said of a certificate that is not valid afterwards."""
+def _set_if_wrong(gps_unix_s: float, credentials: Credentials, journal: Journal, clock: SystemClock) -> str:
+    """Returns the remedy for a certificate that is not valid afterwards."""
     now_s = clock.now_s()
-    before, told = at_second(_datetime(now_s)), at_second(_datetime(gps_unix_s))
+    before, gps = at_second(_datetime(now_s)), at_second(_datetime(gps_unix_s))
     if abs(gps_unix_s - now_s) <= _WRONG_S:
         return ", and the vehicle's GPS agrees: make a new certificate"
     if clock.is_kept():
@@ -107,12 +94,8 @@ def _set_if_wrong(gps_unix_s: float, credentials: Credentials, journal: Journal,
         else:
             journal.record(schema.ClockSet(before=_datetime(now_s), after=_datetime(gps_unix_s)))
             return ", as it was set from the vehicle's GPS: make a new certificate"
-    journal.record(schema.ClockDiffers(clock=before, gps=told, why=why_not))
-    return f"; the vehicle's GPS says {told}, but {why_not}: {_remedy()}"
-
-
-def _silence() -> str:
-    return f"; the vehicle's GPS does not tell the time yet: wait for its fix and start again, or {_remedy()}"
+    journal.record(schema.ClockDiffers(clock=before, gps=gps, why=why_not))
+    return f"; the vehicle's GPS says {gps}, but {why_not}: {_remedy()}"
 
 
 def _remedy() -> str:
@@ -144,7 +127,7 @@ class _Timex(ctypes.Structure):
 
 
 def _adjtimex_status() -> int | None:
-    """The status bits of the kernel's clock; it is only asked, nothing is set. None where it does not answer."""
+    """The status bits of the kernel's clock, which is only asked; None where it does not answer."""
     timex = _Timex()
     try:
         answer = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))

@@ -1,9 +1,13 @@
-"""The event log as a file of JSON lines, the truth about a run."""
+"""The event log as a file of JSON lines: each line is in it whole, even where the disk fills up."""
 
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import logging
+import os
+import stat
+from collections import deque
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,17 +20,47 @@ from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.fitting import fitted, line_of
 from upwash.eventlog.schema import LONGEST, Event
-from upwash.real.host.log_file import LogFile, Unwritten
+from upwash.support.output_files import append_whole
 
+_MOST_UNWRITTEN_BYTES = 2**25  # in memory: some hours of a flight
 _TRY_AGAIN_S = 1.0  # to write to a full disk
 _log = logging.getLogger("upwash.journal")
 Watcher = Callable[[Event], None]
 
 
+class Unwritten:
+    """The lines, in their order, for which a file has had no room, and `why`; "" where it lacks nothing.
+
+    Lines that do not fit into memory either are only counted, as `lost`.
+    """
+
+    def __init__(self) -> None:
+        self.lines: deque[bytes] = deque()
+        self.lost = 0
+        self.why = ""
+        self._size_bytes = 0
+
+    def add(self, line: bytes) -> None:
+        """Holds another line."""
+        if self.lost or self._size_bytes + len(line) > _MOST_UNWRITTEN_BYTES:
+            self.lost += 1
+            return
+        self._size_bytes += len(line)
+        self.lines.append(line)
+
+    def written(self) -> None:
+        """The first line is in the file now."""
+        self._size_bytes -= len(self.lines.popleft())
+
+    def __len__(self) -> int:
+        """How many lines the file lacks."""
+        return len(self.lines) + self.lost
+
+
 class FileJournal:
     """Appends each event as one line in one write, so that a crash leaves no torn line behind.
 
-    `t` counts seconds of the event loop's clock from the first event; that one also tells the time of day. With
+    `t` counts seconds of the event loop's clock from the first event, which also has the time of day. With
     `resumes` a log that another process began is continued, its time too. One process at a time writes to a log.
     What the disk has no room for is held in `unwritten`, in its order, until there is room.
     """
@@ -55,10 +89,8 @@ class FileJournal:
         opening = kind(t=round(opened_s, 6), time=now, version=schema.VERSION)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = LogFile(path)
+            self._file = _LineFile(path, cuts_torn_line=resumes)
             try:
-                if resumes:
-                    self._file.cut_torn_line()
                 self._file.append(line_of(opening))
             except OSError:
                 self._file.close()
@@ -70,13 +102,23 @@ class FileJournal:
     def record(self, event: Event) -> None:
         """Adds one event; it is in the file when this returns, if that has room.
 
-        A disk that fills up in flight is no reason to end it: what is missing is written as soon as there is room.
+        A disk that fills up in flight does not end it: what is missing is written as soon as there is room.
         """
         for entry in fitted(msgspec.structs.replace(event, t=self._now_s())):
             try:
                 self._keep(line_of(entry))
             finally:
                 self._show(entry)
+
+    def close(self) -> None:
+        """Ends the log, with what it lacks if there is room for it now."""
+        if self._unwritten:
+            self._catch_up()
+        try:
+            self._file.close()
+        except OSError as error:
+            self._unwritten.why = error.strerror or str(error)
+            _log.error("the event log %s may lack its last events: %s", self.path, error)
 
     def _now_s(self) -> float:
         return round(self._loop.time() - self._began_s, 6)
@@ -118,23 +160,73 @@ class FileJournal:
         self._next_try_s = self._loop.time() + _TRY_AGAIN_S
 
     def _show(self, entry: Event) -> None:
-        """Has the watchers see an event; one that fails, as where its terminal is gone, sees no more of them."""
+        """Shows the watchers an event; a watcher that fails, as where its terminal is gone, sees no more of them."""
         for watch in self._watchers:
             try:
                 watch(entry)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the flight goes on
-                self._watchers = tuple(each for each in self._watchers if each is not watch)
+            except Exception as error:  # noqa: BLE001 - the flight goes on after any
+                self._watchers = tuple(watcher for watcher in self._watchers if watcher is not watch)
                 _log.error("what shows the flight has failed, and is told no more: %s", error)
 
-    def close(self) -> None:
-        """Ends the log, with what it lacks if there is room for it now."""
-        if self._unwritten:
-            self._catch_up()
+
+class _LineFile:
+    """Lines that one process at a time appends to a file; raises OSError, or UsageError where another one does."""
+
+    def __init__(self, path: Path, *, cuts_torn_line: bool) -> None:
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         try:
-            self._file.close()
-        except OSError as error:
-            self._unwritten.why = error.strerror or str(error)
-            _log.error("the event log %s may lack its last events: %s", self.path, error)
+            _lock(self._file, path)
+            self._size_bytes = os.fstat(self._file).st_size
+            whole_bytes = self._end_of_last_line()
+            if cuts_torn_line:
+                os.ftruncate(self._file, whole_bytes)
+                self._size_bytes = whole_bytes
+            self._is_torn = whole_bytes != self._size_bytes
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def append(self, line: bytes) -> None:
+        """Adds one line, in one write; raises OSError where it is not in the file then.
+
+        A line that was cut is taken back. Where even that fails, the next append ends it first.
+        """
+        content = (b"\n" if self._is_torn else b"") + line + b"\n"
+        try:
+            append_whole(self._file, content)
+        except OSError:
+            size_bytes = os.fstat(self._file).st_size
+            self._is_torn |= size_bytes != self._size_bytes
+            self._size_bytes = size_bytes
+            raise
+        self._size_bytes += len(content)
+        self._is_torn = False
+
+    def close(self) -> None:
+        """Ends the file; raises OSError where the system reports only now that it did not keep it."""
+        os.close(self._file)
+
+    def _end_of_last_line(self) -> int:
+        """How many bytes whole lines take."""
+        if not stat.S_ISREG(os.fstat(self._file).st_mode):
+            return self._size_bytes
+        end_bytes = self._size_bytes
+        while end_bytes:
+            piece_bytes = min(end_bytes, 65_536)
+            found = os.pread(self._file, piece_bytes, end_bytes - piece_bytes).rfind(b"\n")
+            if found >= 0:
+                return end_bytes - piece_bytes + found + 1
+            end_bytes -= piece_bytes
+        return 0
+
+
+def _lock(file: int, path: Path) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise UsageError(
+            f"another program is writing the event log {path}: is the flight still under way?"
+        ) from None
 
 
 def read_events(path: Path) -> list[Event]:
@@ -158,7 +250,7 @@ def _seconds_since(events: Sequence[Event], now: datetime) -> float:
 
 
 class JournalNotifier:
-    """Tells the user through the event log, and so through whatever shows it."""
+    """Notifies the user through the event log, and so through all that shows it."""
 
     def __init__(self, journal: FileJournal) -> None:
         self._journal = journal

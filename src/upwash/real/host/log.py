@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from datetime import UTC, datetime
-from typing import Any, TextIO
+from typing import Any
 
 import msgspec
 
@@ -21,7 +21,7 @@ _foreign = logging.getLogger("upwash.foreign")
 
 
 def log_text() -> None:
-    """From now on the log is text, one line a message, whatever drones and services have put into it."""
+    """From now on the log is text, one line a message, even where drones or services put line ends into it."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_TextFormatter(_TEXT))
     logging.basicConfig(level=logging.INFO, handlers=[handler])
@@ -36,7 +36,7 @@ def log_json() -> None:
     reading, writing = os.pipe()
     os.dup2(writing, 2)
     os.close(writing)
-    sys.stderr = lines  # what Python says of a crash must get out at once
+    sys.stderr = lines  # Python's report of a crash must get out at once
     handler = logging.StreamHandler(lines)
     handler.setFormatter(_JsonFormatter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])
@@ -45,13 +45,12 @@ def log_json() -> None:
     def write_past(_: Exception) -> None:  # or a library that writes would wait for ever
         os.dup2(lines.fileno(), 2)
 
-    thread(lambda: _pass_on(foreign), name="log of libraries", failed=write_past).start()
+    def pass_on() -> None:
+        for line in foreign:
+            if line.strip():
+                _foreign.info("%s", line.strip())
 
-
-def _pass_on(foreign: TextIO) -> None:
-    for line in foreign:
-        if line.strip():
-            _foreign.info("%s", line.strip())
+    thread(pass_on, name="log of libraries", failed=write_past).start()
 
 
 class _TextFormatter(logging.Formatter):
@@ -76,12 +75,12 @@ class _JsonFormatter(_TextFormatter):
         return msgspec.json.encode(facts).decode()
 
 
-class Sparing(logging.Filter):
-    """Lets so many lines a second through, `at_once` after a rest; the next one says how many were left out."""
+class RateLimitedLog(logging.Filter):
+    """Lets five lines a second through, 50 after a rest; the next line says how many were left out."""
 
-    def __init__(self, per_s: float = 5.0, *, at_once: float = 50.0) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._lines = Allowance(per_s, at_once=at_once)
+        self._lines = Allowance(5.0, at_once=50.0)
         self._left_out = 0
 
     def filter(self, record: logging.LogRecord) -> bool:

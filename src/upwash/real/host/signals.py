@@ -1,9 +1,10 @@
-"""What the operating system's signals ask of a program that runs."""
+"""The operating system's signals to a program."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import os
 import signal
@@ -16,32 +17,39 @@ _SECOND_SIGNAL_S = 0.5  # a terminal and a parent may both pass on one Ctrl-C
 
 
 @contextlib.contextmanager
+def on_signal(number: signal.Signals, do: Callable[[], None]) -> Iterator[None]:
+    """Calls `do` at each signal of that number, until the end of the block."""
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(number, do)
+    try:
+        yield
+    finally:
+        loop.remove_signal_handler(number)
+
+
+@contextlib.contextmanager
 def stopping_politely(stop: Callable[[str], None]) -> Iterator[None]:
-    """The first SIGINT or SIGTERM asks to stop; the second cancels what runs."""
+    """The first SIGINT or SIGTERM calls `stop` with its name; the second cancels the running task."""
     loop = asyncio.get_running_loop()
     running = asyncio.current_task()
     asked_s: list[float] = []
 
-    def on_signal(number: signal.Signals) -> None:
+    def ask(name: str) -> None:
         now_s = loop.time()
         if not asked_s:
-            stop("Ctrl-C" if number is signal.SIGINT else number.name)
+            stop(name)
         elif now_s - asked_s[0] > _SECOND_SIGNAL_S and running is not None:
             running.cancel()
         asked_s.append(now_s)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, on_signal, number)
-    try:
+    ask_by_key, ask_by_signal = functools.partial(ask, "Ctrl-C"), functools.partial(ask, "SIGTERM")
+    with on_signal(signal.SIGINT, ask_by_key), on_signal(signal.SIGTERM, ask_by_signal):
         yield
-    finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.remove_signal_handler(number)
 
 
 @contextlib.contextmanager
 def ending_in_time() -> Iterator[Callable[[float], None]]:
-    """Yields what has the program ended after so many seconds, with exit code 1, where the block still hangs then."""
+    """Yields a function that ends the program in that many seconds, with exit code 1, if the block still runs."""
     timers: list[threading.Timer] = []
 
     def end() -> None:
@@ -62,19 +70,8 @@ def ending_in_time() -> Iterator[Callable[[float], None]]:
 
 
 @contextlib.contextmanager
-def on_signal(number: signal.Signals, do: Callable[[], None]) -> Iterator[None]:
-    """Does it each time that this signal comes."""
-    loop = asyncio.get_running_loop()
-    loop.add_signal_handler(number, do)
-    try:
-        yield
-    finally:
-        loop.remove_signal_handler(number)
-
-
-@contextlib.contextmanager
 def outliving_the_terminal() -> Iterator[None]:
-    """A terminal that is closed ends nothing; what is printed to it from then on is lost."""
+    """A terminal that is closed ends nothing; output to it is lost from then on."""
     terminals = [handle for handle in (0, 1, 2) if os.isatty(handle)]
 
     def let_go() -> None:

@@ -17,7 +17,7 @@ from typing import IO
 import msgspec
 
 from upwash.errors import UsageError
-from upwash.real.link.framing import BESIDE_BYTES, frame, read_frame
+from upwash.real.link.direct import BESIDE_BYTES, frame, read_frame
 from upwash.rpc.service import Fault, Method
 from upwash.support.background import thread
 from upwash.support.text import printable, signal_name

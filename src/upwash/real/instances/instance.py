@@ -44,11 +44,10 @@ from upwash.real.instances.control import (
 from upwash.real.instances.foreign import ForeignProgram
 from upwash.real.instances.limits import apply_limits
 from upwash.real.instances.lxd.credentials import ControlCredentials
-from upwash.real.link.announced import Inside
 from upwash.real.link.direct import DirectListener
-from upwash.real.link.listener import Health, Listener
+from upwash.real.link.listener import HealthCheck, Listener
+from upwash.real.link.proxy import GrpcSocket, SocketProxy
 from upwash.real.link.requests import Caller, Requests
-from upwash.real.link.socket_proxy import SocketProxy
 from upwash.real.link.streams import listening_socket
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Method, carries_fault, load_service, spec_of
@@ -107,15 +106,15 @@ class ServiceInstance:
             gate=self._admit,
         )
         self._listener: Listener | DirectListener
-        self._inside: Inside | None = None
+        self._inside: GrpcSocket | None = None
         if not begin.listen:
             assert outside is not None  # noqa: S101 - its program's other end
             self._listener = DirectListener(outside, requests)
             return
-        self._inside = Inside(begin.listen.removeprefix("unix:"))
+        self._inside = GrpcSocket(begin.listen.removeprefix("unix:"))
         who_is = self._inside.client if begin.is_announced else None
         self._listener = Listener(begin.listen, requests, who_is=who_is)
-        self._listener.add(Health())
+        self._listener.add(HealthCheck())
 
     def serve(self, outside: socket.socket | None, context: ssl.SSLContext | None) -> None:
         """Begins to answer, also who connects to the socket from outside, and says so."""

@@ -20,8 +20,8 @@ from upwash.core.admission.limits import Allowance
 from upwash.errors import InstanceError
 from upwash.real.instances import control
 from upwash.real.instances.output import Output
-from upwash.real.link.announced import Connect
-from upwash.real.link.door import Lead, Passage
+from upwash.real.link.door import Entrance, Lead
+from upwash.real.link.proxy import Connect
 from upwash.real.link.streams import hang_up
 from upwash.support.background import start
 from upwash.support.text import words_of
@@ -231,7 +231,7 @@ class ControlledInstance(ABC):
         self._answered = answered
         self._lead = lead
         self._keep = keep
-        self._passage: Passage | None = None
+        self._entrance: Entrance | None = None
         self._output = Output(spec.name)
         self._control: InstanceControl | None = None
         self._stopped = asyncio.Event()
@@ -321,13 +321,13 @@ class ControlledInstance(ABC):
 
     async def _lead_to(self, connect: Connect) -> None:
         if self._lead is not None:
-            self._passage = await self._lead(self.spec.server, connect)
-            self.endpoint = self._passage.endpoint
+            self._entrance = await self._lead(self.spec.server, connect)
+            self.endpoint = self._entrance.endpoint
 
     async def _shut(self) -> None:
-        if self._passage is not None:
-            await self._passage.close()
-            self._passage = None
+        if self._entrance is not None:
+            await self._entrance.close()
+            self._entrance = None
 
     async def _until_stopped(self) -> str:
         await self._stopped.wait()

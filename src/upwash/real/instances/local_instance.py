@@ -18,9 +18,9 @@ from upwash.ports import Answered, InstanceSpec
 from upwash.real.instances.control import Begin
 from upwash.real.instances.instance_control import ControlledInstance, InstanceControl
 from upwash.real.instances.output import chunks_of
-from upwash.real.link.announced import announcing_at
 from upwash.real.link.direct import Calls, direct_pair
 from upwash.real.link.door import Lead
+from upwash.real.link.proxy import announcing_at
 from upwash.real.link.streams import connected_pair, endpoint_of, hang_up, listening_socket
 from upwash.support.background import end, only_logged, start
 from upwash.support.waiting import first

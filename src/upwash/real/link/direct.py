@@ -1,7 +1,7 @@
 """Calls between a program and an instance that it started, over a socket pair.
 
-No address is needed for that, no file that could be removed or not be made, and nobody else can call. Messages are
-frames (`framing`); what the instance's end says is bounded and may be anything, as a service shares its process.
+The pair needs no address and no file, and nobody else can call. Messages are frames of MessagePack with a length of 4
+bytes before them, the highest first. The instance's end is not believed: a service shares its process.
 """
 
 from __future__ import annotations
@@ -13,24 +13,25 @@ import os
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from typing import IO
 
 import msgspec
 
 from upwash.core.admission.clients import Client
 from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable
-from upwash.real.link.framing import BESIDE_BYTES, LENGTH_BYTES, frame, length_of, read_frame
-from upwash.real.link.link import too_large
-from upwash.real.link.requests import Caller, Requests, words_for_caller
+from upwash.real.link.requests import Caller, Requests, too_large, words_for_caller
 from upwash.real.link.streams import connected_pair, hang_up
 from upwash.support.background import only_logged, start, thread
 from upwash.support.text import printable
 
+BESIDE_BYTES = 4096  # of a frame, beside the request or result in it
+_LENGTH_BYTES = 4
 _SEND_BYTES = 2**20  # room for a photo, or what the system allows
 _LONGEST_REASON = 1000
 
 
-class Ask(msgspec.Struct, frozen=True, array_like=True, tag=1):
-    """To the instance: answer this request of that drone, by its number."""
+class DirectRequest(msgspec.Struct, frozen=True, array_like=True, tag=1):
+    """To the instance: answer this request of that drone."""
 
     number: int
     drone: str
@@ -38,31 +39,57 @@ class Ask(msgspec.Struct, frozen=True, array_like=True, tag=1):
     body: bytes
 
 
-class GiveUp(msgspec.Struct, frozen=True, array_like=True, tag=2):
-    """To the instance: nobody waits for that answer any more."""
+class DirectCancel(msgspec.Struct, frozen=True, array_like=True, tag=2):
+    """To the instance: the reply to the request of that number is not waited for any more."""
 
     number: int
 
 
-class Answer(msgspec.Struct, frozen=True, array_like=True, tag=1):
+class DirectReply(msgspec.Struct, frozen=True, array_like=True, tag=1):
     """From the instance: the reply to the request of that number."""
 
     number: int
     body: bytes
 
 
-class Refuse(msgspec.Struct, frozen=True, array_like=True, tag=2):
+class DirectRefusal(msgspec.Struct, frozen=True, array_like=True, tag=2):
     """From the instance: why the request of that number has no reply."""
 
     number: int
     why: str
 
 
-_to_instance = msgspec.msgpack.Decoder(Ask | GiveUp)
-_from_instance: msgspec.msgpack.Decoder[Answer | Refuse] = msgspec.msgpack.Decoder(Answer | Refuse)
-
+_Reply = DirectReply | DirectRefusal
+_to_instance = msgspec.msgpack.Decoder(DirectRequest | DirectCancel)
+_from_instance: msgspec.msgpack.Decoder[_Reply] = msgspec.msgpack.Decoder(_Reply)
+_encoder = msgspec.msgpack.Encoder()
 
 Calls = tuple[asyncio.StreamReader, asyncio.StreamWriter]  # the program's end, before it is a link
+
+
+def frame(message: msgspec.Struct) -> bytes:
+    """The message as it is written."""
+    body = _encoder.encode(message)
+    return len(body).to_bytes(_LENGTH_BYTES) + body
+
+
+def read_frame(stream: IO[bytes], *, most_bytes: int) -> bytes:
+    """The next frame's contents; raises EOFError at the end, and ValueError for a frame that is too long."""
+    return _whole(stream, _length_of(_whole(stream, _LENGTH_BYTES), most_bytes))
+
+
+def _whole(stream: IO[bytes], length: int) -> bytes:
+    data = stream.read(length)
+    if len(data) < length:
+        raise EOFError("it hung up")
+    return data
+
+
+def _length_of(head: bytes, most_bytes: int) -> int:
+    length = int.from_bytes(head)
+    if length > most_bytes:
+        raise ValueError(f"a frame of {length} bytes, at most {most_bytes} are read")
+    return length
 
 
 async def direct_pair() -> tuple[Calls, socket.socket]:
@@ -74,7 +101,7 @@ async def direct_pair() -> tuple[Calls, socket.socket]:
 
 
 class DirectListener:
-    """The instance's end: answers what comes, each request in a thread of its own, until the program hangs up."""
+    """The instance's end: answers requests, each in a thread of its own, until the program hangs up."""
 
     address = ""
 
@@ -90,7 +117,7 @@ class DirectListener:
         thread(self._listen, name="direct calls", failed=lambda _: os._exit(1)).start()
 
     def stop(self, *, grace_s: float = 0.0) -> None:
-        """Returns when what is under way has ended."""
+        """Returns when the requests under way have ended."""
         self._workers.shutdown(cancel_futures=True)
 
     def _listen(self) -> None:
@@ -98,21 +125,22 @@ class DirectListener:
         with self._connection.makefile("rb") as coming, contextlib.suppress(OSError, EOFError, RuntimeError):
             while True:
                 match _to_instance.decode(read_frame(coming, most_bytes=most_bytes)):
-                    case Ask() as asked:
-                        self._waited_for.add(asked.number)
-                        self._workers.submit(self._answer, asked)
-                    case GiveUp(number):
+                    case DirectRequest() as request:
+                        self._waited_for.add(request.number)
+                        self._workers.submit(self._answer, request)
+                    case DirectCancel(number):
                         self._waited_for.discard(number)
         self._waited_for.clear()
 
-    def _answer(self, asked: Ask) -> None:
-        caller = Caller(Client(asked.drone), lambda: None, lambda: asked.number in self._waited_for)
-        reply: Answer | Refuse
+    def _answer(self, request: DirectRequest) -> None:
+        number = request.number
+        caller = Caller(Client(request.drone), lambda: None, lambda: number in self._waited_for)
+        reply: _Reply
         try:
-            reply = Answer(asked.number, self._requests.answer(asked.path, caller, lambda: asked.body))
+            reply = DirectReply(number, self._requests.answer(request.path, caller, lambda: request.body))
         except BaseException as error:  # noqa: BLE001 - a defect of the handler must not end the listener
-            reply = Refuse(asked.number, words_for_caller(error))
-        self._waited_for.discard(asked.number)
+            reply = DirectRefusal(number, words_for_caller(error))
+        self._waited_for.discard(number)
         with self._writing, contextlib.suppress(OSError):  # the program has hung up
             self._connection.sendall(frame(reply))
 
@@ -122,20 +150,13 @@ class DirectLink:
 
     is_far = False
 
-    def __init__(
-        self,
-        calls: Calls,
-        *,
-        peer: str,
-        drone: str,
-        max_message_bytes: int,
-    ) -> None:
-        self._replies, self._orders = calls
+    def __init__(self, calls: Calls, *, peer: str, drone: str, max_message_bytes: int) -> None:
+        self._replies, self._requests = calls
         self._peer = peer
         self._drone = drone
         self._max_message_bytes = max_message_bytes
         self._numbers = itertools.count()
-        self._waiting: dict[int, asyncio.Future[Answer | Refuse | LinkError]] = {}
+        self._waiting: dict[int, asyncio.Future[_Reply | LinkError]] = {}
         self._over: LinkError | None = None
         self._listening = start(self._listen(), name="the replies of an instance", failed=only_logged)
 
@@ -147,11 +168,11 @@ class DirectLink:
             why = too_large("request", len(body), self._max_message_bytes, whose="the drone")
             raise Refused(f"{self._peer}: {why}")
         number = next(self._numbers)
-        self._orders.write(frame(Ask(number, self._drone, path, body)))
+        self._requests.write(frame(DirectRequest(number, self._drone, path, body)))
         match await self._reply(number, timeout_s):
-            case Answer(_, reply):
+            case DirectReply(_, reply):
                 return reply
-            case Refuse(_, why):
+            case DirectRefusal(_, why):
                 raise Refused(f"{self._peer}: {printable(why, _LONGEST_REASON)}")
             case LinkError() as error:
                 raise error
@@ -160,8 +181,8 @@ class DirectLink:
         """Hangs up, with every request under way."""
         self._end("the link is closed")
 
-    async def _reply(self, number: int, timeout_s: float) -> Answer | Refuse | LinkError:
-        answered: asyncio.Future[Answer | Refuse | LinkError] = asyncio.get_running_loop().create_future()
+    async def _reply(self, number: int, timeout_s: float) -> _Reply | LinkError:
+        answered: asyncio.Future[_Reply | LinkError] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answered
         try:
             async with asyncio.timeout(timeout_s):
@@ -171,13 +192,15 @@ class DirectLink:
         finally:
             del self._waiting[number]
             if answered.cancelled() and self._over is None:
-                self._orders.write(frame(GiveUp(number)))
+                self._requests.write(frame(DirectCancel(number)))
 
     async def _listen(self) -> None:
         why = "it hung up"
         try:
             while True:
-                reply = _from_instance.decode(await self._frame())
+                head = await self._replies.readexactly(_LENGTH_BYTES)
+                length = _length_of(head, self._max_message_bytes + BESIDE_BYTES)
+                reply = _from_instance.decode(await self._replies.readexactly(length))
                 if answered := self._waiting.get(reply.number):
                     answered.set_result(reply)
         except (OSError, EOFError):
@@ -187,14 +210,9 @@ class DirectLink:
         finally:
             self._end(why)
 
-    async def _frame(self) -> bytes:
-        head = await self._replies.readexactly(LENGTH_BYTES)
-        length = length_of(head, most_bytes=self._max_message_bytes + BESIDE_BYTES)
-        return await self._replies.readexactly(length)
-
     def _end(self, why: str) -> None:
         self._over = self._over or Unreachable(f"{self._peer}: {why}")
-        hang_up(self._orders.transport)
+        hang_up(self._requests.transport)
         for answered in self._waiting.values():
             if not answered.done():
                 answered.set_result(self._over)

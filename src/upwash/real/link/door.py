@@ -1,18 +1,17 @@
-"""Where strangers end: TLS for the daemon and for each of its instances, in front of gRPC.
+"""TLS for the daemon and for each of its instances, in front of gRPC.
 
-Whoever shows no certificate of the authority, or a revoked one, gets no further than here, and takes no more than a
-place among a bounded number of connections. What a known caller sends is handed on, with a word of who sends it, as
-long as it begins and breaks off no more requests than a drone ever would. Neither gRPC nor any service holds the
-daemon's key. See docs/decisions/door.md.
+A peer without a certificate of the authority, or with a revoked one, gets no further than here, and takes one of a
+bounded number of connections. The bytes of a known caller are handed on, with its name, while it keeps within the
+limits. Neither gRPC nor a service holds the daemon's key. See docs/decisions/door.md.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import functools
 import logging
-import resource
 import socket
 import ssl
 import time
@@ -24,129 +23,75 @@ from ipaddress import IPv6Address, ip_address
 from types import MappingProxyType
 from typing import Any, NoReturn, get_args
 
-from upwash.core.admission.clients import Client, DoorReason, DoorStatus
+from upwash.core.admission.clients import DoorReason, DoorStatus
 from upwash.core.admission.limits import Allowance
 from upwash.errors import InstanceError
-from upwash.real.host.log import Sparing
-from upwash.real.link.announced import Connect
-from upwash.real.link.crowd import Crowd, Recent, Turns
-from upwash.real.link.frames import Counted, FrameCounter
-from upwash.real.link.streams import End, endpoint_of, join, listening_socket, readable
+from upwash.real.host.log import RateLimitedLog
+from upwash.real.link.limits import CertificateLimit, ConnectionLimits, DoorLimits, FrameCounter, RateLimit
+from upwash.real.link.proxy import Connect
+from upwash.real.link.streams import StreamEnd, endpoint_of, join, listening_socket, readable
 from upwash.real.link.tls import shake_hands
-from upwash.real.trust.trust import Distrusted, Holder, Trust, holder_of
+from upwash.real.trust.credentials import Distrusted, Holder, Trust, holder_of
 from upwash.support.background import beside, end, only_logged, start, thread
 
 _log = logging.getLogger("upwash.door")
-_log.addFilter(Sparing())
+_log.addFilter(RateLimitedLog())
 
-Seen = Callable[[str, str], None]  # on the server of that name, the caller known by `Client.key`
+_Connections = ConnectionLimits[asyncio.Task[Any]]
+OnTraffic = Callable[[str, str], None]  # to the server of that name, from the caller known by `Client.key`
 
 _OUT_OF_SOCKETS_S = 0.1
 _LAST_WORDS_S = 1.0
-_MOST_FILES = 65_536
 _MOST_SITES = 4096
-_TOLD_PER_S = 1.0
+_TRAFFIC_PER_S = 1.0
 _VERIFIED: Mapping[int, DoorReason] = {
     9: "not_yet_valid",
     10: "expired",
 }  # by X509_V_ERR_...; else the authority
-_IPV6_SITE_BITS = 64  # one network's, all of which one machine may use
+_IPV6_SITE_BITS = 64  # of a network: one machine may use all its addresses
 
 
 @dataclass(frozen=True, slots=True)
-class DoorLimits:
-    """How many connections and requests, where not said otherwise for each certificate."""
+class Entrance:
+    """A listening socket of the door: the `endpoint` that drones get, its address, and how to close it."""
 
-    strangers: int = 256
-    strangers_per_address: int = 64
-    handshakes: int = 64  # under way at once: TLS takes 0.2 MB for a peer that announces a long message
-    handshakes_per_address: int = 16
-    handshakes_per_address_per_s: float = 20.0
-    silence_s: float = 10.0
-    handshake_s: float = 10.0  # of a round trip of 1 s, with packets lost
-    connections: int = 1024
-    connections_per_certificate: int = 64
-    begun_per_s: float = 1000.0
-    broken_off_per_s: float = 50.0
-    idle_per_s: float = 500.0
-    pieces_per_s: float = 20_000.0  # of bodies, to and fro: some 300 MB/s where they are whole
-    burst_s: float = 2.0  # what comes at once may be what is allowed in so long
-    shut_out_s: float = 10.0  # a certificate that did more than that
-
-
-def door_limits(files: int) -> DoorLimits:
-    """What a process can bear that may have so many files open: a caller takes three."""
-    return DoorLimits(connections=min(1024, files // 6), strangers=min(256, files // 8))
-
-
-def raise_limit_of_files() -> int:
-    """Allows this process as many open files as the system does, within reason, and returns how many."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    most = _MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, _MOST_FILES)
-    if soft < most:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
-    return max(soft, most)
-
-
-class Passage:
-    """A way through the door; `endpoint` is what drones are told."""
-
-    def __init__(self, endpoint: str, address: str, close: Callable[[], Awaitable[None]]) -> None:
-        self.endpoint = endpoint
-        self.address = address
-        self.close = close
-
-
-class _Pace:
-    """What one certificate may do in a second, over all its connections."""
-
-    def __init__(self, limits: DoorLimits) -> None:
-        self.shut_out_until_s = 0.0
-        self._shut_out_s = limits.shut_out_s
-        self._allowances = [
-            Allowance(per_s, at_once=per_s * limits.burst_s)
-            for per_s in (limits.begun_per_s, limits.broken_off_per_s, limits.idle_per_s, limits.pieces_per_s)
-        ]
-
-    def take(self, counted: Counted, now_s: float) -> None:
-        """Raises ConnectionAbortedError where it is too much."""
-        for allowance, number in zip(
-            self._allowances,
-            (counted.begun, counted.broken_off, counted.idle, counted.pieces + counted.room),
-            strict=True,
-        ):
-            if number and not allowance.take(number, now_s=now_s):
-                self.shut_out_until_s = now_s + self._shut_out_s
-                raise ConnectionAbortedError("it begins or breaks off more requests than any drone would")
+    endpoint: str
+    address: str
+    close: Callable[[], Awaitable[None]]
 
 
 class Door:
-    """Lets known callers through, in a thread of its own; there, `seen` is told who calls, once a second at most."""
+    """Lets known callers through, in a thread of its own, until it is closed.
+
+    There `on_traffic` is called with who calls, at most once a second for a connection.
+    """
 
     def __init__(
-        self, trust: Trust, limits: DoorLimits | None = None, *, seen: Seen = lambda _server, _key: None
+        self,
+        trust: Trust,
+        limits: DoorLimits | None = None,
+        *,
+        on_traffic: OnTraffic = lambda _server, _key: None,
     ) -> None:
-        self._seen = seen
+        self._on_traffic = on_traffic
         self._trust = trust
-        self._limits = limits or DoorLimits()
-        self._loop = asyncio.new_event_loop()
-        self._thread = thread(self._run, name="door", failed=self._break)
-        self._broken: Future[NoReturn] = Future()
-        limits = self._limits
-        self._strangers: Crowd[asyncio.Task[Any]] = Crowd(
-            limits.strangers, most_of_group=limits.strangers_per_address
-        )
-        self._callers: Crowd[asyncio.Task[Any]] = Crowd(
-            limits.connections, most_of_group=limits.connections_per_certificate
-        )
+        self._limits = limits = limits or DoorLimits()
+        self._strangers = _Connections(limits.strangers, per_group=limits.strangers_per_address)
+        self._handshakes = _Connections(limits.handshakes, per_group=limits.handshakes_per_address)
+        self._callers = _Connections(limits.connections, per_group=limits.connections_per_certificate)
         self._certificates: dict[asyncio.Task[Any], bytes] = {}
-        self._paces = Recent(lambda: _Pace(self._limits), most=limits.connections)
-        self._handshakes: Crowd[asyncio.Task[Any]] = Crowd(
-            limits.handshakes, most_of_group=limits.handshakes_per_address
+        self._limit_of = functools.lru_cache(limits.connections)(
+            lambda _certificate: CertificateLimit(limits)
         )
-        self._turns = Recent(self._new_site, most=_MOST_SITES)
+        self._pace_of = functools.lru_cache(_MOST_SITES)(
+            lambda _site: RateLimit(limits.handshakes_per_address_per_s)
+        )
         # Of every reason from the start, so that another thread can go through them.
         self._refused = dict.fromkeys(get_args(DoorReason), (0, "", 0.0))
+        self._broken: Future[NoReturn] = Future()
+        self._loop = asyncio.new_event_loop()
+        self._thread = thread(self._run, name="door", failed=self._break)
+        self._thread.start()
 
     @property
     def refused(self) -> list[DoorStatus]:
@@ -157,41 +102,32 @@ class Door:
             if times
         ]
 
-    def open(self) -> None:
-        """Begins to work."""
-        self._thread.start()
-
     async def broken(self) -> NoReturn:
-        """Raises what has ended the door, or a way in, where a defect does."""
+        """Raises the defect that ends the door or an entrance."""
         await asyncio.wrap_future(self._broken)
         raise AssertionError("it has no result")
 
     async def close(self) -> None:
-        """Hangs up on everybody; returns when that is done."""
+        """Closes all connections; returns when that is done."""
         await self._there(self._hang_up())
         self._loop.call_soon_threadsafe(self._loop.stop)
         await asyncio.to_thread(self._thread.join)
 
-    async def lead(self, listening: socket.socket, inside: Connect, *, server: str = "") -> Passage:
+    async def lead(self, listening: socket.socket, inside: Connect, *, server: str = "") -> Entrance:
         """Lets callers of that socket, which becomes the door's, through to `inside`, an instance of that server."""
         host, port = listening.getsockname()[:2]
         address = f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
         listening.setblocking(False)
-        accepting: asyncio.Task[None] | None = None
 
-        def open_it() -> None:
-            nonlocal accepting
+        async def begin() -> asyncio.Task[None]:
             accept = self._accept(listening, inside, server)
-            accepting = start(accept, name=f"the way in at {address}", failed=self._break)
+            return start(accept, name=f"the way in at {address}", failed=self._break)
 
-        async def shut() -> None:
-            await end(accepting)
-
-        self._loop.call_soon_threadsafe(open_it)
-        return Passage(endpoint_of(listening), address, lambda: self._there(shut()))
+        accepting = await self._there(begin())
+        return Entrance(endpoint_of(listening), address, lambda: self._there(end(accepting)))
 
     async def trust(self, trust: Trust) -> None:
-        """Believes these from now on; connections of whom it believes no more are ended."""
+        """Trusts these certificates from now on; connections of others end."""
         await self._there(self._change_trust(trust))
 
     def _break(self, defect: Exception) -> None:
@@ -225,7 +161,6 @@ class Door:
                 task.cancel()
 
     async def _accept(self, listening: socket.socket, inside: Connect, server: str) -> None:
-        """Each newcomer is a stranger first."""
         with listening:
             while True:
                 await readable(listening)
@@ -238,26 +173,25 @@ class Door:
                     await asyncio.sleep(_OUT_OF_SOCKETS_S)
                     continue
                 connection.setblocking(False)
-                address = _site(peer[0])
-                welcome = self._welcome(connection, address, inside, server)
-                task = start(welcome, name=f"serving {address}", failed=only_logged)
-                leaving = self._strangers.enter(task, address)
-                task.add_done_callback(self._strangers.leave)
+                site = _site(peer[0])
+                welcome = self._welcome(connection, site, inside, server)
+                task = start(welcome, name=f"serving {site}", failed=only_logged)
+                displaced = self._strangers.add(task, site)
+                task.add_done_callback(self._strangers.remove)
                 task.add_done_callback(functools.partial(_close_unseen, connection))
-                _make_room(leaving)
+                _cancel(displaced)
 
-    async def _welcome(self, connection: socket.socket, address: str, inside: Connect, server: str) -> None:
+    async def _welcome(self, connection: socket.socket, site: str, inside: Connect, server: str) -> None:
         """From the first byte of a connection to its last."""
         try:
             async with asyncio.timeout(self._limits.silence_s):
-                await readable(connection)  # who says nothing takes nobody's turn
-            await self._turns.of(address).turn()  # nothing that a stranger may do costs more
-            outer = await self._shake_hands(connection, address)
+                await readable(connection)  # a silent peer takes nobody's turn
+            await self._pace_of(site).wait()  # a handshake costs more than all else that a stranger may do
+            outer = await self._shake_hands(connection, site)
         except (OSError, asyncio.CancelledError) as error:
             connection.close()
             why = _plainly(error) if isinstance(error, OSError) else "it took long while others waited"
-            self._count(_reason(error), address)
-            _log.warning("refused %s: %s", address, why)
+            self._refuse(_reason(error), site, site, why)
             return
         certificate = outer.transport.get_extra_info("ssl_object").getpeercert(binary_form=True)
         try:
@@ -268,57 +202,53 @@ class Door:
             outer.hang_up()
             if not isinstance(error, Distrusted):
                 raise
-            self._count(error.reason, holder_of(certificate).client.name)
-            _log.warning("refused %s: %s", address, error)
+            self._refuse(error.reason, holder_of(certificate).client.name, site, str(error))
             await asyncio.wait([outer.lost])
             return
         await self._serve(outer, certificate, holder, inside, server)
 
-    async def _shake_hands(self, connection: socket.socket, address: str) -> End:
+    async def _shake_hands(self, connection: socket.socket, site: str) -> StreamEnd:
         task = _own_task()
-        _make_room(self._handshakes.enter(task, address))
+        _cancel(self._handshakes.add(task, site))
         try:
             return await shake_hands(connection, self._trust.context, within_s=self._limits.handshake_s)
         finally:
-            self._handshakes.leave(task)
-
-    def _new_site(self) -> Turns:
-        return Turns(self._limits.handshakes_per_address_per_s)
+            self._handshakes.remove(task)
 
     def _refuse_shut_out(self, holder: Holder) -> None:
-        pace = self._paces.of(holder.client.certificate)
-        left_s = pace.shut_out_until_s - asyncio.get_running_loop().time()
+        limit = self._limit_of(holder.client.certificate)
+        left_s = limit.shut_out_until_s - asyncio.get_running_loop().time()
         if left_s > 0:
             raise Distrusted("shut_out", f"{holder.client.name} is shut out for another {left_s:.0f} s")
+
+    def _refuse(self, reason: DoorReason, who: str, site: str, why: str) -> None:
+        self._count(reason, who)
+        _log.warning("refused %s: %s", site, why)
 
     def _count(self, reason: DoorReason, who: str) -> None:
         times, _, _ = self._refused[reason]
         self._refused[reason] = (times + 1, who, time.monotonic())
 
-    def _watch(self, client: Client, server: str) -> Callable[[bytes], None]:
-        """Is shown what comes on one connection; raises ConnectionAbortedError where it is too much."""
-        counter, pace = FrameCounter(), self._paces.of(client.certificate)
-        tellings, now_s = Allowance(_TOLD_PER_S, at_once=1), asyncio.get_running_loop().time
-
-        def shown(chunk: bytes) -> None:
-            counted = counter.count(chunk)
-            pace.take(counted, now_s())
-            if server and (counted.begun or counted.pieces) and tellings.take(1, now_s=now_s()):
-                self._seen(server, client.key)
-
-        return shown
-
     async def _serve(
-        self, outer: End, certificate: bytes, holder: Holder, inside: Connect, server: str
+        self, outer: StreamEnd, certificate: bytes, holder: Holder, inside: Connect, server: str
     ) -> None:
         client, task = holder.client, _own_task()
-        self._strangers.leave(task)
+        self._strangers.remove(task)
         self._certificates[task] = certificate
-        _make_room(self._callers.enter(task, client.certificate))
+        _cancel(self._callers.add(task, client.certificate))
         left_s = (holder.ends - datetime.now(UTC)).total_seconds()
+        counter, limit = FrameCounter(), self._limit_of(client.certificate)
+        reports, now_s = Allowance(_TRAFFIC_PER_S, at_once=1), asyncio.get_running_loop().time
+
+        def watch(chunk: bytes) -> None:
+            counted = counter.count(chunk)
+            limit.take(counted, now_s())
+            if server and (counted["begun"] or counted["data"]) and reports.take(1, now_s=now_s()):
+                self._on_traffic(server, client.key)
+
         try:
             async with asyncio.timeout(left_s), inside(client) as inner:
-                await join(outer, inner, seen=self._watch(client, server))
+                await join(outer, inner, watch=watch)
         except TimeoutError:
             self._count("expired", client.name)
             _log.warning("hanging up: the certificate of %s has expired", client.name)
@@ -327,8 +257,9 @@ class Door:
         except asyncio.CancelledError:
             pass  # it makes room, is revoked, or the door is closed
         finally:
-            await _hang_up_on(outer)
-            self._callers.leave(task)
+            outer.hang_up()
+            await asyncio.wait([outer.lost])
+            self._callers.remove(task)
             del self._certificates[task]
 
 
@@ -338,18 +269,13 @@ def _own_task() -> asyncio.Task[Any]:
     return task
 
 
-def _make_room(leaving: asyncio.Task[Any] | None) -> None:
-    if leaving is not None:
-        leaving.cancel()
-
-
-async def _hang_up_on(outer: End) -> None:
-    outer.hang_up()
-    await asyncio.wait([outer.lost])
+def _cancel(displaced: asyncio.Task[Any] | None) -> None:
+    if displaced is not None:
+        displaced.cancel()
 
 
 def _close_unseen(connection: socket.socket, task: asyncio.Task[Any]) -> None:
-    """Closes the connection of one that was cancelled before it began; otherwise a transport has it."""
+    """Closes the connection of a task that was cancelled before it began; otherwise a transport has it."""
     if task.cancelled():
         connection.close()
 
@@ -380,11 +306,10 @@ def _plainly(error: OSError) -> str:
 
 @contextlib.asynccontextmanager
 async def opened_door(
-    trust: Trust, limits: DoorLimits | None = None, *, seen: Seen = lambda _server, _key: None
+    trust: Trust, limits: DoorLimits | None = None, *, on_traffic: OnTraffic = lambda _server, _key: None
 ) -> AsyncIterator[Door]:
     """A door that is closed after the block; a defect that ends it ends the block."""
-    door = Door(trust, limits, seen=seen)
-    door.open()
+    door = Door(trust, limits, on_traffic=on_traffic)
     try:
         async with beside(door.broken(), name="the door"):
             yield door
@@ -392,20 +317,19 @@ async def opened_door(
         await door.close()
 
 
-Lead = Callable[[str, Connect], Awaitable[Passage]]  # to an instance of the server of that name
+Lead = Callable[[str, Connect], Awaitable[Entrance]]  # to an instance of the server of that name
 
 
 def leading(door: Door, host: str, ports: Mapping[int, int] = MappingProxyType({0: 0})) -> Lead:
     """Leads callers in at the first free one of the ports on that interface, each with the port that they see.
 
-    Port 0 is any, of the system's choice, and seen as it is. Raises InstanceError where it cannot.
+    With port 0 the system chooses, and callers see that port. Raises InstanceError where no port is free.
     """
 
-    async def lead(server: str, inside: Connect) -> Passage:
+    async def lead(server: str, inside: Connect) -> Entrance:
         listening, seen = _first_free(host, ports)
-        passage = await door.lead(listening, inside, server=server)
-        passage.endpoint = f":{seen}" if seen else passage.endpoint
-        return passage
+        entrance = await door.lead(listening, inside, server=server)
+        return dataclasses.replace(entrance, endpoint=f":{seen}") if seen else entrance
 
     return lead
 

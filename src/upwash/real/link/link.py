@@ -19,6 +19,8 @@ import grpc
 import msgspec
 
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
+from upwash.real.link.listener import DRONE_METADATA, NOT_INFLATED
+from upwash.real.link.requests import too_large
 from upwash.real.link.way import LARGE_BYTES, Way
 from upwash.real.trust.credentials import Credentials, at_second
 from upwash.rpc.protocol import (
@@ -31,10 +33,6 @@ from upwash.rpc.protocol import (
 from upwash.support.background import only_logged, thread
 from upwash.support.text import printable
 
-DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
-
-# A compressed message arrives as it is, and cannot be decoded: gRPC 1.70 inflates one before it looks at its size.
-NOT_INFLATED = ("grpc.per_message_decompression", 0)
 _DAEMON, _STATUS = STATUS.strip("/").split("/")
 CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.keepalive_time_ms", 2000),
@@ -46,7 +44,7 @@ CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.enable_http_proxy", 0),
     ("grpc.use_local_subchannel_pool", 1),
     NOT_INFLATED,
-    ("grpc.service_config_disable_resolution", 1),  # whoever answers for DNS has no say in it
+    ("grpc.service_config_disable_resolution", 1),  # DNS must not change these rules
 )
 _OUTDATED = {  # in what gRPC says of a handshake that failed: what a person reads
     "certificate is not yet valid": "its certificate is not valid yet",
@@ -67,7 +65,7 @@ _TROUBLES = {  # the same of any connection that failed; the first that fits
     "before receiving SETTINGS": _SILENT,
     "Endpoint closing": _SILENT,
     "tcp handshaker shutdown": _UNHEARD,
-    "connect() timed out": _UNHEARD,  # whichever of its two timers gRPC sees first
+    "connect() timed out": _UNHEARD,  # gRPC has two timers: the other one fits above
     "lookup failed": "no computer of that name is known",
     "No such file or directory": "no such socket: nobody serves there",
     "Socket closed": _HUNG_UP,
@@ -77,8 +75,8 @@ _ROUND_TRIPS, _FIRST_ROUND_TRIPS = 2, 8  # of a question, without and with conne
 _LEAST_ROUND_TRIPS = 4  # until the first answer: TCP, TLS, HTTP/2, and the question
 _LONGER = 1.2
 _FAR_S = 0.1
-_KEEPALIVE_S = 3.0  # for the answer to a ping, beside what the way takes; also for TCP's acknowledgements
-_WAITED_FOR = (f"/{_DAEMON}/", HEALTH_CHECK)  # the way to these may take its time: no call of a mission waits
+_KEEPALIVE_S = 3.0  # for the answer to a ping, beside the round trips; also for TCP's acknowledgements
+_WAITED_FOR = (f"/{_DAEMON}/", HEALTH_CHECK)  # these may take a slow link's time: no call of a mission waits
 _LARGER = re.compile(r"(CLIENT|SERVER): (Sent|Received) message larger than max \((\d+) vs\. (\d+)\)")
 _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: ((ipv4|ipv6|unix):\S+: )?")
 
@@ -92,7 +90,7 @@ class _Unheard(Unreachable):
 
 
 class GrpcDialer:
-    """Opens links that show `drone`'s certificate and believe only servers of the same authority.
+    """Opens links that show `drone`'s certificate and trust only servers of the same authority.
 
     A message has at most `max_message_bytes`, and a reply of a service at most its `max_reply_bytes`.
     """
@@ -107,45 +105,38 @@ class GrpcDialer:
     ) -> None:
         self._drone = drone
         self._max_message_bytes = max_message_bytes
-        self._longest_replies = _longest_replies(max_reply_bytes or {})
-        self._own_trouble = _certificate_trouble(credentials)
+        self._options = [
+            *CHANNEL_OPTIONS,
+            ("grpc.max_receive_message_length", max_message_bytes),
+            ("grpc.max_send_message_length", max_message_bytes),
+            ("grpc.service_config", _longest_replies(max_reply_bytes or {})),
+        ]
         self._shown = credentials
         self._ways: dict[str, Way] = {}  # by server
-        self._credentials = (
-            grpc.ssl_channel_credentials(
-                root_certificates=credentials.authority,
-                private_key=credentials.key,
-                certificate_chain=credentials.certificate,
-            )
-            if credentials
-            else None
+        self._credentials = credentials and grpc.ssl_channel_credentials(
+            root_certificates=credentials.authority,
+            private_key=credentials.key,
+            certificate_chain=credentials.certificate,
         )
 
     def dial(self, address: str, *, server: str) -> GrpcLink:
-        """A link to `HOST:PORT` or `unix:PATH` where only `server` is believed; connects when first used.
+        """A link to `HOST:PORT` or `unix:PATH` that trusts only `server`; connects when first used.
 
-        A unix socket carries no certificates: the folder that it lies in says who may use it.
+        A unix socket carries no certificates: the permissions of its folder say who may use it.
         """
-        options: list[tuple[str, int | str]] = [
-            *CHANNEL_OPTIONS,
-            ("grpc.max_receive_message_length", self._max_message_bytes),
-            ("grpc.max_send_message_length", self._max_message_bytes),
-            ("grpc.service_config", self._longest_replies),
-        ]
-        credentials, own_trouble = self._credentials, self._own_trouble
-        if self._shown is None or address.startswith("unix:"):
-            credentials, own_trouble = None, lambda: ""
-            way = Way(server, address, None)
-        else:
-            options.append(("grpc.ssl_target_name_override", server))
+        is_certified = self._shown is not None and not address.startswith("unix:")
+        if is_certified:
             way = self._ways.setdefault(server, Way(server, address, self._shown))
             way.address = address
+        else:
+            way = Way(server, address, None)
 
         def connect() -> grpc.Channel:
-            patient = [*options, *_patience(way)]
-            if credentials is None:
-                return grpc.insecure_channel(address, patient)
-            return grpc.secure_channel(address, credentials, patient)
+            options = [*self._options, *_patience(way)]
+            if not is_certified:
+                return grpc.insecure_channel(address, options)
+            options.append(("grpc.ssl_target_name_override", server))
+            return grpc.secure_channel(address, self._credentials, options)
 
         return GrpcLink(
             connect,
@@ -153,7 +144,6 @@ class GrpcDialer:
             peer=f"{server} at {address}",
             drone=self._drone,
             max_message_bytes=self._max_message_bytes,
-            own_trouble=own_trouble,
         )
 
     async def trouble(self, server: str) -> str:
@@ -169,13 +159,11 @@ class GrpcLink:
     """One channel; requests are futures of the synchronous stack, settled on the event loop.
 
     gRPC ends no request, at its deadline or as its channel closes, before what it has begun to write is written:
-    where the other end reads nothing, perhaps never. So deadlines are kept here, and nobody waits for gRPC.
+    where the other end reads nothing, perhaps never. So deadlines are kept here, and nothing waits for gRPC.
 
-    Connecting gets the time that the way needs. Where a server takes connections and is silent, the way is measured;
-    if it takes longer than was known, a new connection gets that time. The deadline of a call is hard; the answer of
-    a daemon may take longer by the round trips of the way.
-
-    `own_trouble` says what makes others refuse this end's certificate now, "" where nothing does.
+    Where a server takes connections and is silent, the way is measured; if its round trips take longer than was
+    known, a new connection gets that time. The deadline of a call is hard; the answer of a daemon may take longer by
+    the round trips of the way.
     """
 
     def __init__(
@@ -186,34 +174,29 @@ class GrpcLink:
         peer: str,
         drone: str,
         max_message_bytes: int,
-        own_trouble: Callable[[], str],
     ) -> None:
         self._connect = connect
         self._way = way
         self._dial()
         self._answered = False  # ever
         self._looked_for = False  # as TCP did not connect
-        self._own_trouble = own_trouble
         self._peer = peer
         self._max_message_bytes = max_message_bytes
         self._metadata = ((DRONE_METADATA, drone),)
-        self._under_way: set[Callable[[], None]] = set()  # what has each request be looked at
+        self._under_way: set[Callable[[], None]] = set()  # wakes each request
         self._closed = False
 
     @property
     def is_far(self) -> bool:
-        """Whether a round trip takes long, as far as is known."""
+        """Whether a round trip is known to take long."""
         return self._way.round_trip_s > _FAR_S
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it cancels the call."""
         waited_for, large = path.startswith(_WAITED_FOR), len(body) > LARGE_BYTES
         while True:
-            more_s = (
-                self._way.more_s(_ROUND_TRIPS if self._answered else _FIRST_ROUND_TRIPS)
-                if waited_for
-                else 0.0
-            )
+            round_trips = _ROUND_TRIPS if self._answered else _FIRST_ROUND_TRIPS
+            more_s = self._way.more_s(round_trips) if waited_for else 0.0
             began_s = time.monotonic()
             try:
                 reply = await self._request(path, body, timeout_s=timeout_s + more_s)
@@ -224,7 +207,7 @@ class GrpcLink:
                 if not await self._learned_more():
                     raise Unreachable(_with(silence, self._way.silence)) from None
             except _Unheard:
-                # A lost packet, or a very long way, looks the same; a near server that was heard before is gone.
+                # A lost packet, or a very long way, looks the same; a near server that has answered before is gone.
                 may_be_there = waited_for and (self.is_far or not self._way.round_trip_s)
                 if self._looked_for or not may_be_there:
                     raise
@@ -241,6 +224,15 @@ class GrpcLink:
                 self._way.answered(took_s if self._answered else took_s / _LEAST_ROUND_TRIPS, large=large)
                 self._answered = True
                 return reply
+
+    async def close(self) -> None:
+        """Breaks the connection off, with every request under way."""
+        if self._closed:
+            return
+        self._closed = True
+        for settle in self._under_way:
+            settle()
+        self._hang_up()
 
     async def _learned_more(self) -> bool:
         """Whether the way takes longer than was known; then a new connection gets the time that it needs."""
@@ -277,7 +269,7 @@ class GrpcLink:
                 ended.set_result(None)
 
         def wake(_: object) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nothing waits any more
                 loop.call_soon_threadsafe(settle)
 
         call = method.future(body, timeout=timeout_s, metadata=self._metadata)
@@ -300,15 +292,6 @@ class GrpcLink:
             return reply
         raise self._error(path, call.code(), printable(call.details() or ""), timeout_s)
 
-    async def close(self) -> None:
-        """Breaks the connection off, with every request under way."""
-        if self._closed:
-            return
-        self._closed = True
-        for settle in self._under_way:
-            settle()
-        self._hang_up()
-
     def _is_closed(self) -> Unreachable:
         return Unreachable(f"{self._peer}: the link is closed")
 
@@ -320,7 +303,7 @@ class GrpcLink:
             case grpc.StatusCode.DEADLINE_EXCEEDED:
                 return self._is_late(timeout_s)
             case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
-                own, trouble = self._own_trouble(), _plainly(details)
+                own, trouble = self._way.own_trouble(), _plainly(details)
                 why = f"{self._peer}: {trouble}{f'; {own}' if own else ''}"
                 kinds = {_SILENT: _Silent, _UNHEARD: _Unheard}
                 return Unreachable(why) if own else kinds.get(trouble, Unreachable)(why)
@@ -333,7 +316,7 @@ class GrpcLink:
 
 
 def _patience(way: Way) -> list[tuple[str, int]]:
-    """How long gRPC waits there until it takes an attempt, or a connection, for dead."""
+    """How long gRPC waits until it takes an attempt, or a connection, for dead."""
     return [
         ("grpc.min_reconnect_backoff_ms", round(1000 * way.attempt_s)),  # which is gRPC's limit of an attempt
         ("grpc.keepalive_timeout_ms", round(1000 * (_KEEPALIVE_S + way.more_s(_FIRST_ROUND_TRIPS)))),
@@ -356,7 +339,7 @@ def _longest_replies(max_reply_bytes: Mapping[str, int]) -> str:
 
 
 def _in_words(details: str, max_message_bytes: int) -> str:
-    """gRPC's words about a size, with what to do; other words stay as they are."""
+    """gRPC's words about a size, with the remedy; other words stay as they are."""
     found = _LARGER.search(details)
     if found is None:
         return details
@@ -369,19 +352,6 @@ def _in_words(details: str, max_message_bytes: int) -> str:
         whose="the drone" if end == "CLIENT" else "the computer that runs the service",
         key="max_reply_bytes" if end == "CLIENT" and int(most) < max_message_bytes else "max_message_bytes",
     )
-
-
-def too_large(what: str, size: int, most: int, *, whose: str, key: str = "max_message_bytes") -> str:
-    """Why a request or a result of that size is not carried, and what to do; `whose` configuration limits it."""
-    return (
-        f"the {what} has {size} bytes, more than {key} = {most}: make it smaller, or raise that in the "
-        f"configuration of {whose}"
-    )
-
-
-def _certificate_trouble(credentials: Credentials | None) -> Callable[[], str]:
-    """What is wrong with the dates of these certificates when it is asked, "" where nothing is."""
-    return lambda: credentials.problem_at(datetime.now(UTC)) if credentials is not None else ""
 
 
 def _plainly(details: str) -> str:

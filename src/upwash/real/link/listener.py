@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import socket
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,11 +12,13 @@ import grpc
 
 from upwash.core.admission.clients import Client
 from upwash.errors import NoLease, Refused, UpwashError, UsageError
-from upwash.real.link.link import DRONE_METADATA, NOT_INFLATED
 from upwash.real.link.requests import Caller, Requests, words_for_caller
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING
 from upwash.support.text import printable
 
+DRONE_METADATA = "upwash-drone"  # names the caller where no certificate does: on a unix socket or on loopback
+# A compressed message arrives as it is, and cannot be decoded: gRPC 1.70 inflates one before it looks at its size.
+NOT_INFLATED = ("grpc.per_message_decompression", 0)
 SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.so_reuseport", 0),  # else two daemons could share a port, and each get half of the calls
     ("grpc.http2.min_recv_ping_interval_without_data_ms", 500),
@@ -23,20 +26,15 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.keepalive_permit_without_calls", 1),
     ("grpc.keepalive_time_ms", 5000),
     ("grpc.keepalive_timeout_ms", 15_000),  # a ping waits behind a photo on a slow link, for a second or more
-    ("grpc.server_handshake_timeout_ms", 10_000),  # else a connection that says nothing stays for two minutes
+    ("grpc.server_handshake_timeout_ms", 10_000),  # else a silent connection stays for two minutes
     ("grpc.max_concurrent_streams", 64),  # of one connection
     ("grpc.absolute_max_metadata_size", 2**13),  # a drone sends 200 bytes
     NOT_INFLATED,
 )
-
-
-_REFUSING = (
-    16  # requests that may be told, and logged, why they are refused; gRPC refuses more without a word
-)
+_NOT_SERVING = b"\x08\x02"  # a HealthCheckResponse, as SERVING is
+_REFUSING = 16  # requests that get, and log, the reason of their refusal; gRPC refuses more without a reason
 _LONGEST_NAME = 255
-_LAST_REQUESTS_S = 5.0  # for handlers that are told that nobody waits
-NOT_SERVING = b"\x08\x02"  # a HealthCheckResponse, as SERVING is
-
+_LAST_REQUESTS_S = 5.0  # for handlers whose callers do not wait any more
 
 WhoIs = Callable[[str], Client]  # at the other end of gRPC's peer
 
@@ -44,18 +42,17 @@ WhoIs = Callable[[str], Client]  # at the other end of gRPC's peer
 class Listener:
     """Answers requests at one address, each in a thread of the listener's.
 
-    `who_is` knows callers by their connections, which a door has announced; without it they say themselves who they
-    are. A caller who takes long to send its body keeps none but itself waiting.
+    `who_is` knows callers by their connections, which a door has announced; without it callers name themselves.
+    A caller that takes long to send its body keeps only itself waiting.
     """
 
     def __init__(self, listen: str, requests: Requests, *, who_is: WhoIs | None = None) -> None:
         if _is_in_use(listen):
             raise cannot_listen(listen)
+        most = requests.concurrent + _REFUSING
         self._server = grpc.server(
-            ThreadPoolExecutor(
-                max_workers=requests.concurrent + _REFUSING, thread_name_prefix="upwash-request"
-            ),
-            maximum_concurrent_rpcs=requests.concurrent + _REFUSING,
+            ThreadPoolExecutor(most, "upwash-request"),
+            maximum_concurrent_rpcs=most,
             options=[
                 *SERVER_OPTIONS,
                 ("grpc.max_receive_message_length", requests.max_message_bytes),
@@ -78,38 +75,36 @@ class Listener:
         self._server.start()
 
     def stop(self, *, grace_s: float = 0.0) -> None:
-        """Refuses what is new, gives what is under way `grace_s`, and returns when all has ended, or soon after."""
+        """Refuses new requests, gives those under way `grace_s`, and returns when all have ended, or soon after."""
         self._server.stop(grace_s).wait(grace_s + _LAST_REQUESTS_S)
 
 
 def _is_in_use(listen: str) -> bool:
-    """Asks before gRPC is told to listen: it would take over a unix socket, and print of a port in use."""
+    """Asks before gRPC listens: it would take over a unix socket, and print a message for a port in use."""
     if listen.startswith("unix:"):
         with socket.socket(socket.AF_UNIX) as probe:
             return probe.connect_ex(listen.removeprefix("unix:")) == 0
     host, _, port = listen.rpartition(":")
     try:
-        family, kind, _, _, address = socket.getaddrinfo(
-            host.strip("[]"), int(port), type=socket.SOCK_STREAM
-        )[0]
-        with socket.socket(family, kind) as probe:
+        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
+        with socket.socket(found[0], found[1]) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
+            probe.bind(found[4])
     except OSError:
         return True
     return False
 
 
 def cannot_listen(listen: str) -> UsageError:
-    """Says so of that address, and what to do."""
+    """The error of an address at which nothing can listen, with the remedy."""
     return UsageError(
         f"cannot listen on {listen}: the address is in use or not this machine's; "
         "stop the other program or choose another address"
     )
 
 
-class Health(grpc.GenericRpcHandler):  # type: ignore[misc]
-    """Answers the standard health check, of all (no name) or of one of these; it offers nothing to watch."""
+class HealthCheck(grpc.GenericRpcHandler):  # type: ignore[misc]
+    """Answers gRPC's health check, of all (no name) or of one of these names; it offers nothing to watch."""
 
     def __init__(self, names: Collection[str] = (), *, serving: Callable[[], bool] = lambda: True) -> None:
         self._questions = {_health_question(name) for name in ("", *names)}
@@ -124,7 +119,7 @@ class Health(grpc.GenericRpcHandler):  # type: ignore[misc]
     def _answer(self, question: bytes, context: grpc.ServicerContext) -> bytes:
         if question not in self._questions:
             context.abort(grpc.StatusCode.NOT_FOUND, "no such server here")
-        return SERVING if self._serving() else NOT_SERVING
+        return SERVING if self._serving() else _NOT_SERVING
 
 
 def _health_question(name: str) -> bytes:
@@ -134,7 +129,7 @@ def _health_question(name: str) -> bytes:
 
 
 class _Handlers(grpc.GenericRpcHandler):  # type: ignore[misc]
-    """Has every unary request below /upwash. answered, whose body is received once it is let in."""
+    """Answers every unary request below /upwash.; its body is received once it is let in."""
 
     def __init__(self, requests: Requests, who_is: WhoIs | None) -> None:
         self._requests = requests
@@ -144,17 +139,13 @@ class _Handlers(grpc.GenericRpcHandler):  # type: ignore[misc]
         path: str = handler_call_details.method
         if not path.startswith("/upwash.") or path != printable(path, _LONGEST_NAME):
             return None
-        # A stream of one message, on the wire the same: who calls is known before the message is there.
-        return grpc.stream_unary_rpc_method_handler(
-            lambda bodies, context: self._answer(path, bodies, context)
-        )
+        # A stream of one message, on the wire the same: the caller is known before the message is there.
+        return grpc.stream_unary_rpc_method_handler(functools.partial(self._answer, path))
 
     def _answer(self, path: str, bodies: Iterator[bytes], context: grpc.ServicerContext) -> bytes:
         caller = Caller(self._client(context), context.time_remaining, context.is_active)
         try:
-            return self._requests.answer(
-                path, caller, lambda: _whole(bodies, self._requests.max_message_bytes)
-            )
+            return self._requests.answer(path, caller, lambda: self._whole(bodies))
         except BaseException as error:  # noqa: BLE001 - a defect of the handler must not end the listener
             context.abort(_status_of(error), words_for_caller(error))
         raise AssertionError("abort raises")
@@ -165,9 +156,16 @@ class _Handlers(grpc.GenericRpcHandler):  # type: ignore[misc]
         named = (value for key, value in context.invocation_metadata() if key == DRONE_METADATA)
         return Client(printable(next(named, ""), _LONGEST_NAME))
 
+    def _whole(self, bodies: Iterator[bytes]) -> bytes:
+        try:
+            return next(bodies)
+        except (StopIteration, grpc.RpcError):  # which of the two, and why, gRPC does not say
+            most = f"max_message_bytes = {self._requests.max_message_bytes}"
+            raise Refused(f"it did not arrive whole: broken off, empty, or larger than {most}") from None
+
 
 def _status_of(error: BaseException) -> grpc.StatusCode:
-    """What an error is for gRPC. Drones that know nothing of turns take either of the first two for a refusal."""
+    """gRPC's code for an error. Drones of a version without turns take either of the first two for a refusal."""
     match error:
         case NoLease():
             return grpc.StatusCode.PERMISSION_DENIED
@@ -177,12 +175,3 @@ def _status_of(error: BaseException) -> grpc.StatusCode:
             return grpc.StatusCode.ABORTED
         case _:
             return grpc.StatusCode.INTERNAL
-
-
-def _whole(bodies: Iterator[bytes], max_message_bytes: int) -> bytes:
-    try:
-        return next(bodies)
-    except (StopIteration, grpc.RpcError):  # which of the two, and why, gRPC does not say
-        raise Refused(
-            f"it did not arrive whole: broken off, empty, or larger than max_message_bytes = {max_message_bytes}"
-        ) from None

@@ -1,4 +1,4 @@
-"""What a listener does with a request, whatever carries it: lets it in, has it answered, bounds both."""
+"""What a listener does with a request, over gRPC and over a socket pair: lets it in, has it answered, bounds both."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from dataclasses import dataclass
 
 from upwash.core.admission.clients import Client
 from upwash.errors import Refused, UpwashError
-from upwash.real.host.log import Sparing
-from upwash.real.link.link import too_large
+from upwash.real.host.log import RateLimitedLog
 from upwash.support.text import printable
 
 _log = logging.getLogger("upwash.listener")
-_log.addFilter(Sparing())
+_log.addFilter(RateLimitedLog())
 
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who sent a request, and whether they still wait for the answer."""
+    """Who sent a request, the time left for its answer in seconds, if known, and whether they still wait."""
 
     client: Client
     time_left_s: Callable[[], float | None]
@@ -33,7 +32,7 @@ Gate = Callable[[str, Caller], None]
 
 
 class Requests:
-    """Has requests answered by `handler`, of all callers `concurrent` at a time, of one drone `each`; refuses others.
+    """Has `handler` answer at most `concurrent` requests at a time, `each` of one drone; refuses others.
 
     `gate` may refuse a request before its body is received, so that a caller who is not served takes no memory.
     """
@@ -56,7 +55,7 @@ class Requests:
         self._under_way: Counter[str] = Counter()
 
     def answer(self, path: str, caller: Caller, receive: Callable[[], bytes]) -> bytes:
-        """The reply to what `receive` returns; raises UpwashError with what the caller may read.
+        """The reply to the body that `receive` returns; raises UpwashError with what the caller may read.
 
         Any other error is a defect of the handler, and in the log.
         """
@@ -96,5 +95,13 @@ class Requests:
 
 
 def words_for_caller(error: BaseException) -> str:
-    """What a caller reads of an error that `Requests.answer` raised: nothing of a defect but that there is one."""
+    """What a caller reads of an error of `Requests.answer`: of a defect only that there is one."""
     return printable(str(error)) if isinstance(error, UpwashError) else "the server failed; its log says why"
+
+
+def too_large(what: str, size: int, most: int, *, whose: str, key: str = "max_message_bytes") -> str:
+    """Why a request or a result of that size is not carried, and the remedy; `whose` configuration limits it."""
+    return (
+        f"the {what} has {size} bytes, more than {key} = {most}: make it smaller, or raise that in the "
+        f"configuration of {whose}"
+    )

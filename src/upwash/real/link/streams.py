@@ -1,4 +1,4 @@
-"""Connections of bytes, and handing them on."""
+"""Connections of bytes, and handing the bytes on."""
 
 from __future__ import annotations
 
@@ -11,43 +11,42 @@ from pathlib import Path
 
 from upwash.support.listening import listening_at
 
-WAITING_BYTES = 2**15  # for a peer that does not read, beside what the system holds
+_WAITING_BYTES = 2**15  # for a peer that does not read, beside what the system holds
 _ROOM_BYTES = 2**16
 _MOST_EARLY_BYTES = 2**15
 _LONGEST_LINE_BYTES = 4096
 _BACKLOG = 512
 
-
 _rooms = threading.local()
 
 
 def room() -> memoryview:
-    """Where this thread's connections read to, one after the other: what has come is handed on at once."""
+    """The buffer into which all connections of this thread read, one after the other: bytes are handed on at once."""
     if not hasattr(_rooms, "room"):
         _rooms.room = memoryview(bytearray(_ROOM_BYTES))
     found: memoryview = _rooms.room
     return found
 
 
-class End(asyncio.BufferedProtocol):
-    """This end of a connection: what comes is kept until it is joined to another, and then handed on to there.
+class StreamEnd(asyncio.BufferedProtocol):
+    """This end of a connection: bytes that arrive are kept until it is joined to another, and then handed on there.
 
-    `made` is told once it is connected, and `lost` is done once it is not any more.
+    `made` is called once it is connected; `lost` is done when the connection is over.
     """
 
     transport: asyncio.Transport
 
-    def __init__(self, made: Callable[[End], object] = lambda _: None) -> None:
+    def __init__(self, made: Callable[[StreamEnd], object] = lambda _: None) -> None:
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self.failure: OSError | None = None  # of what was shown what comes, for which it was broken off
+        self.failure: OSError | None = None  # which `watch` raised
         self._made = made
         self._early = bytearray()
         self._come = asyncio.Event()
-        self._seen: Callable[[bytes], None] = lambda _: None
-        self._other: End | None = None
+        self._watch: Callable[[bytes], None] = lambda _: None
+        self._other: StreamEnd | None = None
 
     async def line(self) -> bytes:
-        """The first line that comes, before it is joined; raises OSError where none does, or a long one."""
+        """The first line that arrives, before it is joined; raises OSError where none does, or a long one."""
         while b"\n" not in self._early:
             if self.lost.done() or len(self._early) > _LONGEST_LINE_BYTES:
                 raise ConnectionAbortedError("it said no line")
@@ -57,9 +56,9 @@ class End(asyncio.BufferedProtocol):
         self._early[:] = rest
         return line
 
-    def lead_to(self, other: End, seen: Callable[[bytes], None] = lambda _: None) -> None:
-        """Hands on to there what has come and comes; `seen` is shown it before, and ends it by raising OSError."""
-        self._other, self._seen = other, seen
+    def lead_to(self, other: StreamEnd, watch: Callable[[bytes], None] = lambda _: None) -> None:
+        """Hands on there what has arrived and arrives; `watch` sees it before, and ends it by raising OSError."""
+        self._other, self._watch = other, watch
         early = bytes(self._early)
         self._early.clear()
         self.transport.resume_reading()
@@ -81,19 +80,19 @@ class End(asyncio.BufferedProtocol):
         """It is connected."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - of a stream
         self.transport = transport
-        transport.set_write_buffer_limits(WAITING_BYTES)
+        transport.set_write_buffer_limits(_WAITING_BYTES)
         self._made(self)
 
     def get_buffer(self, _sizehint: int) -> memoryview:
-        """Where to read to."""
+        """The buffer to read into."""
         return room()
 
     def buffer_updated(self, count: int) -> None:
-        """Some bytes have come."""
+        """Bytes were read into the buffer."""
         self.data_received(bytes(room()[:count]))
 
     def data_received(self, data: bytes) -> None:
-        """These are the bytes."""
+        """Bytes have arrived."""
         if self._other is None:
             self._early += data
             if len(self._early) > _MOST_EARLY_BYTES:
@@ -101,7 +100,7 @@ class End(asyncio.BufferedProtocol):
             self._come.set()
             return
         try:
-            self._seen(data)
+            self._watch(data)
         except OSError as error:
             self.failure = error
             self.hang_up()
@@ -110,31 +109,33 @@ class End(asyncio.BufferedProtocol):
             self._other.transport.write(data)
 
     def pause_writing(self) -> None:
-        """The other end does not read fast enough."""
+        """The peer does not read fast enough."""
         if self._other is not None:
             self._other.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """It has read enough."""
+        """The peer has read enough."""
         if self._other is not None:
             self._other.transport.resume_reading()
 
     def connection_lost(self, _error: Exception | None) -> None:
-        """It is over, however."""
+        """It is over, for any reason."""
         if not self.lost.done():
             self.lost.set_result(None)
         self._come.set()
 
 
-async def join(outer: End, inner: End, *, seen: Callable[[bytes], None] = lambda _: None) -> None:
-    """Hands on what comes at either end to the other, until one hangs up; then both are closed.
+async def join(
+    outer: StreamEnd, inner: StreamEnd, *, watch: Callable[[bytes], None] = lambda _: None
+) -> None:
+    """Hands on the bytes that arrive at either end to the other, until one hangs up; then both are closed.
 
-    `seen` is shown what comes from outside before it is handed on, and ends it all by raising OSError.
+    `watch` sees the bytes from outside before they are handed on, and ends it all by raising OSError.
     """
-    outer.lead_to(inner, seen)
+    outer.lead_to(inner, watch)
     inner.lead_to(outer)
     await asyncio.wait([outer.lost, inner.lost], return_when=asyncio.FIRST_COMPLETED)
-    inner.hang_up()  # nobody is left to whom its answers could go, or it has hung up itself
+    inner.hang_up()  # its answers have nowhere to go, or it has hung up itself
     outer.close()
     await asyncio.wait([outer.lost])
     if outer.failure is not None:
@@ -148,7 +149,7 @@ def hang_up(transport: asyncio.WriteTransport) -> None:
 
 
 async def readable(connection: socket.socket) -> None:
-    """Returns when something has come."""
+    """Returns when bytes, a connection or the end have arrived."""
     loop = asyncio.get_running_loop()
     come = asyncio.Event()
     loop.add_reader(connection, come.set)
@@ -172,7 +173,7 @@ async def connected_pair(
 
 
 def listening_socket(address: str) -> socket.socket:
-    """One that listens at `HOST:PORT` or `unix:PATH`; raises OSError."""
+    """A socket that listens at `HOST:PORT` or `unix:PATH`; raises OSError."""
     if address.startswith("unix:"):
         path = Path(address.removeprefix("unix:"))
         path.unlink(missing_ok=True)  # of an instance that has ended
@@ -181,13 +182,13 @@ def listening_socket(address: str) -> socket.socket:
         listening.listen(_BACKLOG)
         return listening
     listening = listening_at(address)
-    # Inherited by each connection: asyncio does not set it on those of a socket that it did not make, and then a
+    # Inherited by each connection: asyncio sets it only on sockets that it made, and without it a
     # server's second small write waits 40 ms for the acknowledgement of its first.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listening
 
 
 def endpoint_of(listening: socket.socket) -> str:
-    """How drones are told to reach it: a port is enough, as they know how this machine is reached."""
+    """The endpoint that drones get: a port is enough, as they know how this machine is reached."""
     name = listening.getsockname()
     return f"unix:{name}" if isinstance(name, str) else f":{name[1]}"

@@ -1,7 +1,7 @@
 """The server's end of TLS connections, each in a known amount of memory.
 
-asyncio's own TLS keeps 256 KiB for each connection from its first byte on, and takes as much again for a reader that
-is slow. Here a connection keeps no more than a record of what has arrived, and what its socket does not take at once.
+asyncio's own TLS keeps 256 KiB for each connection from its first byte on, and as much again for a slow reader. Here
+a connection keeps at most one record of what has arrived, and what its socket does not take at once.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ import socket
 import ssl
 from typing import Any
 
-from upwash.real.link.streams import End, room
+from upwash.real.link.streams import StreamEnd, room
 
 _RECORD_BYTES = 2**14  # the most that TLS carries at once
 _MOST_HANDSHAKE_BYTES = 2**14  # from a peer that has shown nothing yet: a hello and a certificate take 2 KiB
 _LAST_WORDS_S = 1.0
 
 
-async def shake_hands(connection: socket.socket, context: ssl.SSLContext, *, within_s: float) -> End:
+async def shake_hands(connection: socket.socket, context: ssl.SSLContext, *, within_s: float) -> StreamEnd:
     """The connection once its peer has shown a certificate of the context's authority; raises OSError."""
-    end = End()
+    end = StreamEnd()
     tls = _Tls(context, end)
     await asyncio.get_running_loop().connect_accepted_socket(lambda: tls, connection)
     try:
@@ -34,74 +34,64 @@ async def shake_hands(connection: socket.socket, context: ssl.SSLContext, *, wit
 
 
 class _Tls(asyncio.Transport, asyncio.BufferedProtocol):
-    """The protocol of a socket's transport, and the transport of an `End`."""
+    """The protocol of a socket's transport, and the transport of a `StreamEnd`."""
 
-    def __init__(self, context: ssl.SSLContext, end: End) -> None:
+    def __init__(self, context: ssl.SSLContext, end: StreamEnd) -> None:
         super().__init__()
         self._end = end
         self.shaken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side=True)
-        self._heard_bytes = 0
+        self._received_bytes = 0
         self._last_words: asyncio.TimerHandle | None = None
 
-    # --- what the end asks of it ----------------------------------------------------------------------------
+    # --- what the end calls ---------------------------------------------------------------------------------
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        """`ssl_object`, or what the socket's transport says."""
         return self._tls if name == "ssl_object" else self._socket.get_extra_info(name, default)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Has it encrypted and sent; what the socket does not take waits."""
         whole = memoryview(data)
         for start in range(0, len(whole), _RECORD_BYTES):
             self._tls.write(whole[start : start + _RECORD_BYTES])
             self._flush()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """How much may wait before the end is to pause."""
         self._socket.set_write_buffer_limits(high, low)
 
     def pause_reading(self) -> None:
-        """Nothing more is read of the socket."""
         self._socket.pause_reading()
 
     def resume_reading(self) -> None:
-        """It is read again."""
         self._socket.resume_reading()
 
     def is_closing(self) -> bool:
-        """Whether it ends, or has ended."""
         return self._socket.is_closing()
 
     def close(self) -> None:
         """Ends it when all is sent, soon in any case."""
         if self.is_closing():
             return
-        with contextlib.suppress(ssl.SSLError):  # no handshake, or the peer has not said its own last words
+        with contextlib.suppress(ssl.SSLError):  # no handshake, or the peer has not ended TLS itself
             self._tls.unwrap()
         self._flush()
         self._socket.close()
         self._last_words = asyncio.get_running_loop().call_later(_LAST_WORDS_S, self._socket.abort)
 
     def abort(self) -> None:
-        """Breaks it off."""
         self._socket.abort()
 
     # --- what the socket's transport calls ------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """It is connected."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - of a stream
         self._socket = transport
         self._end.connection_made(self)
 
     def get_buffer(self, _sizehint: int) -> memoryview:
-        """Where to read to."""
         return room()
 
     def buffer_updated(self, count: int) -> None:
-        """Some bytes have come."""
         arrived, clear = bytes(room()[:count]), bytearray()
         try:
             for start in range(0, count, _RECORD_BYTES):
@@ -112,26 +102,24 @@ class _Tls(asyncio.Transport, asyncio.BufferedProtocol):
                     while True:
                         clear += self._tls.read(_RECORD_BYTES)
         except OSError as error:
-            self._fail(error)
+            if not self.shaken.done():
+                self.shaken.set_exception(error)
+            self.close()  # with the alert that TLS has for the peer
         else:
             self._flush()
         if clear and not self.is_closing():
             self._end.data_received(bytes(clear))
 
     def eof_received(self) -> None:
-        """The peer has hung up."""
         self.close()
 
     def pause_writing(self) -> None:
-        """The peer does not read fast enough."""
         self._end.pause_writing()
 
     def resume_writing(self) -> None:
-        """It has read enough."""
         self._end.resume_writing()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """It is over, however."""
         if self._last_words is not None:
             self._last_words.cancel()
         if not self.shaken.done():
@@ -139,24 +127,16 @@ class _Tls(asyncio.Transport, asyncio.BufferedProtocol):
         self._end.connection_lost(error)
         del self._end  # which has this as its transport: all memory of TLS goes now
 
-    # --- TLS ------------------------------------------------------------------------------------------------
-
     def _shake(self) -> None:
         """Goes on with the handshake; raises SSLWantReadError until it is done, OSError where it fails."""
-        self._heard_bytes += self._incoming.pending
+        self._received_bytes += self._incoming.pending
         try:
             self._tls.do_handshake()
         except ssl.SSLWantReadError:
-            if self._heard_bytes >= _MOST_HANDSHAKE_BYTES:
+            if self._received_bytes >= _MOST_HANDSHAKE_BYTES:
                 raise ConnectionAbortedError("its handshake is longer than any drone's") from None
             raise
         self.shaken.set_result(None)
-
-    def _fail(self, error: OSError) -> None:
-        """Ends it, with the alert that TLS has for the peer."""
-        if not self.shaken.done():
-            self.shaken.set_exception(error)
-        self.close()
 
     def _flush(self) -> None:
         if self._outgoing.pending and not self.is_closing():

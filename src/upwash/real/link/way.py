@@ -1,4 +1,4 @@
-"""What the way to a server takes, and which packets it carries, measured with connections of this module's own."""
+"""Round-trip time and lost packet sizes of the way to a server, measured with connections of this module's own."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import TypeVar
 
 from upwash.real.trust.credentials import Credentials
-from upwash.real.trust.trust import load_secret
+from upwash.real.trust.secrets import load_secret
 from upwash.support.background import begin, only_logged, thread
 
 T = TypeVar("T")
@@ -23,7 +24,7 @@ LARGE_BYTES = 1200  # a longer request needs packets that a tunnel with a small 
 _QUICK_ATTEMPT_S = 1.5  # Linux repeats a lost SYN after 1 s
 _ROUND_TRIPS = 6  # TCP, TLS and HTTP/2 take three, and a lost packet costs three more
 _LONGEST_ROUND_TRIP_S = 5.0
-_LOOK_S = 3.0  # at TLS, beside what the round trips take
+_LOOK_S = 3.0  # at TLS, beside the round trips
 _VALID_S = 60.0
 _SMALL_SEGMENT_BYTES = 536  # every network carries packets of that size
 _LONG_HELLO = ["h2", *(f"{number:0250}" for number in range(12))]  # TLS then begins with packets of full size
@@ -36,7 +37,7 @@ _LOSES_LARGE = (
 
 @dataclass(frozen=True, slots=True)
 class _Tried:
-    """One try of TLS: how long TCP took to connect, whether anything came back, and when TLS was done, if it was."""
+    """One try of TLS: when TCP was connected, whether bytes came back, and when TLS was done, if it was."""
 
     connect_s: float
     heard: bool
@@ -46,8 +47,8 @@ class _Tried:
 class Way:
     """The way to one server, at the latest `address`; without credentials it is on this machine, and not measured.
 
-    `round_trip_s` is the time of a round trip as far as it is known, at first 0. The last look at the way found
-    `trouble`, which keeps requests from getting through, and why a server that takes connections is silent.
+    `round_trip_s` is 0 until a round trip was measured. The last look at the way found `trouble`, which keeps
+    requests from getting through, and `silence`: why a server that takes connections does not answer.
     """
 
     def __init__(self, server: str, address: str, credentials: Credentials | None) -> None:
@@ -65,21 +66,25 @@ class Way:
         return _QUICK_ATTEMPT_S + self.more_s(_ROUND_TRIPS)
 
     def more_s(self, round_trips: float) -> float:
-        """What these round trips take."""
+        """How long these round trips take."""
         return round_trips * self.round_trip_s
 
+    def own_trouble(self) -> str:
+        """What makes others refuse this end's certificate now, "" for nothing."""
+        return self._credentials.problem_at(datetime.now(UTC)) if self._credentials else ""
+
     def answered(self, seconds: float, *, large: bool) -> None:
-        """A request was answered, for which a round trip took no longer than that."""
+        """A request was answered; its round trip took at most that long."""
         self.round_trip_s = min(self.round_trip_s or _LONGEST_ROUND_TRIP_S, seconds)
         if large:
             self.trouble = ""
 
     async def measure(self) -> bool:
-        """Learns the round trip from how long TCP takes to connect; whether it connects."""
+        """Takes the round trip from the time that TCP takes to connect; whether it connects."""
         if self._credentials is None:
             return False
         try:
-            self._learn(await _apart(lambda: _connect_s(self.address)))
+            self._learn(await _in_thread(lambda: _connect_s(self.address)))
         except OSError:
             return False
         return True
@@ -93,7 +98,7 @@ class Way:
         await asyncio.shield(self._look)
 
     def suspect(self) -> None:
-        """Has the way looked at, meanwhile: `trouble` says what was found."""
+        """Has the way looked at in the background: `trouble` tells the result."""
         if self._look is None or self._look.done():
             begin(self.look())
 
@@ -107,10 +112,8 @@ class Way:
             full, small = await asyncio.gather(
                 self._try(shown, limit_s), self._try(shown, limit_s, _SMALL_SEGMENT_BYTES)
             )
-            if (
-                full.shaken_s is None and small.shaken_s is not None
-            ):  # once more, as chance may have lost a packet
-                full = await self._try(shown, limit_s)
+            if full.shaken_s is None and small.shaken_s is not None:
+                full = await self._try(shown, limit_s)  # as chance may have lost a packet
             self.silence = _silence(full, small, limit_s)
             self.trouble = self.silence if self.silence == _LOSES_LARGE else ""
             self._learn(max(full.connect_s, (full.shaken_s or 0.0) / 3))
@@ -121,7 +124,7 @@ class Way:
         context.set_alpn_protocols(_LONG_HELLO)
         context.load_verify_locations(cadata=shown.authority.decode())
         load_secret(context, shown.certificate + b"\n" + shown.key)
-        return await _apart(lambda: _shaken(self.address, context, self._server, limit_s, segment_bytes))
+        return await _in_thread(lambda: _shaken(self.address, context, self._server, limit_s, segment_bytes))
 
 
 def _silence(full: _Tried, small: _Tried, limit_s: float) -> str:
@@ -141,8 +144,8 @@ def _silence(full: _Tried, small: _Tried, limit_s: float) -> str:
     )
 
 
-async def _apart(work: Callable[[], T]) -> T:
-    """What the work returns or raises, from a thread that nobody waits for at the end of the program."""
+async def _in_thread(work: Callable[[], T]) -> T:
+    """What the work returns or raises, from a thread that does not hold up the program's end."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[T] = loop.create_future()
 
@@ -152,12 +155,10 @@ async def _apart(work: Callable[[], T]) -> T:
 
     def run() -> None:
         try:
-            result = work()
+            settled = functools.partial(done.set_result, work())
         except OSError as error:
             settled = functools.partial(done.set_exception, error)
-        else:
-            settled = functools.partial(done.set_result, result)
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nothing waits any more
             loop.call_soon_threadsafe(settle, settled)
 
     thread(run, name="a look at the way to a server", failed=only_logged).start()
@@ -171,7 +172,7 @@ def _connect_s(address: str) -> float:
 
 
 def _connected(address: str, limit_s: float, segment_bytes: int | None = None) -> tuple[socket.socket, float]:
-    """A connection to the first address that takes one, and when it was asked for; raises OSError."""
+    """A connection to the first address that takes one, and when that attempt began; raises OSError."""
     host, _, port = address.rpartition(":")
     failure = OSError("no address")
     for family, kind, _, _, place in socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM):

@@ -25,6 +25,7 @@ from upwash.real.network.networkmanager import (
 )
 from upwash.real.network.profiles import find_device, find_profile, interface_trouble, is_left_over
 from upwash.support.background import end, only_logged, start
+from upwash.support.waiting import never
 
 _LEAVE_S = 15.0  # scripts of NetworkManager's dispatcher run first; the mission computes on meanwhile
 _ADDRESS_AGAIN_S = 0.02  # a connection may count as activated a moment before its address is there
@@ -91,17 +92,9 @@ class ManagedNetwork:
     async def open(self) -> None:
         """Leaves what an earlier flight left joined; UsageError where an interface cannot be used at all."""
         manager = await self._connected()
-        devices, connections = await manager.devices(), await manager.connections()
-        profiles = await manager.profiles()
+        state = await manager.state()
         for interface in self._interfaces:
-            trouble = interface_trouble(
-                interface,
-                networks=self._networks,
-                devices=devices,
-                connections=connections,
-                profiles=profiles,
-            )
-            if trouble:
+            if trouble := interface_trouble(interface, self._networks, state):
                 raise UsageError(f"network.interfaces: {interface}: {trouble}")
         await self._tidy(manager)
         self._scanning = start(self._keep_scanning(), name="scans for networks", failed=only_logged)
@@ -124,16 +117,15 @@ class ManagedNetwork:
             raise
 
     async def lost(self) -> str:
-        """Returns why, once the carrier is gone, or whatever else ended the connection."""
-        if self._activation is None:
-            await asyncio.get_running_loop().create_future()
-            raise AssertionError("nobody settles this future")
+        """Returns why, once the carrier is gone, or the connection has ended for another reason."""
         activation = self._activation
+        if activation is None:
+            await never()
         await activation.ended.wait()
         return activation.why
 
     async def leave(self) -> None:
-        """Deactivates what is joined, or on its way; what goes wrong is logged, and mended by the next join."""
+        """Deactivates a network that is joined, or being joined; a failure is logged, and the next join mends it."""
         activation = self._activation
         if activation is None:
             return
@@ -183,17 +175,17 @@ class ManagedNetwork:
             self._is_untidy = False
 
     async def _tidy(self, manager: NetworkManager) -> None:
-        """Ends what is active of these networks, whoever began it."""
+        """Ends the connections that are active of these networks, also of another program."""
         devices = await manager.devices()
-        for each in await manager.connections():
-            if is_left_over(each, interfaces=self._interfaces, networks=self._networks, devices=devices):
+        for connection in await manager.connections():
+            if is_left_over(connection, devices, self._interfaces, self._networks):
                 with contextlib.suppress(ObjectGoneError):
-                    await manager.deactivate(each.path)
-                self._journal.record(schema.LeftOver(network=each.name))
+                    await manager.deactivate(connection.path)
+                self._journal.record(schema.LeftOver(network=connection.name))
         self._is_untidy = False
 
     async def _keep_scanning(self) -> None:
-        """Has idle WiFi radios know what is in the air."""
+        """Keeps the list of networks in range fresh on idle WiFi radios."""
         while True:
             if self._activation is None and self._manager is not None:
                 with contextlib.suppress(NetworkError):
@@ -207,10 +199,10 @@ class ManagedNetwork:
         if self._manager is None or not self._manager.is_connected:
             if self._manager is not None:
                 await self._manager.close()
-            self._manager = await connect_networkmanager(self._heard)
+            self._manager = await connect_networkmanager(self._on_signal)
         return self._manager
 
-    def _heard(self, signal: Signal) -> None:
+    def _on_signal(self, signal: Signal) -> None:
         if isinstance(signal, ManagerGone):
             self._is_untidy = True  # once it is back, what was active may be so again, under another path
         if self._activation is not None:
@@ -218,7 +210,7 @@ class ManagedNetwork:
 
 
 class _Activation:
-    """One network on its way, joined, and lost: what the manager's signals say of it."""
+    """One network that is being joined, joined, and lost, by the manager's signals."""
 
     def __init__(self, network: str, *, had_secret: bool) -> None:
         self.network = network
@@ -226,9 +218,9 @@ class _Activation:
         self.connection = ""  # its path, once the manager has named it
         self.settled = asyncio.Event()  # joined, or cannot be
         self.ended = asyncio.Event()  # cannot be used, or no longer: `why` says it
-        self.down = asyncio.Event()  # the manager has nothing more to do with it
+        self.down = asyncio.Event()  # the manager has deactivated it
         self.why = ""
-        self._early: list[ConnectionChanged] = []  # heard before it had a path: of it, or of another
+        self._early: list[ConnectionChanged] = []  # from before it had a path: of it, or of another
         self._device = ""  # its path
         self._has_carrier = True
         self._state = 0  # of the device
@@ -236,23 +228,23 @@ class _Activation:
 
     @property
     def stage(self) -> str:
-        """How far it has come."""
+        """What was under way, for a message."""
         return _STAGES.get(self._state, "NetworkManager had not begun")
 
     def follow(self, device: Device | None) -> None:
-        """Listens to what is said of the device, too."""
+        """Takes in the device's signals, too."""
         if device is not None:
             self._device = device.path
             self._has_carrier = device.has_carrier
 
     def is_called(self, connection: str) -> None:
-        """Listens to what is said of the connection, and was said before its path was known."""
+        """Takes in the connection's signals, also those from before its path was known."""
         self.connection = connection
-        for each in self._early:
-            self.take_in(each)
+        for signal in self._early:
+            self.take_in(signal)
 
     def take_in(self, signal: Signal) -> None:
-        """Takes in one signal, which may be about something else."""
+        """Takes in one signal, which may be of another network."""
         match signal:
             case DeviceChanged(self._device, state, before, reason):
                 self._state = state

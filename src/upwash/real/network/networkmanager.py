@@ -1,12 +1,13 @@
-"""NetworkManager over D-Bus: calls that are bounded in time, and what its signals say. Nothing is decided here."""
+"""NetworkManager over D-Bus: calls that are bounded in time, and its signals. Nothing is decided here."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeVar
 
 from dbus_fast import BusType, DBusFastError, Message, MessageFlag, MessageType, Variant
 from dbus_fast.aio import MessageBus
@@ -16,6 +17,7 @@ from upwash.errors import NetworkError
 from upwash.support.background import start
 from upwash.support.text import printable
 
+T = TypeVar("T")
 NO_OBJECT = "/"
 
 _NAME = "org.freedesktop.NetworkManager"
@@ -25,7 +27,7 @@ _WIRELESS = f"{_DEVICE}.Wireless"
 _ACTIVE = f"{_NAME}.Connection.Active"
 _PROPERTIES = "org.freedesktop.DBus.Properties"
 _BUS = "org.freedesktop.DBus"
-_HEARD = (
+_SIGNALS = (
     f"type='signal',sender='{_NAME}',interface='{_DEVICE}',member='StateChanged'",
     f"type='signal',sender='{_NAME}',interface='{_ACTIVE}',member='StateChanged'",
     f"type='signal',sender='{_NAME}',interface='{_PROPERTIES}',member='PropertiesChanged',arg0='{_DEVICE}'",
@@ -43,7 +45,7 @@ _FORBIDDEN = (f"{_NAME}.PermissionDenied", f"{_BUS}.Error.AccessDenied")
 
 
 class DeviceKind(IntEnum):
-    """What an interface is; there are many more."""
+    """What an interface is; NetworkManager has many more kinds."""
 
     ETHERNET = 1
     WIFI = 2
@@ -55,22 +57,17 @@ class DeviceState(IntEnum):
 
     UNMANAGED = 10
     UNAVAILABLE = 20
-    DISCONNECTED = 30
     PREPARE = 40
     CONFIG = 50
     NEED_AUTH = 60
     IP_CONFIG = 70
     ACTIVATED = 100
-    DEACTIVATING = 110
-    FAILED = 120
 
 
 class ConnectionState(IntEnum):
     """How far an activation has come."""
 
-    ACTIVATING = 1
     ACTIVATED = 2
-    DEACTIVATING = 3
     DEACTIVATED = 4
 
 
@@ -82,7 +79,7 @@ class Profile:
     uuid: str
     name: str
     kind: str  # such as 802-11-wireless
-    interface: str  # the only one it is for; empty for any
+    interface: str  # which alone it is for; "" for any
     settings: Mapping[str, Mapping[str, Any]]  # by section, without the secrets
 
 
@@ -95,12 +92,12 @@ class Device:
     kind: int
     state: int
     has_carrier: bool
-    connection: str  # the path of what is active on it, or NO_OBJECT
+    connection: str  # the path of the connection that is active on it, or NO_OBJECT
 
 
 @dataclass(frozen=True, slots=True)
-class Connection:
-    """A profile that is active, or on the way to it."""
+class NetworkConnection:
+    """A profile that is active, or being activated."""
 
     path: str
     uuid: str
@@ -109,6 +106,19 @@ class Connection:
     state: int
     devices: tuple[str, ...]
     addresses: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkState:
+    """All interfaces, all connections that are active, and all profiles that this user may see."""
+
+    devices: Sequence[Device]
+    connections: Sequence[NetworkConnection]
+    profiles: Sequence[Profile]
+
+    def active_on(self, device: Device) -> NetworkConnection | None:
+        """The connection that is active on the device."""
+        return next((active for active in self.connections if active.path == device.connection), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +150,14 @@ class ConnectionChanged:
 
 @dataclass(frozen=True, slots=True)
 class ManagerGone:
-    """The manager left the bus, or the bus is gone; after a restart nothing has its path any more."""
+    """The manager left the bus, or the bus is gone; after a restart all paths are other ones."""
 
 
 Signal = DeviceChanged | CarrierChanged | ConnectionChanged | ManagerGone
 
 
 class ObjectGoneError(NetworkError):
-    """What was asked about is no longer there."""
+    """The object does not exist any more."""
 
 
 class ForbiddenError(NetworkError):
@@ -155,11 +165,11 @@ class ForbiddenError(NetworkError):
 
 
 class NetworkManager:
-    """The manager on the system's bus. Each call raises NetworkError, at the latest when it took too long."""
+    """The manager on the system's bus. Each call raises NetworkError, also where it takes longer than 3 s."""
 
-    def __init__(self, bus: MessageBus, heard: Callable[[Signal], None]) -> None:
+    def __init__(self, bus: MessageBus, on_signal: Callable[[Signal], None]) -> None:
         self._bus = bus
-        self._heard = heard
+        self._on_signal = on_signal
         bus.add_message_handler(self._receive)
         self._end = start(self._await_end(), name="the watch of the bus", failed=self._lose)
 
@@ -178,71 +188,49 @@ class NetworkManager:
         return str((await self._properties(_ROOT, _NAME))["Version"])
 
     async def may_join(self) -> bool:
-        """Whether this process may activate and deactivate profiles without being asked for a password."""
+        """Whether this process may activate and deactivate profiles without a password."""
         (permissions,) = await self._call(_ROOT, _NAME, "GetPermissions")
         return bool(permissions.get(f"{_NAME}.network-control") == "yes")
+
+    async def state(self) -> NetworkState:
+        """The devices, connections and profiles."""
+        return NetworkState(await self.devices(), await self.connections(), await self.profiles())
 
     async def profiles(self) -> list[Profile]:
         """All that are stored and visible to this user."""
         (paths,) = await self._call(f"{_ROOT}/Settings", f"{_NAME}.Settings", "ListConnections")
-        profiles = []
-        for path in paths:
-            try:
-                (settings,) = await self._call(path, f"{_NAME}.Settings.Connection", "GetSettings")
-            except (ObjectGoneError, ForbiddenError):  # or another user's own
-                continue
-            about = settings["connection"]
-            profiles.append(
-                Profile(
-                    path,
-                    about["uuid"],
-                    printable(about["id"]),
-                    about["type"],
-                    about.get("interface-name", ""),
-                    settings,
-                )
-            )
-        return profiles
+        # Another user's own is forbidden.
+        return await _existing(paths, self._profile, missing=(ObjectGoneError, ForbiddenError))
+
+    async def _profile(self, path: str) -> Profile:
+        (settings,) = await self._call(path, f"{_NAME}.Settings.Connection", "GetSettings")
+        about = settings["connection"]
+        name, interface = printable(about["id"]), about.get("interface-name", "")
+        return Profile(path, about["uuid"], name, about["type"], interface, settings)
 
     async def devices(self) -> list[Device]:
         """All interfaces."""
-        devices = []
-        for path in (await self._properties(_ROOT, _NAME))["AllDevices"]:
-            try:
-                about = await self._properties(path, _DEVICE)
-            except ObjectGoneError:
-                continue
-            devices.append(
-                Device(
-                    path,
-                    about["Interface"],
-                    about["DeviceType"],
-                    about["State"],
-                    bool(about.get("InterfaceFlags", _LOWER_UP) & _LOWER_UP),
-                    about["ActiveConnection"],
-                )
-            )
-        return devices
+        return await _existing((await self._properties(_ROOT, _NAME))["AllDevices"], self._device)
 
-    async def connections(self) -> list[Connection]:
+    async def _device(self, path: str) -> Device:
+        about = await self._properties(path, _DEVICE)
+        has_carrier = bool(about.get("InterfaceFlags", _LOWER_UP) & _LOWER_UP)
+        kind, state, active = about["DeviceType"], about["State"], about["ActiveConnection"]
+        return Device(path, about["Interface"], kind, state, has_carrier, active)
+
+    async def connections(self) -> list[NetworkConnection]:
         """All that are active."""
-        connections = []
-        for path in (await self._properties(_ROOT, _NAME))["ActiveConnections"]:
-            try:
-                connections.append(await self.connection(path))
-            except ObjectGoneError:
-                continue
-        return connections
+        return await _existing((await self._properties(_ROOT, _NAME))["ActiveConnections"], self.connection)
 
-    async def connection(self, path: str) -> Connection:
+    async def connection(self, path: str) -> NetworkConnection:
         """One that is active; raises ObjectGoneError where it is no longer."""
         about = await self._properties(path, _ACTIVE)
         addresses: list[str] = []
         for version in ("4", "6"):
             if (config := about.get(f"Ip{version}Config", NO_OBJECT)) != NO_OBJECT:
                 data = (await self._properties(config, f"{_NAME}.IP{version}Config"))["AddressData"]
-                addresses += [each["address"] for each in data if not each["address"].startswith("fe80:")]
-        return Connection(
+                addresses += [entry["address"] for entry in data if not entry["address"].startswith("fe80:")]
+        return NetworkConnection(
             path,
             about["Uuid"],
             printable(about["Id"]),
@@ -263,14 +251,14 @@ class NetworkManager:
         await self._call(_ROOT, _NAME, "DeactivateConnection", "o", connection)
 
     async def scan(self, device: Device) -> None:
-        """Has a WiFi device look for networks; it refuses to do so all the time."""
+        """Has a WiFi device look for networks; it refuses scans that follow each other too fast."""
         await self._call(device.path, _WIRELESS, "RequestScan", "a{sv}", {})
 
     # --- the bus --------------------------------------------------------------------------------------------
 
     async def listen(self) -> None:
         """Lets the bus pass on the signals."""
-        for rule in _HEARD:
+        for rule in _SIGNALS:
             await self._call("/org/freedesktop/DBus", _BUS, "AddMatch", "s", rule, destination=_BUS)
 
     async def _properties(self, path: str, interface: str) -> dict[str, Any]:
@@ -315,27 +303,27 @@ class NetworkManager:
         path = message.path or ""
         match message.interface, message.member, message.body:
             case name, "StateChanged", [int(state), int(before), int(reason)] if name == _DEVICE:
-                self._heard(DeviceChanged(path, state, before, reason))
+                self._on_signal(DeviceChanged(path, state, before, reason))
             case name, "StateChanged", [int(state), int(reason)] if name == _ACTIVE:
-                self._heard(ConnectionChanged(path, state, reason))
+                self._on_signal(ConnectionChanged(path, state, reason))
             case _, "PropertiesChanged", [_, {"InterfaceFlags": Variant(value=int(flags))}, _]:
-                self._heard(CarrierChanged(path, bool(flags & _LOWER_UP)))
+                self._on_signal(CarrierChanged(path, bool(flags & _LOWER_UP)))
             case _, "NameOwnerChanged", [str(name), str(before), _] if name == _NAME and before:
-                self._heard(ManagerGone())
+                self._on_signal(ManagerGone())
 
     def _lose(self, _: Exception) -> None:
         self._bus.disconnect()  # so that it is connected anew
-        self._heard(ManagerGone())
+        self._on_signal(ManagerGone())
 
     async def _await_end(self) -> None:
         try:
             await self._bus.wait_for_disconnect()  # type: ignore[no-untyped-call]
         except (OSError, EOFError, DBusFastError):
-            self._heard(ManagerGone())
+            self._on_signal(ManagerGone())
 
 
-async def connect_networkmanager(heard: Callable[[Signal], None]) -> NetworkManager:
-    """The manager on the system's bus; `heard` is called with each signal. Raises NetworkError without a bus."""
+async def connect_networkmanager(on_signal: Callable[[Signal], None]) -> NetworkManager:
+    """The manager on the system's bus; `on_signal` gets each signal. Raises NetworkError without a bus."""
     try:
         async with asyncio.timeout(_ANSWER_S):
             bus = await MessageBus(bus_type=BusType.SYSTEM).connect()
@@ -343,13 +331,27 @@ async def connect_networkmanager(heard: Callable[[Signal], None]) -> NetworkMana
         raise NetworkError(
             f"the system bus cannot be reached ({str(error) or 'no answer'}): is D-Bus installed and running?"
         ) from error
-    manager = NetworkManager(bus, heard)
+    manager = NetworkManager(bus, on_signal)
     try:
         await manager.listen()
     except BaseException:
         await manager.close()
         raise
     return manager
+
+
+async def _existing(
+    paths: Iterable[str],
+    read: Callable[[str], Awaitable[T]],
+    *,
+    missing: tuple[type[NetworkError], ...] = (ObjectGoneError,),
+) -> list[T]:
+    """The objects at the paths, without those that are gone meanwhile."""
+    found = []
+    for path in paths:
+        with contextlib.suppress(*missing):
+            found.append(await read(path))
+    return found
 
 
 def _refusal(name: str, text: str) -> NetworkError:

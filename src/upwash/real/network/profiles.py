@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from upwash.errors import NetworkError
-from upwash.real.network.networkmanager import NO_OBJECT, Connection, Device, DeviceKind, DeviceState, Profile
+from upwash.real.network import SurveyFinding
+from upwash.real.network.networkmanager import (
+    Device,
+    DeviceKind,
+    DeviceState,
+    NetworkConnection,
+    NetworkState,
+    Profile,
+    connect_networkmanager,
+)
 from upwash.support.commands import command
 
 _FITS: dict[str, tuple[int, ...]] = {
@@ -19,11 +28,12 @@ _KIND_NAMES: dict[int, str] = {
     DeviceKind.WIFI: "WiFi",
 }
 _MAKES_ITS_OWN_DEVICE = ("vpn", "wireguard")
+_ANY_RADIO = "connection.interface-name ''"
 
 
 def find_profile(network: str, profiles: Iterable[Profile]) -> Profile:
     """The profile with that UUID or name; raises NetworkError where there is none, or several."""
-    found = [each for each in profiles if network in (each.uuid, each.name)]
+    found = [profile for profile in profiles if network in (profile.uuid, profile.name)]
     if not found:
         raise NetworkError(
             f"no connection profile {network} is on this drone: make it with `nmcli connection add`, as "
@@ -32,7 +42,7 @@ def find_profile(network: str, profiles: Iterable[Profile]) -> Profile:
     if len(found) > 1:
         raise NetworkError(
             f"{len(found)} connection profiles are called {network}: name the right one by its UUID, one of "
-            + ", ".join(each.uuid for each in found)
+            + ", ".join(profile.uuid for profile in found)
         )
     return found[0]
 
@@ -59,49 +69,34 @@ def find_device(profile: Profile, interfaces: Sequence[str], devices: Iterable[D
     )
 
 
-def kind_name(kind: int) -> str:
-    """What an interface of that kind is called."""
-    return _KIND_NAMES.get(kind, "neither Ethernet nor WiFi")
-
-
 def is_left_over(
-    connection: Connection,
-    *,
+    connection: NetworkConnection,
+    devices: Iterable[Device],
     interfaces: Collection[str],
     networks: Collection[str],
-    devices: Iterable[Device],
 ) -> bool:
-    """Whether what is active is one of the networks, on one of the interfaces or on one of its own."""
+    """Whether the connection is one of the networks, on one of the interfaces or on one of its own."""
     if connection.uuid not in networks and connection.name not in networks:
         return False
     mine = [device.path for device in devices if device.interface in interfaces]
     return connection.kind in _MAKES_ITS_OWN_DEVICE or any(path in mine for path in connection.devices)
 
 
-def interface_trouble(
-    interface: str,
-    *,
-    networks: Collection[str],
-    devices: Sequence[Device],
-    connections: Iterable[Connection],
-    profiles: Iterable[Profile],
-) -> str:
-    """What keeps the interface from being used for the networks, with the remedy; empty where nothing does."""
-    device = next((each for each in devices if each.interface == interface), None)
+def interface_trouble(interface: str, networks: Collection[str], state: NetworkState) -> str:
+    """What keeps the interface from being used for the networks, with the remedy; "" for nothing."""
+    device = next((device for device in state.devices if device.interface == interface), None)
     if device is None:
-        if any(each.interface == interface and each.kind in _MAKES_ITS_OWN_DEVICE for each in profiles):
+        makers = (profile for profile in state.profiles if profile.kind in _MAKES_ITS_OWN_DEVICE)
+        if any(profile.interface == interface for profile in makers):
             return ""
-        known = ", ".join(each.interface for each in devices if each.kind in _KIND_NAMES)
+        known = ", ".join(device.interface for device in state.devices if device.kind in _KIND_NAMES)
         return f"no such interface; NetworkManager knows {known or 'none'}"
     if device.state <= DeviceState.UNMANAGED:
-        return "NetworkManager leaves it alone: " + command(
-            "nmcli", "device", "set", interface, "managed", "yes"
-        )
+        free = command("nmcli", "device", "set", interface, "managed", "yes")
+        return f"NetworkManager leaves it alone: {free}"
     if device.kind == DeviceKind.WIFI and device.state == DeviceState.UNAVAILABLE:
         return "its radio is switched off, or lacks its firmware: `nmcli radio wifi on`"
-    if device.connection == NO_OBJECT:
-        return ""
-    active = next((each for each in connections if each.path == device.connection), None)
+    active = state.active_on(device)
     if active is None or active.uuid in networks or active.name in networks:
         return ""
     return (
@@ -116,7 +111,7 @@ def modified(profile: str, settings: str) -> str:
     return command("nmcli", "connection", "modify", profile, *shlex.split(settings))
 
 
-def profile_troubles(profile: Profile) -> Iterator[tuple[str, str]]:
+def _profile_troubles(profile: Profile) -> Iterator[tuple[str, str]]:
     """What in the profile would do harm in flight, each with the setting that mends it."""
     sections = profile.settings
     if sections["connection"].get("autoconnect", True):
@@ -133,3 +128,60 @@ def profile_troubles(profile: Profile) -> Iterator[tuple[str, str]]:
     ):
         if sections.get(section, {}).get(flags, 0):
             yield "its secret is not stored for the whole system", f"{section}.{flags} 0"
+
+
+# --- before take-off ----------------------------------------------------------------------------------------
+
+
+async def survey_networks(
+    interfaces: Sequence[str], servers: Mapping[str, str], *, radios: int = 1
+) -> list[SurveyFinding]:
+    """The manager, each interface, and the network of each server, by its name; nothing is joined.
+
+    Raises NetworkError without a manager.
+    """
+    manager = await connect_networkmanager(lambda _: None)
+    try:
+        version, may_join = await manager.version(), await manager.may_join()
+        state = await manager.state()
+    finally:
+        await manager.close()
+    forbidden = "this user may not join networks: docs/networks.md has the polkit rule that lets it"
+    findings = [SurveyFinding("NetworkManager", version, "" if may_join else forbidden)]
+    for interface in interfaces:
+        trouble = interface_trouble(interface, list(servers.values()), state)
+        findings.append(SurveyFinding(interface, _found_of(interface, state), trouble))
+    for server, network in servers.items():
+        found, trouble = _usable(network, interfaces, state, radios)
+        findings.append(SurveyFinding(server, found, trouble))
+    return findings
+
+
+def _found_of(interface: str, state: NetworkState) -> str:
+    device = next((device for device in state.devices if device.interface == interface), None)
+    if device is None:
+        return "not there"
+    active = state.active_on(device)
+    kind = _KIND_NAMES.get(device.kind, "neither Ethernet nor WiFi")
+    carrier = "" if device.has_carrier else ", no carrier now"
+    return f"{kind}, {f'{active.name} is active' if active else 'idle'}{carrier}"
+
+
+def _usable(network: str, interfaces: Sequence[str], state: NetworkState, radios: int) -> tuple[str, str]:
+    """The profile of a network and where it can be activated, and what is wrong with it."""
+    found = f"{network}: no profile"
+    try:
+        profile = find_profile(network, state.profiles)
+        found = f"{profile.name}, {profile.kind}"
+        device = find_device(profile, interfaces, state.devices)
+    except NetworkError as error:
+        return found, str(error)
+    found += f", on {device.interface}" if device else ", makes its own interface"
+    troubles = list(_profile_troubles(profile))
+    if radios > 1 and profile.interface:
+        why = f"is for {profile.interface} alone, and either radio may have to join it"
+        troubles.append((why, _ANY_RADIO))
+    if not troubles:
+        return found, ""
+    remedy = modified(profile.name, " ".join(setting for _, setting in troubles))
+    return found, f"{', '.join(trouble for trouble, _ in troubles)}: {remedy}"

@@ -2,7 +2,7 @@
 
 It signs one certificate for each daemon, good for all servers that the daemon acts as, and one for each drone and
 each operator. Drones and operators hold only client certificates, so a stolen drone cannot pose as a server. A
-daemon's is good at both ends, as daemons call their peers. Daemons' and operators' say so in their subject.
+daemon's is good at both ends, as daemons call their peers. The subject names the role of a daemon or an operator.
 """
 
 from __future__ import annotations
@@ -14,14 +14,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509 import Certificate
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from upwash.config import KeysConfig
 from upwash.core.admission.clients import Role
 from upwash.errors import CredentialsError, NotWritten, UsageError
 from upwash.real.trust.credentials import (
     UNITS,
     fingerprint,
-    parsed_certificate,
     parsed_certificates,
     parsed_key,
     read_revoked,
@@ -30,12 +36,6 @@ from upwash.real.trust.credentials import (
 )
 from upwash.real.trust.secrets import read_public, read_secret
 from upwash.support.output_files import flush_to_disk, write_file
-
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
-    from cryptography.x509 import Certificate, ExtensionType
-
-    from upwash.config import KeysConfig
 
 _AUTHORITY_LASTS = timedelta(days=3652)
 _CERTIFICATE_LASTS = timedelta(days=730)
@@ -48,9 +48,9 @@ _REVOKED_HEAD = (
 
 
 @dataclass(frozen=True)
-class _Authority:
+class _Signer:
     certificate: Certificate
-    key: EllipticCurvePrivateKey
+    key: ec.EllipticCurvePrivateKey
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,6 @@ class _NewFile:
 
 def keys_in(folder: Path, name: str) -> KeysConfig:
     """Where `make_keys` put the files of the holder of that name."""
-    from upwash.config import KeysConfig  # 1.3 MB, which a service's process never needs
-
     folder = folder.absolute()
     return KeysConfig(
         authority=folder / "authority.pem", certificate=folder / f"{name}.pem", key=folder / f"{name}.key"
@@ -80,7 +78,7 @@ def make_keys(
 ) -> list[Path]:
     """Makes a key and a certificate for each entry and returns the files written, the authority's if new.
 
-    Certificates last two years unless said otherwise, and no longer than their authority's own.
+    Certificates last two years by default, and no longer than their authority's own.
     An entry of `servers` holds the names of all servers that one daemon acts as; its files are called after
     the first. The folder's authority signs, and is made if there is none. Raises UsageError, with nothing
     written, for a name that cannot be used or a file that is already there.
@@ -88,37 +86,38 @@ def make_keys(
     if not all(servers):
         raise UsageError("a server without a name: give each at least one")
     _refuse_names([name for names in (*servers, drones, operators) for name in names])
-    holders = [*(names[0] for names in servers), *drones, *operators]
-    for file in (folder / f"{name}{ending}" for name in holders for ending in (".key", ".pem")):
+    holders = [
+        *((Role.SERVER, names) for names in servers),
+        *((Role.DRONE, [name]) for name in drones),
+        *((Role.OPERATOR, [name]) for name in operators),
+    ]
+    for file in (folder / f"{names[0]}{ending}" for _, names in holders for ending in (".key", ".pem")):
         if file.exists():
             raise _already_there(file)
-    authority, files = _authority(folder)
-    for names in servers:
-        files += _issue(folder, authority, names, Role.SERVER, lasts)
-    for role, names in ((Role.DRONE, drones), (Role.OPERATOR, operators)):
-        for name in names:
-            files += _issue(folder, authority, [name], role, lasts)
+    signer, files = _signer(folder)
+    for role, names in holders:
+        files += _issue(folder, signer, names, role, lasts or _CERTIFICATE_LASTS)
     _write_together(folder, files)
-    return [each.file for each in files]
+    return [new.file for new in files]
 
 
 def renew_authority(folder: Path) -> list[Path]:
     """Makes the folder another authority, which signs from now on, and returns the files written.
 
-    authority.pem has both certificates then, so that whoever has it believes what either signed; the former's key is
+    authority.pem has both certificates then, so that its readers trust what either signed; the former's key is
     kept under a name of its own. Raises UsageError where there is no authority to follow.
     """
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     former, former_key = read_public(certificate_file), read_secret(key_file)
     signer = _signer_among(certificate_file, former, key_file, former_key)
-    certificate, key = _pems(*_self_signed())
+    new = _self_signed()
     kept = folder / f"authority-{fingerprint(_pem(signer.certificate))[:8]}.key"
     new_certificate, new_key = folder / "authority.pem.new", folder / "authority.key.new"
     _write_together(
         folder,
         [
-            _NewFile(new_certificate, certificate + former, 0o644),
-            _NewFile(new_key, key, 0o600),
+            _NewFile(new_certificate, _pem(new.certificate) + former, 0o644),
+            _NewFile(new_key, _key_pem(new.key), 0o600),
             _NewFile(kept, former_key, 0o600),
         ],
     )
@@ -128,7 +127,7 @@ def renew_authority(folder: Path) -> list[Path]:
 
 
 def drop_former_authorities(folder: Path) -> Path:
-    """Leaves in authority.pem the authority alone that signs, and returns that file."""
+    """Leaves in authority.pem only the authority that signs, and returns that file."""
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     signer = _signer_among(certificate_file, read_public(certificate_file), key_file, read_secret(key_file))
     write_file(certificate_file, _pem(signer.certificate))
@@ -138,7 +137,7 @@ def drop_former_authorities(folder: Path) -> Path:
 def revoke(folder: Path, names: Sequence[str]) -> Path:
     """Adds certificates to the folder's list of revoked ones and returns its file.
 
-    A certificate is named by its holder, and is in the folder then, or by its SHA-256 fingerprint. Raises UsageError,
+    A certificate is named by its holder, if it is in the folder, or by its SHA-256 fingerprint. Raises UsageError,
     with nothing written, for another name.
     """
     file = folder / _REVOKED_FILE
@@ -157,7 +156,7 @@ def _fingerprint_of(folder: Path, name: str) -> str:
     certificate = folder / f"{name}.pem"
     if certificate.exists():
         pem = read_public(certificate)
-        parsed_certificate(certificate, pem)
+        parsed_certificates(certificate, pem)
         return fingerprint(pem)
     if (digits := name.replace(":", "").lower()) and re.fullmatch(r"[0-9a-f]{64}", digits):
         return digits
@@ -168,7 +167,7 @@ def _fingerprint_of(folder: Path, name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class CertificateFile:
     """A certificate in a folder: its holder, what it is for, and until when it is valid."""
 
     holder: str
@@ -178,19 +177,18 @@ class Made:
     is_revoked: bool
 
 
-def made_in(folder: Path) -> list[Made]:
+def made_in(folder: Path) -> list[CertificateFile]:
     """The certificates of a folder, by file; raises CredentialsError for a broken file."""
-    from cryptography.hazmat.primitives.hashes import SHA256
-
     list_file = folder / _REVOKED_FILE
     revoked = read_revoked(list_file) if list_file.exists() else frozenset()
     made = []
     for file in sorted(folder.glob("*.pem")):
         is_authority = file.name == "authority.pem"
-        for each in parsed_certificates(file, read_public(file))[: None if is_authority else 1]:
-            role = "authority" if is_authority else role_of(each.subject.rfc4514_string())
-            digits = each.fingerprint(SHA256()).hex()
-            made.append(Made(file.stem, role, each.not_valid_after_utc, digits, digits in revoked))
+        for certificate in parsed_certificates(file, read_public(file))[: None if is_authority else 1]:
+            role = "authority" if is_authority else role_of(certificate.subject.rfc4514_string())
+            digits = certificate.fingerprint(hashes.SHA256()).hex()
+            ends = certificate.not_valid_after_utc
+            made.append(CertificateFile(file.stem, role, ends, digits, digits in revoked))
     return made
 
 
@@ -210,9 +208,9 @@ def _already_there(file: Path) -> UsageError:
     return UsageError(f"{file}: already there, and keys are never overwritten: move it away first")
 
 
-def _authority(folder: Path) -> tuple[_Authority, list[_NewFile]]:
+def _signer(folder: Path) -> tuple[_Signer, list[_NewFile]]:
     """The folder's authority, and the files that it needs if it has none."""
-    certificate, key = folder / "authority.pem", folder / "authority.key"
+    certificate, key, revoked = folder / "authority.pem", folder / "authority.key", folder / _REVOKED_FILE
     if certificate.exists() and key.exists():
         kept = _signer_among(certificate, read_public(certificate), key, read_secret(key))
         refuse_outdated(certificate, kept.certificate)
@@ -220,87 +218,60 @@ def _authority(folder: Path) -> tuple[_Authority, list[_NewFile]]:
     for there, missing in ((certificate, key), (key, certificate)):
         if there.exists():
             raise UsageError(f"{missing}: missing beside {there}: restore it, or move {there.name} away")
-    return _new_authority(folder)
+    signer = _self_signed()
+    files = _files(folder, "authority", signer.certificate, signer.key)
+    if not revoked.exists():
+        files.append(_NewFile(revoked, _REVOKED_HEAD, 0o644))
+    return signer, files
 
 
-def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> _Authority:
+def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> _Signer:
     """The one of the authorities in a file that has this key."""
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
-
     private = parsed_key(key, key_pem)
-    for each in parsed_certificates(certificate, pem):
-        if isinstance(private, EllipticCurvePrivateKey) and private.public_key() == each.public_key():
-            return _Authority(each, private)
+    for authority in parsed_certificates(certificate, pem):
+        if isinstance(private, ec.EllipticCurvePrivateKey) and private.public_key() == authority.public_key():
+            return _Signer(authority, private)
     raise CredentialsError(
         f"{key}: not the elliptic-curve key of {certificate}: restore the two that were made together"
     )
 
 
-def _new_authority(folder: Path) -> tuple[_Authority, list[_NewFile]]:
-    certificate, key = _self_signed()
-    files = _pair(folder, "authority", certificate, key)
-    revoked = folder / _REVOKED_FILE
-    if not revoked.exists():
-        files.append(_NewFile(revoked, _REVOKED_HEAD, 0o644))
-    return _Authority(certificate, key), files
-
-
-def _self_signed() -> tuple[Certificate, EllipticCurvePrivateKey]:
-    from cryptography import x509
-
-    key = _new_key()
-    certificate = _signed(
-        "upwash authority",
-        key,
-        [
-            (x509.BasicConstraints(ca=True, path_length=0), True),
-            (_key_usage(signs_certificates=True), True),
-        ],
-        issuer=None,
-        lasts=_AUTHORITY_LASTS,
-    )
-    return certificate, key
+def _self_signed() -> _Signer:
+    key = ec.generate_private_key(ec.SECP256R1())
+    extensions = [
+        (x509.BasicConstraints(ca=True, path_length=0), True),
+        (_key_usage(signs_certificates=True), True),
+    ]
+    return _Signer(_signed("upwash authority", key, extensions, issuer=None, lasts=_AUTHORITY_LASTS), key)
 
 
 def _issue(
-    folder: Path, authority: _Authority, names: Sequence[str], role: Role, lasts: timedelta | None
+    folder: Path, issuer: _Signer, names: Sequence[str], role: Role, lasts: timedelta
 ) -> list[_NewFile]:
-    from cryptography import x509
-    from cryptography.x509.oid import ExtendedKeyUsageOID
-
-    key = _new_key()
-    answering = [ExtendedKeyUsageOID.SERVER_AUTH] if role is Role.SERVER else []
-    certificate = _signed(
-        names[0],
-        key,
-        [
-            (x509.BasicConstraints(ca=False, path_length=None), True),
-            (_key_usage(signs_certificates=False), True),
-            (x509.ExtendedKeyUsage([*answering, ExtendedKeyUsageOID.CLIENT_AUTH]), True),
-            (x509.SubjectAlternativeName([x509.DNSName(name) for name in names]), False),
-            (x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), False),
-        ],
-        issuer=authority,
-        lasts=lasts or _CERTIFICATE_LASTS,
-        unit=UNITS.get(role, ""),
-    )
-    return _pair(folder, names[0], certificate, key)
+    key = ec.generate_private_key(ec.SECP256R1())
+    serving = [ExtendedKeyUsageOID.SERVER_AUTH] if role is Role.SERVER else []
+    extensions = [
+        (x509.BasicConstraints(ca=False, path_length=None), True),
+        (_key_usage(signs_certificates=False), True),
+        (x509.ExtendedKeyUsage([*serving, ExtendedKeyUsageOID.CLIENT_AUTH]), True),
+        (x509.SubjectAlternativeName([x509.DNSName(name) for name in names]), False),
+        (x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.key.public_key()), False),
+    ]
+    unit = UNITS.get(role, "")
+    certificate = _signed(names[0], key, extensions, issuer=issuer, lasts=lasts, unit=unit)
+    return _files(folder, names[0], certificate, key)
 
 
 def _signed(
     name: str,
-    key: EllipticCurvePrivateKey,
-    extensions: Sequence[tuple[ExtensionType, bool]],
+    key: ec.EllipticCurvePrivateKey,
+    extensions: Sequence[tuple[x509.ExtensionType, bool]],
     *,
-    issuer: _Authority | None,
+    issuer: _Signer | None,
     lasts: timedelta,
     unit: str = "",
 ) -> Certificate:
-    """A certificate with the extensions, each critical or not, signed by its own key without an issuer."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes
-    from cryptography.x509.oid import NameOID
-
+    """A certificate with the extensions, each critical or not; without an issuer its own key signs it."""
     units = [x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit)] if unit else []
     subject = x509.Name([*units, x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = datetime.now(UTC)
@@ -320,15 +291,7 @@ def _signed(
     return builder.sign(issuer.key if issuer else key, hashes.SHA256())
 
 
-def _new_key() -> EllipticCurvePrivateKey:
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    return ec.generate_private_key(ec.SECP256R1())
-
-
-def _key_usage(*, signs_certificates: bool) -> ExtensionType:
-    from cryptography import x509
-
+def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
         digital_signature=not signs_certificates,
         key_cert_sign=signs_certificates,
@@ -342,25 +305,25 @@ def _key_usage(*, signs_certificates: bool) -> ExtensionType:
     )
 
 
-def _pair(folder: Path, name: str, certificate: Certificate, key: EllipticCurvePrivateKey) -> list[_NewFile]:
-    public, secret = _pems(certificate, key)
-    return [_NewFile(folder / f"{name}.pem", public, 0o644), _NewFile(folder / f"{name}.key", secret, 0o600)]
-
-
-def _pems(certificate: Certificate, key: EllipticCurvePrivateKey) -> tuple[bytes, bytes]:
-    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-
-    return _pem(certificate), key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+def _files(
+    folder: Path, name: str, certificate: Certificate, key: ec.EllipticCurvePrivateKey
+) -> list[_NewFile]:
+    return [
+        _NewFile(folder / f"{name}.pem", _pem(certificate), 0o644),
+        _NewFile(folder / f"{name}.key", _key_pem(key), 0o600),
+    ]
 
 
 def _pem(certificate: Certificate) -> bytes:
-    from cryptography.hazmat.primitives.serialization import Encoding
-
     return certificate.public_bytes(Encoding.PEM)
 
 
+def _key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
 def _write_together(folder: Path, files: Sequence[_NewFile]) -> None:
-    """Writes files that were not there, all or none of them; nobody else can read one unless its mode says so."""
+    """Writes files that were not there, all or none of them; other users can read one only if its mode allows it."""
     is_new = not folder.exists()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -369,16 +332,16 @@ def _write_together(folder: Path, files: Sequence[_NewFile]) -> None:
     with contextlib.ExitStack() as undoing:
         if is_new:
             undoing.callback(folder.rmdir)
-        for each in files:
+        for new in files:
             try:
-                descriptor = os.open(each.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, each.mode)
-                undoing.callback(each.file.unlink)
+                descriptor = os.open(new.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, new.mode)
+                undoing.callback(new.file.unlink)
                 with os.fdopen(descriptor, "wb") as opened:
-                    opened.write(each.content)
+                    opened.write(new.content)
                     opened.flush()
                     flush_to_disk(opened.fileno())
             except FileExistsError:
-                raise _already_there(each.file) from None
+                raise _already_there(new.file) from None
             except OSError as error:
-                raise NotWritten(each.file, error, "none of the files were made") from None
+                raise NotWritten(new.file, error, "none of the files were made") from None
         undoing.pop_all()

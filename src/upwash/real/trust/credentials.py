@@ -1,8 +1,9 @@
-"""Certificates: what one party shows of itself, and what it believes of others."""
+"""Certificates: what one party shows of itself, and which certificates of others it trusts."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import re
 import ssl
@@ -10,29 +11,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from upwash.core.admission.clients import Role
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.x509 import Certificate
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from upwash.core.admission.clients import Client, DoorReason, Role
 from upwash.errors import CredentialsError
-from upwash.real.trust.secrets import read_public, read_secret
-
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
-    from cryptography.x509 import Certificate
+from upwash.real.trust.secrets import load_secret, read_public, read_secret
+from upwash.support.text import printable
 
 UNITS = {Role.OPERATOR: "operator", Role.SERVER: "server"}  # the organizational unit in the subject
+_LONGEST_NAME = 255
+_PURPOSES = {"serving": ExtendedKeyUsageOID.SERVER_AUTH, "calling": ExtendedKeyUsageOID.CLIENT_AUTH}
 
 
 @dataclass(frozen=True, slots=True)
 class Lifetime:
-    """From when until when the certificate of that holder is valid."""
+    """The time in which the certificate of that holder is valid."""
 
     holder: str
     starts: datetime
     ends: datetime
 
     def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
-        """Why it is not valid at the time that the clock says, with the dates; "" where it is."""
+        """Why it is not valid at that time of that clock, with the dates; "" where it is."""
         if self.starts <= now <= self.ends:
             return ""
         what = "is not valid yet" if now < self.starts else "has expired"
@@ -46,61 +53,49 @@ class Lifetime:
 class Credentials:
     """The PEM texts with which one party shows who it is and checks who others are.
 
-    `authority` may hold the certificates of several authorities: those of any of them are believed.
+    `authority` may hold the certificates of several authorities: those of any of them are trusted.
     """
 
     authority: bytes
     certificate: bytes
     key: bytes = field(repr=False)
 
+    @functools.cached_property
+    def _certificate(self) -> Certificate:
+        return x509.load_pem_x509_certificate(self.certificate)
+
     @property
     def names(self) -> tuple[str, ...]:
         """The names that the certificate is good for."""
-        from cryptography import x509
-        from cryptography.x509.oid import NameOID
-
-        certificate = x509.load_pem_x509_certificate(self.certificate)
         try:
-            names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+            names = self._certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         except x509.ExtensionNotFound:
-            common = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-            return tuple(str(name.value) for name in common)
+            return tuple(_common_names(self._certificate))
         return tuple(names.get_values_for_type(x509.DNSName))
 
     def is_for(self, purpose: Literal["serving", "calling"]) -> bool:
-        """Whether the certificate may be shown by the one who answers, or by the one who calls."""
-        from cryptography import x509
-        from cryptography.x509.oid import ExtendedKeyUsageOID
-
-        certificate = x509.load_pem_x509_certificate(self.certificate)
+        """Whether the certificate may be shown by a server, or by a client."""
         try:
-            usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+            usage = self._certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
         except x509.ExtensionNotFound:
             return True
-        needed = {"serving": ExtendedKeyUsageOID.SERVER_AUTH, "calling": ExtendedKeyUsageOID.CLIENT_AUTH}
-        return needed[purpose] in usage
+        return _PURPOSES[purpose] in usage
 
     @property
     def lifetimes(self) -> tuple[Lifetime, ...]:
         """Of the certificate, by its first name, and of the authority that issued it."""
-        from cryptography import x509
-
-        certificate = x509.load_pem_x509_certificate(self.certificate)
         authorities = x509.load_pem_x509_certificates(self.authority)
-        issuer = _issuer_among(authorities, certificate) or authorities[0]
-        return tuple(
-            Lifetime(holder, each.not_valid_before_utc, each.not_valid_after_utc)
-            for holder, each in ((self.names[0], certificate), ("authority", issuer))
-        )
+        issuer = _issuer_among(authorities, self._certificate) or authorities[0]
+        return _lifetime(self.names[0], self._certificate), _lifetime("authority", issuer)
 
     @property
     def expiries(self) -> dict[str, datetime]:
         """Until when the certificate, by its first name, and its authority are valid."""
-        return {each.holder: each.ends for each in self.lifetimes}
+        return {lifetime.holder: lifetime.ends for lifetime in self.lifetimes}
 
     def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
-        """Which of the certificates is not valid at the time of the clock, with its dates; "" where all are."""
-        return next(filter(None, (each.problem_at(now, by=by) for each in self.lifetimes)), "")
+        """Which certificate is not valid at that time of that clock, with its dates; "" where both are."""
+        return next(filter(None, (lifetime.problem_at(now, by=by) for lifetime in self.lifetimes)), "")
 
 
 def at_second(time: datetime) -> str:
@@ -119,15 +114,18 @@ def role_of(subject: str) -> Role:
     return next((role for role, unit in UNITS.items() if f"OU={unit}" in parts), Role.DRONE)
 
 
+# --- files --------------------------------------------------------------------------------------------------
+
+
 def read_credentials(authority: Path, certificate: Path, key: Path, *, valid_now: bool = True) -> Credentials:
     """The credentials in the three files, which belong together; raises CredentialsError.
 
-    The certificate is of one of the authorities in the first file. Both are valid by this computer's clock too,
-    unless that is not to be believed yet.
+    One of the authorities in the first file issued the certificate. Both are valid by this computer's clock, unless
+    that is not set yet.
     """
     credentials = Credentials(read_public(authority), read_public(certificate), read_secret(key))
     authorities = parsed_certificates(authority, credentials.authority)
-    holder = parsed_certificate(certificate, credentials.certificate)
+    holder = parsed_certificates(certificate, credentials.certificate)[0]
     if parsed_key(key, credentials.key).public_key() != holder.public_key():
         raise CredentialsError(f"{key}: not the key of {certificate}: give the two that were made together")
     issuer = _issuer_among(authorities, holder)
@@ -137,8 +135,8 @@ def read_credentials(authority: Path, certificate: Path, key: Path, *, valid_now
             "or a certificate made under this one"
         )
     if valid_now:
-        for file, each in ((authority, issuer), (certificate, holder)):
-            refuse_outdated(file, each)
+        refuse_outdated(authority, issuer)
+        refuse_outdated(certificate, holder)
     return credentials
 
 
@@ -159,14 +157,11 @@ def read_revoked(file: Path) -> frozenset[str]:
 
 
 def parsed_certificates(file: Path, pem: bytes) -> list[Certificate]:
-    """The certificates of a PEM text, one or several, from that file; raises CredentialsError."""
-    from cryptography import x509
-    from cryptography.exceptions import UnsupportedAlgorithm
-
+    """The certificates of a PEM text from that file, the holder's first; raises CredentialsError."""
     try:
         certificates = x509.load_pem_x509_certificates(pem)
-        for each in certificates:
-            each.public_key()  # which is looked at no earlier
+        for certificate in certificates:
+            certificate.public_key()  # which is looked at no earlier
     except (ValueError, UnsupportedAlgorithm):
         raise CredentialsError(
             f"{file}: not a PEM certificate with a key that is understood: give the .pem file"
@@ -174,16 +169,8 @@ def parsed_certificates(file: Path, pem: bytes) -> list[Certificate]:
     return certificates
 
 
-def parsed_certificate(file: Path, pem: bytes) -> Certificate:
-    """The first of them, which is the holder's; raises CredentialsError."""
-    return parsed_certificates(file, pem)[0]
-
-
 def parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
     """The private key of a PEM text from that file; raises CredentialsError."""
-    from cryptography.exceptions import UnsupportedAlgorithm
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key
-
     try:
         return load_pem_private_key(pem, password=None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
@@ -195,25 +182,98 @@ def parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
 def refuse_outdated(file: Path, certificate: Certificate) -> None:
     """Raises CredentialsError for a certificate that is not valid by this computer's clock."""
     now = datetime.now(UTC)
-    clock = f"this computer's clock says {at_second(now)}"
-    if now > certificate.not_valid_after_utc:
-        since = certificate.not_valid_after_utc.isoformat(" ", "minutes")
-        raise CredentialsError(f"{file}: expired since {since}, and {clock}: make a new one")
-    if now < certificate.not_valid_before_utc:
-        start = certificate.not_valid_before_utc.isoformat(" ", "minutes")
-        raise CredentialsError(
-            f"{file}: not valid before {start}, and {clock}: set this computer's clock, or let "
-            "NTP, a battery-backed clock or chrony with gpsd keep it"
-        )
+    if problem := _lifetime(file.stem, certificate).problem_at(now):
+        remedy = "make a new one"
+        if now < certificate.not_valid_before_utc:
+            remedy = (
+                "set this computer's clock, or let NTP, a battery-backed clock or chrony with gpsd keep it"
+            )
+        raise CredentialsError(f"{file}: {problem}: {remedy}")
+
+
+def _lifetime(holder: str, certificate: Certificate) -> Lifetime:
+    return Lifetime(holder, certificate.not_valid_before_utc, certificate.not_valid_after_utc)
+
+
+def _common_names(certificate: Certificate) -> list[str]:
+    return [str(name.value) for name in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
 
 
 def _issuer_among(authorities: Sequence[Certificate], holder: Certificate) -> Certificate | None:
-    """The one that issued the holder's certificate; of several the one that is valid for longest."""
-    from cryptography.exceptions import InvalidSignature
-
+    """The authority that issued the holder's certificate; of several the one that is valid for longest."""
     found = []
-    for each in authorities:
+    for authority in authorities:
         with contextlib.suppress(InvalidSignature, ValueError, TypeError):
-            holder.verify_directly_issued_by(each)
-            found.append(each)
-    return max(found, key=lambda each: each.not_valid_after_utc, default=None)
+            holder.verify_directly_issued_by(authority)
+            found.append(authority)
+    return max(found, key=lambda authority: authority.not_valid_after_utc, default=None)
+
+
+# --- certificates of others ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """Who showed a certificate, and until when it is valid."""
+
+    client: Client
+    ends: datetime
+
+
+class Distrusted(CredentialsError):
+    """A certificate that is not trusted, and why in short."""
+
+    def __init__(self, reason: DoorReason, message: str) -> None:
+        super().__init__(message)
+        self.reason: DoorReason = reason
+
+
+class Trust:
+    """TLS for a server, and the certificates that it trusts: of these authorities, and not revoked."""
+
+    def __init__(self, credentials: Credentials, *, revoked: frozenset[str] = frozenset()) -> None:
+        self.context = server_context(credentials)
+        self._authority = credentials.authority
+        self._revoked = revoked
+
+    def holder(self, certificate: bytes) -> Holder:
+        """The holder of a DER certificate; raises Distrusted where it is revoked, expired or not of the authority."""
+        holder = holder_of(certificate)
+        whose = f"the certificate of {holder.client.name}"
+        if holder.client.certificate in self._revoked:
+            raise Distrusted("revoked", f"{whose} is revoked")
+        if not _is_issued_by(certificate, self._authority):
+            raise Distrusted("other_authority", f"{whose} is of another authority")
+        if holder.ends < datetime.now(UTC):
+            raise Distrusted("expired", f"{whose} has expired")
+        return holder
+
+
+def server_context(credentials: Credentials) -> ssl.SSLContext:
+    """TLS 1.3 with clients that show a certificate of the authority.
+
+    Sessions are not resumed, as a revoked certificate might be.
+    """
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_3
+    context.verify_mode = ssl.CERT_REQUIRED
+    context.num_tickets = 0
+    context.set_alpn_protocols(["h2"])
+    context.load_verify_locations(cadata=credentials.authority.decode())
+    load_secret(context, credentials.certificate + b"\n" + credentials.key)
+    return context
+
+
+@functools.lru_cache(maxsize=256)
+def holder_of(certificate: bytes) -> Holder:
+    """What a DER certificate says of its holder."""
+    parsed = x509.load_der_x509_certificate(certificate)
+    name = next((printable(name, _LONGEST_NAME) for name in _common_names(parsed)), "")
+    role = role_of(parsed.subject.rfc4514_string())
+    return Holder(Client(name, hashlib.sha256(certificate).hexdigest(), role), parsed.not_valid_after_utc)
+
+
+@functools.lru_cache(maxsize=256)
+def _is_issued_by(certificate: bytes, authority: bytes) -> bool:
+    authorities = x509.load_pem_x509_certificates(authority)
+    return _issuer_among(authorities, x509.load_der_x509_certificate(certificate)) is not None

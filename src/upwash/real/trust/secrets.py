@@ -1,9 +1,10 @@
-"""Files that are read with care: those of secrets, which nobody else may read, and what belongs to them."""
+"""Files of secrets, which no other user may read, and of the certificates that belong to them."""
 
 from __future__ import annotations
 
 import codecs
 import os
+import ssl
 import stat
 from pathlib import Path
 
@@ -18,7 +19,7 @@ _ROOT = 0
 
 
 def read_secret(file: Path) -> bytes:
-    """What a file says that others may not read; raises CredentialsError where they can."""
+    """The contents of a file that others may not read; raises CredentialsError where they can."""
     content, status = _read(file)
     problem = exposure(stat.S_IMODE(status.st_mode), owner=status.st_uid)
     if problem:
@@ -28,20 +29,30 @@ def read_secret(file: Path) -> bytes:
 
 
 def read_public(file: Path) -> bytes:
-    """What a file says that anyone may read; raises CredentialsError."""
+    """The contents of a file that all may read; raises CredentialsError."""
     return _read(file)[0]
 
 
 def exposure(mode: int, *, owner: int) -> str:
-    """Who else may read or change a file of that mode and owner; "" for nobody.
+    """Who else may read or change a file of that mode and owner; "" where no other user may.
 
-    A file of root's may be read by its group: so it is given to a service that runs as a user of its own.
+    The group may read a file of root's: a service that runs as a user of its own gets it so.
     """
     too_much = mode & 0o077 & ~(0o040 if owner == _ROOT else 0)
     if not too_much:
         return ""
     who = "others" if too_much & 0o007 else "its group"
     return f"{who} can {'read' if too_much & 0o044 else 'change'} it (mode {mode:04o})"
+
+
+def load_secret(context: ssl.SSLContext, pem: bytes) -> None:
+    """Has the context show the certificate in the text, by the key in it."""
+    secret = os.memfd_create("secret")  # the ssl module reads files only
+    try:
+        os.write(secret, pem)
+        context.load_cert_chain(f"/proc/self/fd/{secret}")
+    finally:
+        os.close(secret)
 
 
 def _read(file: Path) -> tuple[bytes, os.stat_result]:
@@ -64,7 +75,7 @@ def _read(file: Path) -> tuple[bytes, os.stat_result]:
 
 
 def _without_mark(content: bytes) -> bytes:
-    """The same bytes or, of a text that an editor began with a byte order mark, that text in UTF-8."""
+    """The same bytes; a text that begins with a byte order mark in UTF-8, without the mark."""
     if not content.startswith(_MARKS) or len(content) == _RAW_KEY_BYTES:
         return content
     try:

@@ -13,7 +13,7 @@ import ssl
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
-from upwash.real.trust.trust import load_secret
+from upwash.real.trust.secrets import load_secret
 
 CONTROL_PORT = 7071
 SERVICE_PORT = 7070

@@ -22,9 +22,9 @@ from upwash.real.instances.lxd.credentials import (
     notice_silence,
 )
 from upwash.real.instances.lxd.engine import Engine
-from upwash.real.link.announced import announcement
 from upwash.real.link.door import Lead
-from upwash.real.link.streams import End
+from upwash.real.link.proxy import announcement
+from upwash.real.link.streams import StreamEnd
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -122,9 +122,9 @@ class LxdInstance(ControlledInstance):
             ) from None
 
     @contextlib.asynccontextmanager
-    async def _connect(self, client: Client) -> AsyncIterator[End]:
+    async def _connect(self, client: Client) -> AsyncIterator[StreamEnd]:
         _, end = await asyncio.get_running_loop().create_connection(
-            End, self.container.address, SERVICE_PORT, ssl=self._credentials.context(is_server=False)
+            StreamEnd, self.container.address, SERVICE_PORT, ssl=self._credentials.context(is_server=False)
         )
         try:
             end.transport.write(announcement(client))

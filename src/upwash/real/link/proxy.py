@@ -1,0 +1,224 @@
+"""The way into an instance, from a socket outside to gRPC's own unix socket inside.
+
+A socket belongs to the network that it was made in. The daemon makes the listening socket and the instance inherits
+it, so callers are accepted where there is no network at all. The door names the caller in the first line of each
+connection. A door on the same machine then gets a connection to gRPC from the instance; for others the bytes are
+handed on. gRPC has no place for the caller's name: it learns it from the address that the connection is bound to.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import os
+import socket
+import ssl
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from upwash.core.admission.clients import Client
+from upwash.real.link.streams import StreamEnd, join, readable
+from upwash.support.background import only_logged, start, thread
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer, WriteableBuffer
+
+Connect = Callable[[Client], AbstractAsyncContextManager[StreamEnd]]  # to the program that serves this client
+
+_client: msgspec.json.Decoder[Client] = msgspec.json.Decoder(Client)
+_FIRST_LINE_S = 5.0
+_GIVEN_S = 5.0
+_CARRIER = b"\0"  # a socket travels with a byte
+_SEND_BYTES = 2**20  # room for a photo, or what the system allows
+_MOST_CONNECTIONS = 1024
+
+
+def announcement(client: Client) -> bytes:
+    """The first line of a connection."""
+    return msgspec.json.encode(client) + b"\n"
+
+
+def announcing_at(path: str) -> Connect:
+    """Announces clients at the unix socket of an instance, which gives a connection to gRPC for each."""
+
+    @contextlib.asynccontextmanager
+    async def connect(client: Client) -> AsyncIterator[StreamEnd]:
+        with socket.socket(socket.AF_UNIX) as asking:
+            asking.setblocking(False)
+            loop = asyncio.get_running_loop()
+            await loop.sock_connect(asking, path)
+            await loop.sock_sendall(asking, announcement(client))
+            async with _end_of(await take(asking)) as end:
+                yield end
+
+    return connect
+
+
+class GrpcSocket:
+    """The unix socket of a gRPC server, and the clients at the other ends of its connections."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self._clients: dict[str, Client] = {}
+        self._numbers = itertools.count()
+
+    @contextlib.asynccontextmanager
+    async def connection(self, client: Client) -> AsyncIterator[socket.socket]:
+        """A connection for that client, which is forgotten after the block."""
+        name = f"{self.path}-{next(self._numbers)}"
+        connection = socket.socket(socket.AF_UNIX)
+        try:
+            connection.setblocking(False)
+            # Room for a photo: otherwise its sender waits until gRPC has read some of it.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
+            try:
+                connection.bind(name)
+                self._clients[f"unix:{name}"] = client
+                await asyncio.get_running_loop().sock_connect(connection, self.path)
+            finally:
+                Path(name).unlink(missing_ok=True)  # noqa: ASYNC240 - no disk is asked
+            yield connection
+        finally:
+            self._clients.pop(f"unix:{name}", None)
+            connection.close()
+
+    @contextlib.asynccontextmanager
+    async def connect(self, client: Client) -> AsyncIterator[StreamEnd]:
+        """The same, as an end that can be joined."""
+        async with self.connection(client) as connection, _end_of(connection) as end:
+            yield end
+
+    def client(self, peer: str) -> Client:
+        """The client at the other end of gRPC's peer; an unnamed one after it hung up."""
+        return self._clients.get(peer, Client(""))
+
+
+@contextlib.asynccontextmanager
+async def _end_of(connection: socket.socket) -> AsyncIterator[StreamEnd]:
+    _, end = await asyncio.get_running_loop().create_unix_connection(StreamEnd, sock=connection)
+    try:
+        yield end
+    finally:
+        end.hang_up()
+
+
+class SocketProxy:
+    """Lets callers in, at most 1024 at once, in a thread of its own until the process ends.
+
+    With `is_announced` the first line of each connection names the client.
+    """
+
+    def __init__(
+        self,
+        outside: socket.socket,
+        inside: GrpcSocket,
+        *,
+        is_announced: bool,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
+        self._outside = outside
+        self._inside = inside
+        self._is_announced = is_announced
+        self._context = context
+        self._callers: set[asyncio.Task[None]] = set()
+
+    def open(self) -> None:
+        """Begins to accept connections."""
+        thread(lambda: asyncio.run(self._serve()), name="socket proxy", failed=lambda _: os._exit(1)).start()
+
+    async def _serve(self) -> None:
+        loop = asyncio.get_running_loop()
+        listen = loop.create_unix_server if self._outside.family == socket.AF_UNIX else loop.create_server
+        server = await listen(lambda: StreamEnd(self._enter), sock=self._outside, ssl=self._context)
+        await server.serve_forever()
+
+    def _enter(self, caller: StreamEnd) -> None:
+        if len(self._callers) >= _MOST_CONNECTIONS:
+            caller.hang_up()
+            return
+        task = start(self._serve_caller(caller), name="a caller's connection", failed=only_logged)
+        self._callers.add(task)
+        task.add_done_callback(self._callers.discard)
+
+    async def _serve_caller(self, caller: StreamEnd) -> None:
+        """Returns when the caller, or the door on its behalf, has hung up."""
+        try:
+            client = await _announced(caller) if self._is_announced else Client("")
+            if self._is_announced and self._outside.family == socket.AF_UNIX:
+                async with self._inside.connection(client) as connection:
+                    _give(connection, over=caller.transport)
+                    await caller.line()  # which never comes: it ends when the door hangs up
+            else:
+                async with self._inside.connect(client) as inside:
+                    await join(caller, inside)
+        except OSError:
+            pass  # hung up
+        finally:
+            caller.close()
+
+
+async def _announced(caller: StreamEnd) -> Client:
+    try:
+        async with asyncio.timeout(_FIRST_LINE_S):
+            return _client.decode(await caller.line())
+    except (ValueError, msgspec.MsgspecError):
+        raise ConnectionAbortedError("the first line announces nobody") from None
+
+
+# --- a connection that one process makes and another uses ---------------------------------------------------
+
+
+class GivenSocket(socket.socket):
+    """A socket that never waits.
+
+    The process that gave it may keep it and make it block, which both share: so each call says not to wait.
+    """
+
+    def recv(self, bufsize: int, flags: int = 0, /) -> bytes:
+        """As `socket.recv`."""
+        return super().recv(bufsize, flags | socket.MSG_DONTWAIT)
+
+    def recv_into(self, buffer: WriteableBuffer, nbytes: int = 0, flags: int = 0) -> int:
+        """As `socket.recv_into`."""
+        return super().recv_into(buffer, nbytes, flags | socket.MSG_DONTWAIT)
+
+    def send(self, data: ReadableBuffer, flags: int = 0, /) -> int:
+        """As `socket.send`."""
+        return super().send(data, flags | socket.MSG_DONTWAIT)
+
+    def sendmsg(
+        self, buffers: Iterable[ReadableBuffer], ancdata: Any = (), flags: int = 0, address: Any = None, /
+    ) -> int:
+        """As `socket.sendmsg`."""
+        return super().sendmsg(buffers, ancdata, flags | socket.MSG_DONTWAIT, address)
+
+
+def _give(connection: socket.socket, over: asyncio.Transport) -> None:
+    with socket.socket(fileno=os.dup(over.get_extra_info("socket").fileno())) as carrier:
+        socket.send_fds(carrier, [_CARRIER], [connection.fileno()])
+
+
+async def take(over: socket.socket) -> GivenSocket:
+    """The connection that an instance gives over that unix socket; raises OSError where it gives none in time."""
+    try:
+        async with asyncio.timeout(_GIVEN_S):
+            await readable(over)
+    except TimeoutError:
+        raise ConnectionAbortedError(f"an instance gave no connection to itself in {_GIVEN_S:g} s") from None
+    _, files, _, _ = socket.recv_fds(over, len(_CARRIER), 1, socket.MSG_CMSG_CLOEXEC)
+    if not files:
+        raise ConnectionAbortedError("an instance gave no connection to itself")
+    try:
+        given = GivenSocket(fileno=files[0])
+    except OSError:
+        os.close(files[0])
+        raise ConnectionAbortedError("an instance gave something that is no socket") from None
+    if (given.family, given.type) != (socket.AF_UNIX, socket.SOCK_STREAM):
+        given.close()
+        raise ConnectionAbortedError("an instance gave a socket of another kind")
+    return given
