@@ -20,7 +20,7 @@ from bench.gains.tables import Flown
 from bench.gains.tables import tables as gained
 from bench.load import HEAD, Row, Soak, cells
 from bench.peers.order import Comparison
-from bench.peers.table import brief, tables
+from bench.peers.table import tables
 from bench.reproduction import Kept, disagreements, others, sensitivity, shortened, times
 from bench.results import FOLDER, Result, leave, read
 from bench.sharing import HEAD as SHARED
@@ -189,17 +189,13 @@ def _disagreements(_: Result) -> str:
     return disagreements()
 
 
-def _in_short(result: Result) -> str:
-    return "\n\n".join(brief(_figures(result, Comparison).trials))
-
-
 def _gains(result: Result) -> str:
     figures = _figures(result, Flown)
     measured = (
         f"`{result.command}` {_measured(result)}: {figures.missions:,} missions in {figures.worlds} worlds, "
         f"{figures.seeds} seeds, {figures.took_s / 60:.0f} minutes on {figures.cores} cores."
     )
-    return f"{measured}\n\n{gained(read_missions(TABLE), with_times=False)}"
+    return f"{measured}\n\n{gained(read_missions(TABLE), by_step=False)}"
 
 
 def _validation() -> str:
@@ -228,7 +224,6 @@ PARTS: Mapping[str, Callable[[Result], str]] = {
     "soak": _soak,
     "weight": _weight,
     "peers": _peers,
-    "peers_in_short": _in_short,
     "reproduction": _times,
     "reproduction_others": _others,
     "reproduction_sensitivity": _sensitivity,

@@ -13,6 +13,7 @@ from upwash.lab.reproduction.sensitivity import Moved
 
 FIRST = 3  # seeds whose figures are kept one by one, for a test to fly them again
 _TIMES = (LOCAL_ONLY.name, OFFLOADING.name)
+_LEAST_PERCENT = 0.5  # what moves every mission time by less is not shown
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,21 +73,25 @@ def times(figures: Kept) -> str:
 
 
 def others(figures: Kept) -> str:
-    """Every other figure."""
+    """Every other figure that the thesis prints."""
     return _side_by_side(figures, [name for name in _names(figures) if name not in _TIMES])
 
 
 def sensitivity(figures: Kept) -> str:
-    """By how many percent each variation moves each mission time, a table per set-up."""
+    """By how many percent variations move mission times, a table per set-up; without those that move none."""
     tables = []
+    moved = [each for each in figures.moved if _most_percent(each) >= _LEAST_PERCENT]
     for setup, title in SETUPS.items():
         head = (f"{title}, percent", *cell_names(setup))
         rows = (
-            (each.label.strip(), *(f"{percent:+.1f}" for percent in each.percent[setup]))
-            for each in figures.moved
+            (each.label.strip(), *(f"{percent:+.1f}" for percent in each.percent[setup])) for each in moved
         )
         tables.append(_table(head, rows))
     return "\n\n".join(tables)
+
+
+def _most_percent(moved: Moved) -> float:
+    return max(abs(percent) for by_cell in moved.percent.values() for percent in by_cell)
 
 
 def disagreements() -> str:
@@ -106,7 +111,7 @@ def _side_by_side(figures: Kept, names: Sequence[str]) -> str:
             for name in names:
                 rows = [found.get((setup, experiment.name, name)) for setup in SETUPS]
                 label = next((row.label.strip() for row in rows if row), None)
-                if label is not None:
+                if label is not None and any(row.thesis for row in rows if row):
                     cells = ((row.ours, row.thesis, row.deviation) if row else ("", "", "") for row in rows)
                     yield f"{experiment.name}: {label}", *(cell for three in cells for cell in three)
 

@@ -30,13 +30,6 @@ def tables(trials: Sequence[Trial]) -> Iterator[str]:
         )
 
 
-def brief(trials: Sequence[Trial]) -> Iterator[str]:
-    """The same of what the mission saw, seconds in all and the longest call."""
-    for local_s in dict.fromkeys(trial.local_s for trial in trials):
-        chosen = [trial for trial in trials if trial.local_s == local_s]
-        yield f"{local_s:g} s on the drone:\n\n{_table(chosen, _in_short)}"
-
-
 def _table(trials: Sequence[Trial], cell: Callable[[Sequence[Figures]], str]) -> str:
     scenarios: tuple[Scenario, ...] = tuple(dict.fromkeys(trial.scenario for trial in trials))
     lines = [("client", *(TITLES[scenario] for scenario in scenarios)), ("---",) * (len(scenarios) + 1)]
@@ -57,13 +50,6 @@ def _seen(figures: Sequence[Figures]) -> str:
     longest_s = max(each.longest_s for each in figures)
     raised = sum(len(each.raised) for each in figures)
     return f"{total_s:.1f}/{longest_s:.1f}/{raised}/{_back(figures)}"
-
-
-def _in_short(figures: Sequence[Figures]) -> str:
-    longest_s = max(each.longest_s for each in figures)
-    raised = sum(len(each.raised) for each in figures)
-    exceptions = f", {raised} exceptions" if raised else ""
-    return f"{median(each.total_s for each in figures):.1f} / {longest_s:.1f}{exceptions}"
 
 
 def _back(figures: Sequence[Figures]) -> str:
