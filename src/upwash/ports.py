@@ -18,74 +18,20 @@ from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.geofence import Fence
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts
-from upwash.eventlog.schema import Event, LinkTroubleName
+from upwash.eventlog import schema
 from upwash.support.heat import Surroundings
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleText:
-    """What the vehicle said in words; the severity is one of `eventlog.schema.SEVERITIES`, by its number."""
-
-    severity: int
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class ArmingDelayed:
-    """Why the vehicle cannot be armed yet, in its own words; empty where it does not say."""
-
-    reasons: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleSetting:
-    """A parameter of the vehicle that the user should know before the flight, and why; None: it is not known."""
-
-    name: str
-    value: float | None
-    advice: str
-
-
-@dataclass(frozen=True, slots=True)
-class LinkChanged:
-    """The vehicle is not heard any more, or again; either after a silence of so long."""
-
-    linked: bool
-    silent_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class PositionDoubted:
-    """The vehicle cannot be where it reports, as its position jumped that far; 0: it can again."""
-
-    jumped_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class HomeMoved:
-    """The vehicle's home lies elsewhere than at take-off; its altitude is above the ground below the take-off."""
-
-    home: Position
-
-
-@dataclass(frozen=True, slots=True)
-class LinkTrouble:
-    """What is wrong with the vehicle's link, or who else uses it; the driver reports each trouble once."""
-
-    about: LinkTroubleName
-    why: str
-
 
 VehicleNews: TypeAlias = (
     Control
-    | VehicleText
-    | ArmingDelayed
-    | VehicleSetting
-    | LinkChanged
-    | LinkTrouble
-    | PositionDoubted
-    | HomeMoved
-)
+    | schema.VehicleSaid
+    | schema.ArmingDelayed
+    | schema.VehicleSetting
+    | schema.LinkLost
+    | schema.LinkRestored
+    | schema.LinkTrouble
+    | schema.PositionDoubted
+    | schema.HomeMoved
+)  # all but the first as the log has them
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,7 +283,7 @@ class Notifier(Protocol):
 class Journal(Protocol):
     """The event log: what happened, in order, never lost."""
 
-    def record(self, event: Event) -> None:
+    def record(self, event: schema.Event) -> None:
         """Adds one event, stamped with the time."""
 
 

@@ -30,9 +30,10 @@ from upwash.errors import (
     Unreachable,
 )
 from upwash.eventlog.results import RunResult, read_result
+from upwash.eventlog.schema import VehicleSaid
 from upwash.eventlog.terminal import Progress, print_result
 from upwash.missions.survey import survey
-from upwash.ports import DeadManAction, Program, VehicleNews, VehicleText
+from upwash.ports import DeadManAction, Program, VehicleNews
 from upwash.rpc.service import spec_of
 from upwash.services import Detector
 from upwash.sim.autopilot import ModelAutopilot, ModelDeadMan
@@ -252,6 +253,26 @@ def test_a_mission_on_its_way_down_is_not_ended_by_the_battery() -> None:
     assert scene.autopilot.position.altitude_m == 0.0
 
 
+@pytest.mark.parametrize(("after_s", "asks"), [(0.5, True), (5.0, False)])
+def test_ctrl_c_after_the_reserve_asks_for_nothing_more(after_s: float, asks: bool) -> None:
+    answers = list[bool]()
+
+    class Asked(ModelAutopilot):
+        async def return_home_and_land(self) -> None:
+            asyncio.get_running_loop().call_later(after_s, ask)
+            await super().return_home_and_land()
+
+    def ask() -> None:
+        answers.append(scenes[0].flight.stop("Ctrl-C"))
+
+    scenes = list[Scene]()
+    config = scenario(mission={"reserve_percent": 25.0}, vehicle={"endurance_s": 80.0})
+    scene, error = fly(config, happens=scenes.append, at_s=0.0, autopilot=Asked)
+    assert isinstance(error, ReserveReached)
+    assert answers == [asks], "at once it may have been meant for the flight; later it ends the program"
+    assert len(scene.events("stopping")) == 1
+
+
 def test_a_battery_below_the_reserve_from_the_start_keeps_the_drone_on_the_ground() -> None:
     class Empty(ModelAutopilot):
         battery_percent = 10.0
@@ -325,7 +346,7 @@ class Talkative(ModelAutopilot):
         def heard(news: VehicleNews) -> None:
             hear(news)
             if isinstance(news, Control) and news.owner is Owner.FAILSAFE:
-                hear(VehicleText(4, "Battery Failsafe"))
+                hear(VehicleSaid(severity=4, text="Battery Failsafe"))
 
         super().listen(heard)
 

@@ -12,7 +12,8 @@ from tests.ports.memory import driven
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotError
-from upwash.ports import LinkTrouble, VehicleNews
+from upwash.eventlog.schema import LinkTrouble
+from upwash.ports import VehicleNews
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings

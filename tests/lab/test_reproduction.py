@@ -14,7 +14,7 @@ from rich.console import Console
 from tests.scenarios import scenario as survey
 
 from upwash.config import NoiseConfig, read_drone_config, server_areas, waypoints
-from upwash.core.geo import ground_distance_m
+from upwash.core.geo import Circle, ground_distance_m
 from upwash.lab.reproduction import sensitivity
 from upwash.lab.reproduction.cells import (
     EXPERIMENTS,
@@ -108,6 +108,7 @@ def test_no_waypoint_is_at_the_border_of_a_range() -> None:
     for setup in SETUPS:
         config = scenario(ThesisCell(setup, HEAVY, "location-aware"), seed=1)
         for area in server_areas(config).values():
+            assert isinstance(area, Circle)
             for waypoint in waypoints(config.mission):
                 assert abs(ground_distance_m(waypoint.position, area.centre) - area.radius_m) >= 0.5
 

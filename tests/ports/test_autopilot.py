@@ -22,7 +22,8 @@ from upwash.errors import (
     AutopilotTimeout,
     UsageError,
 )
-from upwash.ports import ArmingDelayed, Autopilot, VehicleNews
+from upwash.eventlog.schema import ArmingDelayed
+from upwash.ports import Autopilot, VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
 from upwash.vehicle.ardupilot.boot import Text
 from upwash.vehicle.ardupilot.copter import CommandAnswer, Copter
@@ -178,7 +179,7 @@ def test_what_its_last_checks_object_to_is_told_and_it_is_armed_once_they_pass(
             news: list[VehicleNews] = []
             autopilot.listen(news.append)
             await claim_and_arm(autopilot)
-            assert news.count(ArmingDelayed(("Throttle is not low",))) == 1
+            assert news.count(ArmingDelayed(reasons=("Throttle is not low",))) == 1
             assert autopilot.armed
 
     asyncio.run(mission())

@@ -14,7 +14,8 @@ from tests.ports.steps import claim_and_arm
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.errors import AutopilotError, AutopilotLost, AutopilotRefused, AutopilotTimeout
-from upwash.ports import ArmingDelayed, LinkChanged, VehicleNews
+from upwash.eventlog.schema import ArmingDelayed, LinkLost, LinkRestored
+from upwash.ports import VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
@@ -239,8 +240,8 @@ def test_a_lost_link_is_noticed_within_3_s_and_survived() -> None:
         await autopilot.vehicle.link_restored()
         await leg
         assert distance_m(autopilot.position, Position(60.0, 0.0, 5.0)) <= 1.0
-        lost, restored = (each for each in news if isinstance(each, LinkChanged))
-        assert (lost.linked, restored.linked) == (False, True)
+        lost, restored = (each for each in news if isinstance(each, LinkLost | LinkRestored))
+        assert isinstance(lost, LinkLost) and isinstance(restored, LinkRestored)
         assert 2.0 < lost.silent_s <= restored.silent_s
 
     fly(mission)
@@ -386,7 +387,7 @@ def test_a_vehicle_that_passes_its_checks_without_a_position_is_not_armed_and_th
             with pytest.raises(AutopilotRefused, match="does not know its position yet") as caught:
                 await autopilot.ready()
             assert caught.value.vehicle_said == ""  # those were not its words
-            assert ArmingDelayed(("it does not know its position yet",)) in news
+            assert ArmingDelayed(reasons=("it does not know its position yet",)) in news
 
     asyncio.run(scenario())
 

@@ -13,8 +13,9 @@ from tests.ports.steps import take_off
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError, AutopilotOverruled, AutopilotRefused
+from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.px4 import Mode
-from upwash.ports import VehicleLimits, VehicleNews, VehicleSetting
+from upwash.ports import VehicleLimits, VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.settings import VehicleSettings

@@ -15,8 +15,9 @@ from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotError
+from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.ftp import Opcode, Packet, read_packet
-from upwash.ports import VehicleNews, VehicleSetting
+from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.ftp import MOST_FILE_BYTES, FileClient
 from upwash.sim.loop import run_virtually

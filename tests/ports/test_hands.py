@@ -16,7 +16,8 @@ from tests.ports.test_autopilot import AGILE, FRAME, HASTY, connected, connectio
 from upwash.core.geo import Position, distance_m
 from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused, AutopilotTimeout
-from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
+from upwash.eventlog.schema import HomeMoved, PositionDoubted, VehicleSaid
+from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkLink, connect_autopilot
 from upwash.vehicle.ardupilot.copter import FORCED_DISARM
 from upwash.vehicle.ardupilot.settings import VehicleSettings
@@ -112,7 +113,11 @@ def test_a_home_that_is_moved_in_flight_changes_no_altitude_and_is_where_it_retu
             assert autopilot.position.altitude_m == pytest.approx(15.0, abs=0.5)
             await autopilot.goto(Position(10.0, 0.0, 15.0))
             assert truth(vehicle).altitude_m == pytest.approx(15.0, abs=0.5)
-            moved = [each.home for each in news if isinstance(each, HomeMoved)]
+            moved = [
+                Position(each.east_m, each.north_m, each.altitude_m)
+                for each in news
+                if isinstance(each, HomeMoved)
+            ]
             assert [distance_m(each, new_home) < 0.5 for each in moved] == [True]
             await autopilot.return_home_and_land()
             assert distance_m(truth(vehicle), new_home.at_altitude(0.0)) < 1
@@ -143,7 +148,7 @@ def test_a_jump_of_the_position_is_no_arrival_whatever_the_vehicle_says_of_it(en
             await turns_true(lambda: any(isinstance(each, PositionDoubted) for each in news))
             leg = asyncio.create_task(autopilot.goto(waypoint))
             await turns_true(
-                lambda: any(isinstance(each, VehicleText) and each.text == CLEARED for each in news)
+                lambda: any(isinstance(each, VehicleSaid) and each.text == CLEARED for each in news)
             )
             await asyncio.sleep(1.5)
             assert distance_m(autopilot.position, waypoint) < 1  # it says that it is there

@@ -7,7 +7,8 @@ import socket
 
 import pytest
 
-from upwash.ports import LinkTrouble, VehicleNews
+from upwash.eventlog.schema import LinkTrouble
+from upwash.ports import VehicleNews
 from upwash.real.mavlink import Patience
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.ports import LinkTrouble
+from upwash.eventlog.schema import LinkTrouble
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.identity import Identity
 from upwash.real.mavlink.px4_firmware import PX4

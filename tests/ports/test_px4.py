@@ -16,9 +16,10 @@ from tests.ports.steps import claim_and_arm, take_off
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.core.vehicle.control import Control, Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused
+from upwash.eventlog.schema import ArmingDelayed, VehicleSaid, VehicleSetting
 from upwash.mavlink import px4
 from upwash.mavlink.px4 import Mode, understood
-from upwash.ports import ArmingDelayed, VehicleNews, VehicleSetting, VehicleText
+from upwash.ports import VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot
 from upwash.real.mavlink.parameters import read_parameters, set_parameter
 from upwash.real.mavlink.px4_firmware import PX4
@@ -205,7 +206,7 @@ def test_a_low_battery_s_fail_safe_keeps_it() -> None:
         assert autopilot.control.owner is Owner.FAILSAFE
         assert "OFFBOARD was set" in autopilot.control.why
         await nothing_is_sent(sky)
-        assert any("battery" in each.text for each in news if isinstance(each, VehicleText))
+        assert any("battery" in each.text for each in news if isinstance(each, VehicleSaid))
 
     fly(flight)
 
@@ -370,7 +371,7 @@ def lost_in_a_leg(what_happens: Callable[[Bench], None], control: list[Control])
         with pytest.raises((AutopilotOverruled, AutopilotRefused)):
             await leg
         await asyncio.sleep(5.0)
-        said.extend(each.text for each in news if isinstance(each, VehicleText))
+        said.extend(each.text for each in news if isinstance(each, VehicleSaid))
         control.append(autopilot.control)
 
     fly(flight)

@@ -15,8 +15,9 @@ from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition
 from upwash.core.vehicle.way_home import EnergyFacts
+from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.version import Version
-from upwash.ports import VehicleNews, VehicleSetting
+from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.parameters import read_parameters, set_parameter
 from upwash.sim.loop import run_virtually

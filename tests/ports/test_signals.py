@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+import signal
 import subprocess
 import sys
+
+import pytest
+
+from upwash.real.host.signals import stopping_politely
 
 HANGING = """
 import threading
@@ -35,3 +42,27 @@ def test_what_hangs_is_left_after_its_time() -> None:
 def test_what_ends_in_time_is_left_alone() -> None:
     done = run(seconds=20.0, hang="pass")
     assert (done.returncode, done.stdout) == (0, "ended by itself\n")
+
+
+@pytest.mark.parametrize(("is_stopping", "asked"), [(False, ["Ctrl-C"]), (True, [])])
+def test_the_first_ctrl_c_asks_to_stop_and_ends_at_once_what_is_stopping_already(
+    is_stopping: bool, asked: list[str]
+) -> None:
+    said = list[str]()
+
+    def stop(why: str) -> bool:
+        if not is_stopping:
+            said.append(why)
+        return not is_stopping
+
+    async def run() -> None:
+        with stopping_politely(stop):
+            os.kill(os.getpid(), signal.SIGINT)
+            await asyncio.sleep(0.2)
+
+    if is_stopping:
+        with pytest.raises(asyncio.CancelledError):
+            asyncio.run(run())
+    else:
+        asyncio.run(run())
+    assert said == asked

@@ -14,8 +14,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.ports.lossy import Air
 from tests.ports.memory import AGILE, AT_ONCE, Bench, bench, driven
 
+from upwash.eventlog.schema import LinkTrouble
 from upwash.mavlink.px4 import CURRENT_MODE
-from upwash.ports import LinkTrouble, VehicleNews
+from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.px4_firmware import PX4

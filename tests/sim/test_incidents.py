@@ -13,9 +13,10 @@ from upwash.core.geo import Position, distance_m, ground_distance_m
 from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotError, AutopilotOverruled, AutopilotTimeout
 from upwash.eventlog import schema
+from upwash.eventlog.schema import HomeMoved, PositionDoubted
 from upwash.lab.observer import Seen
 from upwash.lab.run import simulate_fleet
-from upwash.ports import HomeMoved, PositionDoubted, VehicleNews
+from upwash.ports import VehicleNews
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.sim.vehicle import Plain
@@ -110,7 +111,7 @@ def test_a_home_that_is_moved_changes_no_altitude_and_is_where_it_returns_to() -
         await autopilot.goto(Position(0.0, 0.0, 15.0))
         assert autopilot.position.altitude_m == pytest.approx(15.0)
         told = [each for each in flight.news if isinstance(each, HomeMoved)]
-        assert told == [HomeMoved(Position(40.0, 50.0, -12.0))]
+        assert told == [HomeMoved.of(Position(40.0, 50.0, -12.0))]
         assert autopilot.energy.home == Position(40.0, 50.0)
         await autopilot.return_home_and_land()
         assert autopilot.position == Position(40.0, 50.0) and autopilot.stands

@@ -272,7 +272,7 @@ def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Pr
     needed = _why_placed(server)
     if not any(given) and not needed:
         return
-    if not any(given) and server.range_m == "measured":
+    if not any(given) and server.believed_range_m is None:
         yield "east_m", f"missing, with north_m: {needed} counts from where the server stands"
     elif given not in ([True, True, False, False], [False, False, True, True]):
         yield "east_m", "no single place: give either east_m and north_m, or latitude_deg and longitude_deg"
@@ -282,7 +282,7 @@ def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Pr
 
 def _why_placed(server: ServerConfig) -> str:
     """The key for which the server's place has to be known; "" where nobody needs to know it."""
-    if server.range_m != "measured":
+    if server.believed_range_m is not None:
         return "range_m"
     if server.truth.range_m is not None:
         return "truth.range_m"

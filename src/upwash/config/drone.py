@@ -385,6 +385,11 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     truth: TruthConfig = TruthConfig()
     """Simulation: what is true of it."""
 
+    @property
+    def believed_range_m(self) -> float | None:
+        """How far it is reached, in metres; None where calls measure that."""
+        return None if self.range_m == "measured" else self.range_m
+
 
 class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Simulation: the waypoints at which an answer demands something."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Container
 from dataclasses import replace
 
@@ -10,7 +9,7 @@ import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
 from upwash.config.values import PlanFile
-from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
+from upwash.core.geo import Circle, GeoPosition, LocalFrame, Measured, Position, Reach, Waypoint
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.order import Sweep, sweeps
 from upwash.core.vehicle.geofence import Fence
@@ -104,24 +103,34 @@ def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
     return _frame(home).position(GeoPosition(server.latitude_deg, server.longitude_deg))
 
 
-def server_areas(config: DroneConfig) -> dict[str, Circle]:
+def server_places(config: DroneConfig) -> dict[str, Position]:
+    """Where each server stands, by its name; a server whose place nobody needs to know stands at home."""
+    return {
+        server.name: Position(0.0, 0.0)
+        if server.east_m is None and server.latitude_deg is None
+        else server_position(server, config.mission.home)
+        for server in config.servers
+    }
+
+
+def server_areas(config: DroneConfig) -> dict[str, Reach]:
     """Where each server is believed to be in range, by its name: everywhere, for one without a range."""
-    return {server.name: _area(server, config, _believed_m(server)) for server in config.servers}
+    return {server.name: _reach(server, config, server.believed_range_m) for server in config.servers}
 
 
-def true_areas(config: DroneConfig) -> dict[str, Circle]:
+def true_areas(config: DroneConfig) -> dict[str, Reach]:
     """Where each simulated server is really in range, by its name."""
-    return {server.name: _area(server, config, true_range_m(server)) for server in config.servers}
+    return {server.name: _reach(server, config, true_range_m(server)) for server in config.servers}
 
 
-def true_range_m(server: ServerConfig) -> float:
-    """How far the simulated server is reached, in metres; infinite where the file does not say."""
-    return _believed_m(server) if server.truth.range_m is None else server.truth.range_m
+def true_range_m(server: ServerConfig) -> float | None:
+    """How far the simulated server is reached, in metres; None where the file does not say."""
+    return server.believed_range_m if server.truth.range_m is None else server.truth.range_m
 
 
 def measured_servers(config: DroneConfig) -> tuple[str, ...]:
     """The servers without a range."""
-    return tuple(server.name for server in config.servers if server.range_m == "measured")
+    return tuple(server.name for server in config.servers if server.believed_range_m is None)
 
 
 def coverage_of(config: DroneConfig) -> Coverage | None:
@@ -140,14 +149,9 @@ def coverage_kept(config: DroneConfig, coverage: Coverage) -> None:
         file.keep(coverage, _around(config.mission))
 
 
-def _believed_m(server: ServerConfig) -> float:
-    return math.inf if server.range_m == "measured" else server.range_m
-
-
-def _area(server: ServerConfig, config: DroneConfig, radius_m: float) -> Circle:
-    """A server whose place nobody needs to know stands at home."""
-    if server.range_m == "measured" and server.east_m is None and server.latitude_deg is None:
-        return Circle(Position(0.0, 0.0), radius_m)
+def _reach(server: ServerConfig, config: DroneConfig, radius_m: float | None) -> Reach:
+    if radius_m is None:
+        return Measured()
     return Circle(server_position(server, config.mission.home), radius_m)
 
 

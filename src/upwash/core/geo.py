@@ -111,6 +111,18 @@ class Circle:
 
 
 @dataclass(frozen=True, slots=True)
+class Measured:
+    """The reach of a server without a radio range: it may answer everywhere, and calls measure how soon."""
+
+    def contains(self, _position: Position) -> bool:
+        """True: nothing is known before a call was made there."""
+        return True
+
+
+Reach: TypeAlias = Circle | Measured  # where a server is in range
+
+
+@dataclass(frozen=True, slots=True)
 class LocalFrame:
     """Converts between places on the Earth and positions relative to `home`."""
 

@@ -9,8 +9,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, ending, geofence, measured_servers, server_areas
-from upwash.core.geo import GeoPosition, rounded
+from upwash.config import DroneConfig, ending, geofence, server_areas
+from upwash.core.geo import Circle, GeoPosition, rounded
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
@@ -36,29 +36,23 @@ from upwash.errors import (
 )
 from upwash.eventlog import schema
 from upwash.ports import (
-    ArmingDelayed,
     Autopilot,
     Camera,
     Dialer,
     Finder,
-    HomeMoved,
     InstanceSpec,
     Journal,
-    LinkChanged,
-    LinkTrouble,
     Network,
     Notifier,
-    PositionDoubted,
     Program,
     Runtime,
     VehicleNews,
-    VehicleSetting,
-    VehicleText,
 )
 from upwash.rpc.service import spec_of
 from upwash.support.background import end, start
 from upwash.support.heat import Surroundings
 
+_AT_ONCE_S = 1.0  # a person cannot have read of the reserve before
 _WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
 _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
@@ -106,9 +100,13 @@ class Flight:
         self._done = done
         self._plan = tuple(each for each in self._order.waypoints if each.index not in (done or ()))
         self._stopped: MissionStopped | None = None  # why, once it is
+        self._stopped_s = 0.0
+        self._follows = False  # a vehicle that is not the program's, to the ground
         self.has_ended = False  # so that nothing more is to be said of it
         self._stop_following = asyncio.Event()
-        self._last_words: deque[tuple[float, VehicleText]] = deque(maxlen=_WORDS_KEPT)  # with their times
+        self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(
+            maxlen=_WORDS_KEPT
+        )  # with their times
         self._onboard = _onboard_services(config, programs, ports)
         selection = make_selection(config, specs, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
@@ -167,7 +165,7 @@ class Flight:
 
     def _planned(self) -> schema.Planned:
         """What a reader of the log needs to draw the flight on a map."""
-        mission, measured = self._config.mission, measured_servers(self._config)
+        mission = self._config.mission
         home = mission.home
         order = [each.index for each in self._order.waypoints]
         places = {each.index: each.position for each in self._order.waypoints}
@@ -177,7 +175,9 @@ class Flight:
             altitudes_m=[places[index].altitude_m for index in sorted(order)],
             order=order if self._order.why else [],
             order_why=self._order.why,
-            ranges={name: area for name, area in server_areas(self._config).items() if name not in measured},
+            ranges={
+                name: area for name, area in server_areas(self._config).items() if isinstance(area, Circle)
+            },
             measured={
                 server: [schema.MeasuredRecord.of(place) for place in self.coverage.places(server)]
                 for server in self.coverage.servers
@@ -206,42 +206,34 @@ class Flight:
             round_trip_s=None if round_trip_s is None else round(round_trip_s, 4),
         )
 
-    def stop(self, why: str) -> None:
-        """Ends the mission early, in the configured action; where the vehicle is not ours, ends following it."""
-        self._end_mission(MissionStopped(why))
+    def stop(self, why: str) -> bool:
+        """End the mission early, in the configured action; end following a vehicle that is not the program's.
+
+        Return False if the mission is being ended already, so that nothing is left but to end the program at once.
+        A call in the first second after the reserve counts as made before it.
+        """
+        now_s = asyncio.get_running_loop().time()
+        if self._stopped is None or self._follows:
+            self._end_mission(MissionStopped(why))
+            return True
+        return now_s - self._stopped_s < _AT_ONCE_S
 
     def _end_mission(self, error: MissionStopped) -> None:
-        self._stopped = self._stopped or error
+        if self._stopped is None:
+            self._stopped, self._stopped_s = error, asyncio.get_running_loop().time()
         self._ports.journal.record(schema.Stopping(why=str(error)))
         self._thread.stop(str(error))
         self._stop_following.set()
 
     def _hear_vehicle(self, news: VehicleNews) -> None:
-        journal = self._ports.journal
-        match news:
-            case VehicleText(severity, text):
-                journal.record(schema.VehicleSaid(severity=severity, text=text))
-                self._last_words.append((asyncio.get_running_loop().time(), news))
-            case VehicleSetting(name, value, advice):
-                journal.record(schema.VehicleSetting(name=name, value=value, advice=advice))
-            case LinkChanged(linked, silent_s):
-                kind = schema.LinkRestored if linked else schema.LinkLost
-                journal.record(kind(silent_s=round(silent_s, 1)))
-            case PositionDoubted(jumped_m):
-                journal.record(schema.PositionDoubted(jumped_m=round(jumped_m, 1)))
-            case HomeMoved(home):
-                there = rounded(home)
-                journal.record(
-                    schema.HomeMoved(east_m=there.east_m, north_m=there.north_m, altitude_m=there.altitude_m)
-                )
-            case LinkTrouble(about, why):
-                journal.record(schema.LinkTrouble(about=about, why=why))
-            case ArmingDelayed(reasons):
-                journal.record(schema.ArmingDelayed(reasons=reasons))
-            case Control(owner, _, why):
-                journal.record(schema.ControlChanged(owner=owner, why=why))
-                if not news.is_ours:
-                    self._thread.stop(str(news))
+        if isinstance(news, Control):
+            self._ports.journal.record(schema.ControlChanged(owner=news.owner, why=news.why))
+            if not news.is_ours:
+                self._thread.stop(str(news))
+            return
+        self._ports.journal.record(news)
+        if isinstance(news, schema.VehicleSaid):
+            self._last_words.append((asyncio.get_running_loop().time(), news))
 
     async def _take_vehicle(self) -> None:
         """Refuses to begin a mission in the air, and takes up one that was broken off there."""
@@ -365,6 +357,7 @@ class Flight:
             finally:
                 self._ends = None
         if not autopilot.control.is_ours:
+            self._follows = True
             await follow(autopilot, journal, until=self._stop_following)
 
     async def _watch_battery(self) -> None:

@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Position, Reach
 from upwash.errors import NetworkError
 from upwash.support.waiting import never
 
@@ -21,7 +21,7 @@ class NetworkCell:
     `stretch` gives a factor on the duration of each join, for noise.
     """
 
-    area: Circle
+    area: Reach
     join_s: float
     is_up: Callable[[], bool] = field(default=lambda: True)
     goes_down: Callable[[], Awaitable[None]] = never

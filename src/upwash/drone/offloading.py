@@ -12,6 +12,7 @@ import traceback
 from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any, Literal, NoReturn
 
+from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Remote, Wait
@@ -59,7 +60,7 @@ class Offloading:
         self._decisions = Decisions(selection, autopilot=autopilot, journal=journal, send=self._radios.send)
         self._background = Background(
             self._decisions,
-            [server.area for server in selection.servers.values()],
+            [server.area for server in selection.servers.values() if isinstance(server.area, Circle)],
             period_s=period_s,
             autopilot=autopilot,
             journal=journal,

@@ -54,7 +54,8 @@ def wifi_of(server: ServerConfig) -> WifiSettings:
             f'server {server.name}: ns-3 cannot simulate the radio "{server.truth.radio}": '
             f"write radio = one of {', '.join(WIFI)} in [server.truth], or use --radio table"
         )
-    return settings.ending_at(true_range_m(server))
+    range_m = true_range_m(server)
+    return settings if range_m is None else settings.ending_at(range_m)
 
 
 def native_program(name: str) -> Path:

@@ -65,7 +65,8 @@ class _ShapedLink:
 
     def _goodput_bit_s(self, distance_m: float) -> float:
         server = self._link.server
-        if distance_m > true_range_m(server):
+        range_m = true_range_m(server)
+        if range_m is not None and distance_m > range_m:
             return 0.0
         if self._table is not None:
             return self._table.at(distance_m)

@@ -16,7 +16,7 @@ from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import msgspec
 
-from upwash.core.geo import Circle, GeoPosition, Position
+from upwash.core.geo import Circle, GeoPosition, Position, rounded
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import State, Trigger
 from upwash.core.operation import server_of
@@ -411,6 +411,12 @@ class HomeMoved(Event, frozen=True, kw_only=True):
     east_m: Number
     north_m: Number
     altitude_m: Number
+
+    @classmethod
+    def of(cls, home: Position) -> HomeMoved:
+        """The event of a home that is there now, to the centimetre."""
+        there = rounded(home)
+        return cls(east_m=there.east_m, north_m=there.north_m, altitude_m=there.altitude_m)
 
 
 LinkTroubleName: TypeAlias = Literal[

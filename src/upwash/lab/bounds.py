@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_truth, true_areas
+from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_places, server_truth
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.bound import Bound, FleetBound, Onward, SharedMission, bound, shared_s
@@ -175,7 +175,7 @@ def _made(
     specs = load_specs(config.services)
     operations = {str(operation): operation for operation in make_estimates(config, specs).operations}
     services = {service.name: service for service in config.services}
-    areas = true_areas(config)
+    places = server_places(config)
     ended_s, position, decided = 0.0, Position(0.0, 0.0), False
     number = 0
     for event in run.events:
@@ -193,7 +193,7 @@ def _made(
                             operation,
                             service,
                             truths[stay.server],
-                            ground_distance_m(position, areas[stay.server].centre),
+                            ground_distance_m(position, places[stay.server]),
                         ),
                         begun_s - max(ended_s, stay.from_s),
                     )

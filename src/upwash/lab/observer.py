@@ -32,7 +32,7 @@ from typing import NoReturn
 import msgspec
 
 from upwash.core.admission.clients import Client
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Circle, Position, Reach
 from upwash.core.knowledge.ranges import Ranges
 from upwash.core.operation import Operation
 from upwash.errors import UpwashError
@@ -260,11 +260,14 @@ class RangeInterval:
 
 
 async def observe(
-    autopilot: ModelAutopilot, areas: Mapping[str, Circle], stays: list[RangeInterval]
+    autopilot: ModelAutopilot, areas: Mapping[str, Reach], stays: list[RangeInterval]
 ) -> NoReturn:
     """Adds each stay as it begins, and ends it, until cancelled."""
-    wider = {name: Circle(area.centre, area.radius_m + _HAIR_M) for name, area in areas.items()}
-    ranges, circles = Ranges(wider), list(wider.values())
+    wider = {
+        name: Circle(area.centre, area.radius_m + _HAIR_M) if isinstance(area, Circle) else area
+        for name, area in areas.items()
+    }
+    ranges, circles = Ranges(wider), [area for area in wider.values() if isinstance(area, Circle)]
     begun: dict[str, int] = {}  # where in the list each stay is that has no end yet
     while True:
         now_s = asyncio.get_running_loop().time()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,13 +20,14 @@ from upwash.config import (
     frame_of,
     pace_in_numbers,
     presences,
+    server_places,
     server_truth,
     stands,
     true_areas,
     true_range_m,
     waypoints,
 )
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.coverage import Coverage
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NetworkCell, PositionNetwork
@@ -316,7 +316,7 @@ def _energy(config: DroneConfig) -> EnergyMeter | None:
 
 def _radios(
     config: DroneConfig,
-    areas: Mapping[str, Circle],
+    areas: Mapping[str, Reach],
     autopilot: ModelAutopilot,
     switchboard: Switchboard,
     faults: Faults,
@@ -329,6 +329,7 @@ def _radios(
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = ModelRadio(
         areas,
+        server_places(config),
         truths,
         config.services,
         faults=faults,
@@ -356,7 +357,7 @@ def _radios(
 
 def _truly_limited(config: DroneConfig) -> frozenset[str]:
     """The servers of which the scenario says how far they are reached."""
-    return frozenset(each.name for each in config.servers if math.isfinite(true_range_m(each)))
+    return frozenset(each.name for each in config.servers if true_range_m(each) is not None)
 
 
 def _is_reached(known: Coverage | None, limited: frozenset[str], server: str, position: Position) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 from msgspec import Struct
 
 from upwash.config import DroneConfig, waypoints
-from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.geo import Circle, Position, Reach, ground_distance_m
 from upwash.core.knowledge import coverage as measured
 from upwash.core.vehicle.way_home import ARDUCOPTER, UNKNOWN, WayHome, descent_s, time_home_s
 from upwash.lab.observer import RangeInterval
@@ -33,7 +33,7 @@ class ServerCoverage(Struct, frozen=True, kw_only=True):
 
 def coverage(
     places: Sequence[Position],
-    areas: Mapping[str, Circle],
+    areas: Mapping[str, Reach],
     intervals: Sequence[RangeInterval],
     *,
     ended_s: float,
@@ -54,15 +54,16 @@ def coverage(
 
 
 def _reach(
-    name: str, area: Circle, places: Sequence[Position], known: measured.Coverage | None
+    name: str, area: Reach, places: Sequence[Position], known: measured.Coverage | None
 ) -> dict[str, Any]:
     """Where the server is in reach: by its range, or else by what was measured."""
-    if known is None or name not in known.servers:
+    if isinstance(area, Circle):
         return {
             "range_m": area.radius_m,
             "nearest_m": min(ground_distance_m(area.centre, place) for place in places),
             "waypoints": tuple(index for index, place in enumerate(places) if area.contains(place)),
         }
+    assert known is not None  # noqa: S101 - a server without a range has a map
     found = [known.at(name, place) for place in places]
     return {
         "range_m": None,

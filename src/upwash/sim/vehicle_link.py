@@ -9,8 +9,8 @@ from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.continuity import Continuity
 from upwash.core.vehicle.control import Control, Heartbeat, Latch
 from upwash.errors import AutopilotLost
-from upwash.eventlog.schema import SEVERITIES
-from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
+from upwash.eventlog.schema import SEVERITIES, HomeMoved, PositionDoubted, VehicleSaid
+from upwash.ports import VehicleNews
 from upwash.sim.vehicle import GUIDED, ModelVehicle
 
 _HEARTBEAT_S = 1.0
@@ -62,7 +62,7 @@ class ModelVehicleLink:
     def say(self, text: str) -> None:
         """The vehicle says it in words, which it does while its motors run."""
         if self._vehicle.armed and not self.is_silent:
-            self._tell(VehicleText(_CRITICAL, text))
+            self._tell(VehicleSaid(severity=_CRITICAL, text=text))
 
     def require(self, step: str) -> None:
         """Takes in what it reports; raises AutopilotLost while its link is silent."""
@@ -85,7 +85,7 @@ class ModelVehicleLink:
             self._judge(lambda: self.latch.report_target(vehicle.target, now_s))
         if vehicle.home is not self.home:
             self.home = vehicle.home
-            self._tell(HomeMoved(vehicle.home))
+            self._tell(HomeMoved.of(vehicle.home))
 
     def take_soon(self) -> None:
         """The same at once, or in the first second after the silence of the link."""
@@ -106,7 +106,7 @@ class ModelVehicleLink:
         self._continuity.take_estimate(after, time_s=now_s, velocity=Velocity())
         doubt_m = self._continuity.doubt_m
         if self._doubted != (doubt_m > 0) and self._vehicle.armed:
-            self._tell(PositionDoubted(jumped_m=doubt_m))
+            self._tell(PositionDoubted(jumped_m=round(doubt_m, 1)))
         self._doubted = doubt_m > 0
         jumped, self.jumped = self.jumped, asyncio.Event()
         jumped.set()

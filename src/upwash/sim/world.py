@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 
 from upwash.config import NoiseConfig, ServerTruth, ServiceConfig
-from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.geo import Position, Reach, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Network
@@ -36,7 +36,8 @@ class ModelRadio:
 
     def __init__(
         self,
-        areas: Mapping[str, Circle],
+        areas: Mapping[str, Reach],
+        places: Mapping[str, Position],
         truths: Mapping[str, ServerTruth],
         services: Sequence[ServiceConfig],
         *,
@@ -46,6 +47,7 @@ class ModelRadio:
         reached: Callable[[str, Position], bool] = lambda _server, _position: True,
     ) -> None:
         self._areas = areas
+        self._places = places
         self._reached = reached  # whether a server in whose range a position is answers there too
         self._goodputs = {
             (server, service.name): goodput_of(truth, service.name)
@@ -91,7 +93,7 @@ class ModelRadio:
         if goodput is None:
             self._meter_end_to_end(server, data_bytes)
             return
-        distance_m = ground_distance_m(self._position(), self._areas[server].centre)
+        distance_m = ground_distance_m(self._position(), self._places[server])
         begun_s = asyncio.get_running_loop().time()
         try:
             await asyncio.sleep(goodput.transfer_s(data_bytes, distance_m))

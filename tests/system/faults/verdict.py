@@ -16,6 +16,7 @@ from tests.system.faults.strikes import BACK_WITHIN_S, Strike
 
 from upwash.config import DroneConfig, FaultConfig, read_drone_config, server_areas, server_truth, waypoints
 from upwash.core.admission.admission import AdmissionSettings
+from upwash.core.geo import Circle
 from upwash.core.knowledge.servers import SELECTED, State
 from upwash.eventlog import schema
 from upwash.eventlog.kept import KeptEvents
@@ -300,7 +301,8 @@ def _returned_s(flown: Flown, strike: Strike) -> float | None:
 def _not_returned(flown: Flown, strike: Strike, strikes: Iterable[Strike]) -> Iterator[str]:
     """Calls in range that the server did not answer although its link had been there again for long enough."""
     area = server_areas(flown.config)[strike.server]
-    inner = type(area)(area.centre, area.radius_m - _EDGE_M)
+    assert isinstance(area, Circle)
+    inner = Circle(area.centre, area.radius_m - _EDGE_M)
     until_s = min((each.from_s for each in strikes if each.from_s > strike.to_s), default=float("inf"))
     back_s = max(strike.back_s, _trusted_s(flown, strike) + BACK_WITHIN_S)
     for decided_s, decided, ended in _decided_and_ended(flown):

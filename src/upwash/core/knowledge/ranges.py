@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from statistics import median
 
-from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.geo import Circle, Position, Reach, ground_distance_m
 
 _MOST_SQUARES = 64  # of one area, or of one question: what reaches further is looked at each time
 _LEAST_SIDE_M = 1.0
@@ -22,14 +22,14 @@ _FEW = 4  # so many areas are sooner looked at than their squares
 class AreaIndex:
     """A grid of squares, each with the areas that reach into it. Areas are known by their numbers, from 0 on."""
 
-    def __init__(self, areas: Sequence[Circle]) -> None:
-        radii_m = [area.radius_m for area in areas if math.isfinite(area.radius_m)]
+    def __init__(self, areas: Sequence[Reach]) -> None:
+        radii_m = [area.radius_m for area in areas if isinstance(area, Circle)]
         self._side_m = max(_LEAST_SIDE_M, 2 * median(radii_m)) if radii_m else _LEAST_SIDE_M
         self._all = list(range(len(areas)))
         self._wide: list[int] = []  # areas that reach into too many squares
         self._in_square: dict[tuple[int, int], list[int]] = defaultdict(list)
         for number, area in enumerate(areas):
-            squares = self._squares(area.centre, area.radius_m)
+            squares = self._squares(area.centre, area.radius_m) if isinstance(area, Circle) else None
             if squares is None:
                 self._wide.append(number)
             else:
@@ -48,7 +48,7 @@ class AreaIndex:
 
     def _squares(self, centre: Position, radius_m: float) -> list[tuple[int, int]] | None:
         """The squares around a circle; None where they are too many."""
-        if not math.isfinite(radius_m) or (2 * radius_m / self._side_m + 2) ** 2 > _MOST_SQUARES:
+        if (2 * radius_m / self._side_m + 2) ** 2 > _MOST_SQUARES:
             return None
         east, north = self._steps(centre.east_m, radius_m), self._steps(centre.north_m, radius_m)
         return [(one, other) for one in east for other in north]
@@ -65,7 +65,7 @@ _ROUNDING_M = 1e-6  # many small steps add up to a little more or less than the 
 class Ranges:
     """Follows one drone through the areas; before the first position it is in none of them."""
 
-    def __init__(self, areas: Mapping[str, Circle]) -> None:
+    def __init__(self, areas: Mapping[str, Reach]) -> None:
         self._areas = areas
         self._inside: set[str] = set()
         self._position: Position | None = None
@@ -92,8 +92,12 @@ class Ranges:
     def _look(self, name: str, position: Position) -> bool:
         """Looks at one area; whether its border was crossed since it was last looked at."""
         area = self._areas[name]
-        beyond_border_m = ground_distance_m(area.centre, position) - area.radius_m
-        heapq.heappush(self._due, (self._travelled_m + abs(beyond_border_m) - _ROUNDING_M, name))
+        to_border_m = (
+            abs(ground_distance_m(area.centre, position) - area.radius_m)
+            if isinstance(area, Circle)
+            else math.inf
+        )
+        heapq.heappush(self._due, (self._travelled_m + to_border_m - _ROUNDING_M, name))
         is_inside, was_inside = area.contains(position), name in self._inside
         if is_inside != was_inside:
             self._inside ^= {name}

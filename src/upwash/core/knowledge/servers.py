@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.ranges import Ranges
 from upwash.errors import TransitionError
 
@@ -103,7 +103,7 @@ class Server:
     """One entry of the server table."""
 
     name: str
-    area: Circle
+    area: Reach
     state: State = State.AVL
     since_s: float = 0.0  # when the state was entered
     check: int = 0  # the number of the latest check of it
@@ -177,7 +177,7 @@ class Server:
 class ServerTable:
     """One entry for each server, in the order of the configuration."""
 
-    def __init__(self, areas: Mapping[str, Circle], *, idle_s: float) -> None:
+    def __init__(self, areas: Mapping[str, Reach], *, idle_s: float) -> None:
         self.servers = {name: Server(name, area) for name, area in areas.items()}
         self.in_range: Sequence[Server] = ()
         self._met: Sequence[Server] = ()  # all that are not AVL: hundreds that were never met cost nothing

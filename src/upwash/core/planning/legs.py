@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from upwash.core.geo import Circle, Position, distance_m
+from upwash.core.geo import Circle, Position, Reach, distance_m
 
 _LEAST_M_S2, _MOST_M_S2 = 0.05, 50.0  # what is slower or more agile was held up, or has hardly moved
 
@@ -93,7 +93,7 @@ def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: floa
     return value_m_s2 if _LEAST_M_S2 <= value_m_s2 <= _MOST_M_S2 else None
 
 
-def left_m(start: Position, end: Position, circle: Circle) -> float | None:
+def left_m(start: Position, end: Position, circle: Reach) -> float | None:
     """How far from its start a straight way that begins in the circle leaves it; None if it ends inside."""
     if circle.contains(end):
         return None
@@ -101,11 +101,11 @@ def left_m(start: Position, end: Position, circle: Circle) -> float | None:
     return 0.0 if back_m is None else distance_m(start, end) - back_m
 
 
-def entered_m(start: Position, end: Position, circle: Circle) -> float | None:
+def entered_m(start: Position, end: Position, circle: Reach) -> float | None:
     """How far from its start a straight way that ends in the circle enters it; None if it ends outside."""
     if not circle.contains(end):
         return None
-    if circle.contains(start):
+    if not isinstance(circle, Circle) or circle.contains(start):
         return 0.0
     to_start = (start.east_m - end.east_m, start.north_m - end.north_m)
     to_centre = (circle.centre.east_m - end.east_m, circle.centre.north_m - end.north_m)

@@ -15,7 +15,7 @@ from statistics import fmean
 
 import msgspec
 
-from upwash.core.geo import Circle, Position, Waypoint, distance_m
+from upwash.core.geo import Position, Reach, Waypoint, distance_m
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
@@ -106,7 +106,7 @@ class MissionModel:
     """Follows one mission over its legs and calls, and says what comes next."""
 
     def __init__(
-        self, beliefs: MissionBeliefs, areas: Mapping[str, Circle], index: AreaIndex | None = None
+        self, beliefs: MissionBeliefs, areas: Mapping[str, Reach], index: AreaIndex | None = None
     ) -> None:
         self._plan = beliefs.plan
         self._areas = list(areas.items())

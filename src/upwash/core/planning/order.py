@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
+from upwash.core.geo import Position, Reach, Waypoint, ground_distance_m
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Server
 from upwash.core.planning.forecast import make_forecast
@@ -134,7 +134,7 @@ class Forecaster:
 
     beliefs: MissionBeliefs
     estimates: Estimates
-    areas: Mapping[str, Circle]
+    areas: Mapping[str, Reach]
     gain_wait: float
     stands: Position
     home_s: Callable[[Position], float]

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 from msgspec import structs
 
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import Pace
@@ -108,7 +108,7 @@ class Timetable:
         self,
         planning: ServerPlanning,
         beliefs: MissionBeliefs,
-        areas: Mapping[str, Circle],
+        areas: Mapping[str, Reach],
         index: AreaIndex,
         *,
         takeoff_m: float,

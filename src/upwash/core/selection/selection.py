@@ -22,7 +22,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.ranges import AreaIndex
@@ -95,7 +95,7 @@ class Selection:
 
     def __init__(
         self,
-        areas: Mapping[str, Circle],
+        areas: Mapping[str, Reach],
         *,
         estimates: Estimates,
         policy: Policy,

@@ -23,7 +23,7 @@ _HEIGHT_IN = 3.8
 def draw_coverage(config: DroneConfig, files: Iterable[Path], *, title: str = "") -> None:
     """Draws the map of the mission as it is flown."""
     places = [each.position for each in order_of(config, load_specs(config.services)).waypoints]
-    areas = {name: area for name, area in server_areas(config).items() if math.isfinite(area.radius_m)}
+    areas = {name: area for name, area in server_areas(config).items() if isinstance(area, Circle)}
     figure = new_figure(COLUMN_IN, _HEIGHT_IN)
     axes = figure.subplots()
     for start, end in _straights(places):

@@ -28,17 +28,21 @@ def on_signal(number: signal.Signals, do: Callable[[], None]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def stopping_politely(stop: Callable[[str], None]) -> Iterator[None]:
-    """The first SIGINT or SIGTERM calls `stop` with its name; the second cancels the running task."""
+def stopping_politely(stop: Callable[[str], bool | None]) -> Iterator[None]:
+    """The first SIGINT or SIGTERM calls `stop`, and the second cancels what runs.
+
+    If `stop` returns False, what runs is being stopped already, and the first signal cancels it.
+    """
     loop = asyncio.get_running_loop()
     running = asyncio.current_task()
     asked_s: list[float] = []
 
     def ask(name: str) -> None:
         now_s = loop.time()
+        is_over = bool(asked_s) and now_s - asked_s[0] > _SECOND_SIGNAL_S
         if not asked_s:
-            stop(name)
-        elif now_s - asked_s[0] > _SECOND_SIGNAL_S and running is not None:
+            is_over = stop(name) is False
+        if is_over and running is not None:
             running.cancel()
         asked_s.append(now_s)
 

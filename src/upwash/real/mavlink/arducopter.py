@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import Position, ahead, distance_m
 from upwash.core.vehicle.way_home import ARDUCOPTER as ARDUCOPTER_WAY_HOME
 from upwash.errors import AutopilotRefused
+from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.version import Version
-from upwash.ports import DeadMan, VehicleLimits, VehicleSetting
+from upwash.ports import DeadMan, VehicleLimits
 from upwash.real.mavlink.autopilot import MavlinkAutopilot
 from upwash.real.mavlink.dead_man import LuaDeadMan
 from upwash.real.mavlink.fence import ARDUCOPTER_FENCE, arducopter_limits
@@ -142,7 +143,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
                 "the vehicle changes its own targets to fly round obstacles, so upwash cannot see that a ground "
                 "station sends it elsewhere: have the pilot change the mode instead"
             )
-            self.vehicle.tell(VehicleSetting(_AVOIDANCE, avoids, advice))
+            self.vehicle.tell(VehicleSetting(name=_AVOIDANCE, value=avoids, advice=advice))
         return await arducopter_limits(self.vehicle, self._frame, limits, parameters)
 
     async def _prepare_arming(self) -> None:

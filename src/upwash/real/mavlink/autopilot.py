@@ -30,7 +30,8 @@ from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.errors import AutopilotRefused, UsageError
-from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews
+from upwash.eventlog.schema import ArmingDelayed
+from upwash.ports import DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
 from upwash.real.mavlink.needs import require_version
 from upwash.real.mavlink.observed import Patience
@@ -290,7 +291,7 @@ class MavlinkAutopilot(ABC):
         reasons = reasons or self._delayed_by or ()
         if reasons != self._delayed_by:
             self._delayed_by = reasons
-            self.vehicle.tell(ArmingDelayed(reasons))
+            self.vehicle.tell(ArmingDelayed(reasons=reasons))
 
     def _not_ready(self, reasons: tuple[str, ...]) -> AutopilotRefused:
         own = self._own_reasons()

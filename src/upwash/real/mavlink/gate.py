@@ -17,8 +17,7 @@ from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.eventlog.schema import LinkTroubleName
-from upwash.ports import LinkTrouble
+from upwash.eventlog.schema import LinkTrouble, LinkTroubleName
 from upwash.real.mavlink.receiver import Message
 
 _log = logging.getLogger("upwash.mavlink")
@@ -37,7 +36,7 @@ class Troubles:
         times = self._times[about, what]
         tells = str(times).rstrip("0") == "1"
         if tells:
-            self._tell(LinkTrouble(about, why if times == 1 else f"{why}; so far {times} times"))
+            self._tell(LinkTrouble(about=about, why=why if times == 1 else f"{why}; so far {times} times"))
         return tells
 
     def spare(self, message: Message, step: Callable[[], object]) -> bool:

@@ -20,10 +20,9 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotError, AutopilotNotHeard
-from upwash.eventlog.schema import LinkTroubleName
+from upwash.eventlog.schema import LinkTrouble, LinkTroubleName
 from upwash.mavlink.names import name_of
 from upwash.mavlink.signing import Refusal
-from upwash.ports import LinkTrouble
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.numbering import Twins
 from upwash.real.mavlink.receiver import Message, from_autopilot
@@ -215,7 +214,7 @@ class Identity:
     def _tell_once(self, kind: LinkTroubleName, why: str) -> None:
         if kind not in self._told:
             self._told.add(kind)
-            self._tell(LinkTrouble(kind, why))
+            self._tell(LinkTrouble(about=kind, why=why))
 
 
 def _is_booting(message: Message) -> bool:

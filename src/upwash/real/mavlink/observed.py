@@ -20,8 +20,16 @@ from upwash.core.admission.limits import Allowance
 from upwash.core.geo import Position
 from upwash.core.vehicle.control import Heartbeat, Latch
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
+from upwash.eventlog.schema import (
+    HomeMoved,
+    LinkLost,
+    LinkRestored,
+    LinkTrouble,
+    PositionDoubted,
+    VehicleSaid,
+)
 from upwash.mavlink.signing import Signing
-from upwash.ports import HomeMoved, LinkChanged, LinkTrouble, PositionDoubted, VehicleNews, VehicleText
+from upwash.ports import VehicleNews
 from upwash.real.mavlink.gate import Troubles, admits
 from upwash.real.mavlink.identity import AutopilotInfo, Identity, first_heartbeat, sender_of
 from upwash.real.mavlink.link import MavlinkLink, Opener
@@ -47,7 +55,7 @@ _SIGNS = (
     "remove the key from the vehicle with a ground station"
 )
 _NEWS_KEPT = 1000  # until there is a listener
-_UNBOUNDED = VehicleText, HomeMoved, PositionDoubted  # a vehicle, or a forger, may send these without end
+_UNBOUNDED = VehicleSaid, HomeMoved, PositionDoubted  # a vehicle, or a forger, may send these without end
 _UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
 
 
@@ -256,7 +264,9 @@ class ObservedVehicle:
         """Repeats the work after a defect, with a warning: a vehicle that hears nothing may end the flight."""
 
         def tell(defect: Exception) -> None:
-            self.tell(LinkTrouble("defect", f"a defect of upwash: {type(defect).__name__}: {defect}"))
+            self.tell(
+                LinkTrouble(about="defect", why=f"a defect of upwash: {type(defect).__name__}: {defect}")
+            )
 
         kept = kept_up(work, name="the vehicle's link", pause_s=_HEARTBEAT_S, failed=tell)
         return start(kept, name="the vehicle's link", failed=only_logged)
@@ -451,10 +461,10 @@ class ObservedVehicle:
             await self._news.wait()
         while True:
             await self.link_lost()
-            self.tell(LinkChanged(linked=False, silent_s=self.silent_s))
+            self.tell(LinkLost(silent_s=round(self.silent_s, 1)))
             since_s = self._last_heard_s
             await self.link_restored()
-            self.tell(LinkChanged(linked=True, silent_s=self._last_heard_s - since_s))
+            self.tell(LinkRestored(silent_s=round(self._last_heard_s - since_s, 1)))
 
     def _look_at_reports(self) -> None:
         """Asks for missing reports, and tells of sequence numbers that do not count up."""
@@ -465,4 +475,4 @@ class ObservedVehicle:
         self._streams.look(self.firmware, self._loop.time(), linked=self.linked, received_share=share)
         if numbering.wrong_times >= _WRONG_TIMES and not self._told_numbers:
             self._told_numbers = True
-            self.tell(LinkTrouble("numbers", _NUMBERS_PROBLEM))
+            self.tell(LinkTrouble(about="numbers", why=_NUMBERS_PROBLEM))

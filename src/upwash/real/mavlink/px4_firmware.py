@@ -11,9 +11,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.eventlog.schema import VehicleSaid
 from upwash.mavlink.px4 import CURRENT_MODE, EVENTS, Mode, event_text
 from upwash.mavlink.version import Version
-from upwash.ports import VehicleText
 from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.telemetry import STREAMS_HZ, FirmwareProfile, VehicleTelemetry
 
@@ -131,7 +131,7 @@ def _concerns(modes: int, mode: int | None) -> bool:
 
 def _hear(telemetry: VehicleTelemetry, severity: int, text: str, now_s: float) -> None:
     if severity <= mavlink.MAV_SEVERITY_DEBUG:  # what is less severe is for programs
-        telemetry.hear_text(VehicleText(severity, text), now_s)
+        telemetry.hear_text(VehicleSaid(severity=severity, text=text), now_s)
 
 
 def words_of(number: int) -> str:

@@ -15,8 +15,7 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.eventlog.schema import LinkTroubleName
-from upwash.ports import LinkTrouble
+from upwash.eventlog.schema import LinkTrouble, LinkTroubleName
 from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.telemetry import FirmwareProfile
 
@@ -216,7 +215,7 @@ class Streams:
     def _tell_once(self, kind: LinkTroubleName, why: str) -> None:
         if kind not in self._told:
             self._told.add(kind)
-            self._tell(LinkTrouble(kind, why))
+            self._tell(LinkTrouble(about=kind, why=why))
 
 
 def _fewest(wanted: float, received_share: float) -> float:

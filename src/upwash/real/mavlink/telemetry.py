@@ -11,9 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Velocity
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix
-from upwash.eventlog.schema import SEVERITIES
+from upwash.eventlog.schema import SEVERITIES, VehicleSaid
 from upwash.mavlink.version import Version
-from upwash.ports import VehicleText
 from upwash.real.mavlink.gate import RANGES, Ranges
 from upwash.real.mavlink.link import COMPANION
 from upwash.real.mavlink.receiver import Message
@@ -109,7 +108,7 @@ class VehicleTelemetry:
     remote: RemoteControl = field(default_factory=RemoteControl)
     dead_man: str = ""  # why its dead man may just have chosen the mode
     unix_s: float | None = None
-    texts: deque[tuple[float, VehicleText]] = field(default_factory=lambda: deque(maxlen=_TEXTS_KEPT))
+    texts: deque[tuple[float, VehicleSaid]] = field(default_factory=lambda: deque(maxlen=_TEXTS_KEPT))
     texts_heard: int = 0
     answers: dict[int, int] = field(default_factory=dict)  # MAV_RESULT by MAV_CMD
     _dead_man_s: float = -math.inf
@@ -139,7 +138,9 @@ class VehicleTelemetry:
                 if self.in_the_air:
                     self.airborne_s = now_s
             case "STATUSTEXT" if text := self._whole_text(message):
-                self.hear_text(VehicleText(min(message.severity, _DEBUG), printable(text)), now_s)
+                self.hear_text(
+                    VehicleSaid(severity=min(message.severity, _DEBUG), text=printable(text)), now_s
+                )
             case "COMMAND_ACK" if message.target_component in (0, COMPANION):
                 self.answers[message.command] = message.result
             case _:
@@ -178,7 +179,7 @@ class VehicleTelemetry:
             case "WIND_COV":
                 self.wind = Velocity(message.wind_y, message.wind_x)
 
-    def hear_text(self, text: VehicleText, now_s: float) -> None:
+    def hear_text(self, text: VehicleSaid, now_s: float) -> None:
         """Remembers a text of the vehicle."""
         self.texts.append((now_s, text))
         self.texts_heard += 1
