@@ -218,7 +218,7 @@ def has_failed(call: asyncio.Task[Any]) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class CallResult:
+class CallAnswer:
     """What one call came to; the fields are those of the event `schema.Call`."""
 
     reply: Any
@@ -267,7 +267,7 @@ class Racing:
         self._hedging = hedging
         self._losers: list[_Loser] = []
 
-    async def answer(self, decision: Decision, call: Invocation) -> CallResult:
+    async def answer(self, decision: Decision, call: Invocation) -> CallAnswer:
         """The answer to a call that runs where the decision says, or on the drone when that fails."""
         local_s = self._decisions.estimates.local_s(call.operation)
         if self._hedging is not None and local_s is not None:
@@ -281,7 +281,7 @@ class Racing:
         attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
         reply = await self._calling.at_server(attempt)
         if reply is not None:
-            return CallResult(reply, call, attempt)
+            return CallAnswer(reply, call, attempt)
         return await self._fall_back(call, attempt)
 
     async def queue(self, service: str) -> float:
@@ -304,7 +304,7 @@ class Racing:
             return None
         return self._hedging.plan(decision.server, operation, local_s=local_s, deadline_s=decision.deadline_s)
 
-    async def _answer_hedged(self, decision: Remote, hedge: Hedge, call: Invocation) -> CallResult:
+    async def _answer_hedged(self, decision: Remote, hedge: Hedge, call: Invocation) -> CallAnswer:
         attempt = self._begin_at_server(call, replace(decision, deadline_s=hedge.deadline_s))
         remote = attempt.reply
         assert remote is not None  # noqa: S101 - it was just begun
@@ -317,7 +317,7 @@ class Racing:
             raise
         if remote.done():
             if (reply := remote.result()) is not None:
-                return CallResult(reply, call, attempt)
+                return CallAnswer(reply, call, attempt)
             return await self._fall_back(call, attempt)
         self._journal.record(
             schema.Hedged(
@@ -335,7 +335,7 @@ class Racing:
 
     # --- the race -------------------------------------------------------------------------------------------
 
-    async def _fall_back(self, call: Invocation, attempt: Attempt) -> CallResult:
+    async def _fall_back(self, call: Invocation, attempt: Attempt) -> CallAnswer:
         """Has the drone compute a call that the server has not answered.
 
         What the server says that the service raised is tested by the same call, which is not made lighter.
@@ -344,11 +344,11 @@ class Racing:
             call = call.lighter(self._decisions.fall_back(call.operation))
         return await self._answer_onboard(call, instead_of=attempt)
 
-    async def _answer_onboard(self, call: Invocation, *, instead_of: Attempt | None = None) -> CallResult:
+    async def _answer_onboard(self, call: Invocation, *, instead_of: Attempt | None = None) -> CallAnswer:
         """Has the drone compute the call, and each server that is of use before the drone is done."""
         return await self._race(call, self._begin_onboard(call), instead_of)
 
-    async def _race(self, call: Invocation, computing: _Computing, attempt: Attempt | None) -> CallResult:
+    async def _race(self, call: Invocation, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
         """The first answer of the drone's own service and of servers.
 
         `attempt` is the last one at a server, which is over, or under way where it has a `reply`.
@@ -401,7 +401,7 @@ class Racing:
             await self._decisions.until_told(computing.task, until_s=again_s)
         return None
 
-    def _done_onboard(self, reply: Any, computing: _Computing, attempt: Attempt | None) -> CallResult:
+    def _done_onboard(self, reply: Any, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
         """The drone's own answer, which was first; `attempt` is the last one at a server, if any was made."""
         began_s = computing.asked_s if computing.began_s is None else computing.began_s
         delay_s = now_s() - began_s
@@ -411,7 +411,7 @@ class Racing:
             if late and attempt.reply is not None:
                 self._keep(_Loser(attempt.reply))
         self._decisions.tell(LocalCallEnded(computing.call.operation, delay_s))
-        return CallResult(
+        return CallAnswer(
             reply,
             computing.call,
             onboard_s=delay_s,
@@ -420,7 +420,7 @@ class Racing:
             remote_fault=attempt.verdict if attempt is not None else "",
         )
 
-    def _won(self, attempt: Attempt, computing: _Computing) -> CallResult:
+    def _won(self, attempt: Attempt, computing: _Computing) -> CallAnswer:
         """The server's answer, which was first."""
         assert attempt.reply is not None  # noqa: S101 - it has answered
         ended_s, call = now_s(), computing.call
@@ -430,7 +430,7 @@ class Racing:
         else:
             drop = begin(self._drop(call.operation, computing.task))
             self._keep(_Loser(drop, call.operation.service))
-        return CallResult(
+        return CallAnswer(
             attempt.reply.result(), call, attempt, ended_s - began_s, queued_s=began_s - computing.asked_s
         )
 

@@ -19,7 +19,7 @@ from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.events import Event, NoMoreCalls
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
-from upwash.drone.calling import Calling, CallResult, Invocation, Racing
+from upwash.drone.calling import Calling, CallAnswer, Invocation, Racing
 from upwash.drone.decisions import Background, Decisions, now_s
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.radios import RadioWorkers
@@ -168,7 +168,7 @@ class Offloading:
         return reply
 
 
-def _lost(answer: CallResult) -> str:
+def _lost(answer: CallAnswer) -> str:
     """Why a call that was sent to a server was answered on the drone."""
     if answer.remote_fault:
         return f"it raised there, which was {answer.remote_fault}"
