@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
+import os
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -130,6 +131,12 @@ def warn_of_plans(config: DroneConfig) -> None:
     """Print to standard error what of the plans is flown differently, or not at all."""
     for notice in plan_notices(config):
         sys.stderr.write(f"upwash: notice: {notice}\n")
+
+
+def require_linux(command: str) -> None:
+    """Raise UsageError on a system that lacks Linux's calls."""
+    if not hasattr(os, "memfd_create"):
+        raise UsageError(f"upwash {command} needs Linux: run it on a Linux computer or virtual machine")
 
 
 def new_run_folder() -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from upwash.cli.arguments import add_folder, add_live, add_policy, count, new_run_folder
+from upwash.cli.arguments import add_folder, add_live, add_policy, count, new_run_folder, require_linux
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of
 from upwash.support.loading import extra
@@ -38,6 +38,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Fly the demonstration; true where every flight was completed."""
+    require_linux("demo")
     with extra("detector"):
         from upwash.cli.demonstration import fly_demonstration, read_demonstration
     config = read_demonstration(policy=options.policy, stay_or_go=options.stay_or_go)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from upwash.cli.arguments import add_folder, count, new_run_folder
+from upwash.cli.arguments import add_folder, count, new_run_folder, require_linux
 from upwash.emulation.enclosure import clean, require_root_and_tools
 from upwash.emulation.request import EmulationRequest
 from upwash.errors import UsageError
@@ -41,6 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Emulate; true where every flight was completed, and measured well enough."""
+    require_linux("emulate")
     with extra("emulation"):
         import tomli_w  # noqa: F401 - asked here, as the emulation itself is another process
     from upwash.emulation.run import run_emulation

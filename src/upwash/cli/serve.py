@@ -8,7 +8,7 @@ import logging
 import os
 import resource
 
-from upwash.cli.arguments import add_config, announce
+from upwash.cli.arguments import add_config, announce, require_linux
 from upwash.config import DaemonConfig, read_daemon_config
 from upwash.launch.daemon import serve
 from upwash.real.host.log import log_json, log_text
@@ -29,6 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Serve until a signal ends it."""
+    require_linux("serve")
     before = handed_over(os.environ)
     service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances do not report to the service manager
     keep_heaps_few()
