@@ -33,7 +33,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import Program
 from upwash.real.camera.camera import FolderCamera
-from upwash.real.host.journal import FileJournal, JournalNotifier
+from upwash.real.host.journal import FileJournal
 from upwash.real.instances.runtime import OwnProcesses
 from upwash.real.link.link import CHANNEL_OPTIONS, GrpcDialer
 from upwash.real.trust.credentials import Credentials, read_credentials
@@ -118,7 +118,7 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
             onboard_dialer=own,
             onboard_runtime=own,
             camera=FolderCamera(folder, photo_s=0.0),
-            notifier=JournalNotifier(journal),
+            notifier=journal,
             journal=journal,
         )
         programs = {name: Program(f"{cls.__module__}:{cls.__name__}") for name, cls in SERVICES.items()}

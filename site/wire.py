@@ -9,7 +9,7 @@ import msgspec
 
 from upwash.real.instances.foreign import Answer, Call, Settings
 from upwash.real.link.direct import frame
-from upwash.rpc.service import Fault, spec_of
+from upwash.rpc.service import ServiceFault, spec_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "other-languages.md"
@@ -24,7 +24,7 @@ def vectors() -> list[tuple[str, bytes]]:
     _, asked = method.encode((PHOTO,), {})
     _, nothing = method.encode((b"",), {})
     value = msgspec.msgpack.encode(example["Detail"]().measure(PHOTO))
-    fault = Fault("builtins:ValueError", "the photo is empty")
+    fault = ServiceFault("builtins:ValueError", "the photo is empty")
     return [
         ("instance", frame(Settings({"blank_below": 0.5}))),
         ("program", frame(Answer(0, msgspec.Raw(msgspec.msgpack.encode(None))))),

@@ -57,7 +57,7 @@ from upwash.rpc.protocol import (
     decode_reply,
     decode_request,
 )
-from upwash.rpc.service import Fault, service, spec_of
+from upwash.rpc.service import ServiceFault, service, spec_of
 from upwash.services import Detector
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
@@ -420,7 +420,7 @@ def decoders() -> Mapping[str, Decoder]:
             (),
             (
                 frame(Answer(1, msgspec.Raw(msgspec.msgpack.encode([1, {"a": 2.5}])))),
-                msgspec.msgpack.encode(Answer(2, fault=Fault("builtins:ValueError", "no"))),
+                msgspec.msgpack.encode(Answer(2, fault=ServiceFault("builtins:ValueError", "no"))),
             ),
         ),
         "frames of HTTP/2": Decoder(

@@ -15,7 +15,7 @@ import pytest
 
 from upwash.core.admission.clients import Client
 from upwash.real.link import proxy
-from upwash.real.link.proxy import GivenSocket, GrpcSocket, SocketProxy, announcing_at, take
+from upwash.real.link.proxy import GivenSocket, GrpcSocket, announcing_at, open_proxy, take
 from upwash.real.link.streams import listening_socket
 
 SILENT = 200
@@ -38,7 +38,7 @@ def test_connections_that_say_nothing_keep_nobody_out(tmp_path: Path) -> None:
         inside.listen(SILENT + 1)
         threading.Thread(target=echo, args=(inside,), daemon=True).start()
         outside = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=SILENT + 1))
-        SocketProxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=False).open()
+        open_proxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=False)
         for _ in range(SILENT):
             stack.enter_context(socket.create_connection(outside.getsockname()))
         honest = stack.enter_context(socket.create_connection(outside.getsockname(), timeout=10.0))
@@ -49,7 +49,7 @@ def test_connections_that_say_nothing_keep_nobody_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize("said", [b"heron\n", b"x" * 100_000], ids=["no client", "no line"])
 def test_who_announces_nobody_is_hung_up_on(tmp_path: Path, said: bytes) -> None:
     outside = listening_socket(f"unix:{tmp_path}/outside")
-    SocketProxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=True).open()
+    open_proxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=True)
     with socket.socket(socket.AF_UNIX) as stranger:
         stranger.settimeout(10.0)
         stranger.connect(outside.getsockname())
@@ -69,7 +69,7 @@ def test_all_that_was_said_before_it_hung_up_arrives(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as inside, socket.create_server(("127.0.0.1", 0)) as outside:
         inside.bind(str(tmp_path / "inside"))
         inside.listen()
-        SocketProxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=False).open()
+        open_proxy(outside, GrpcSocket(str(tmp_path / "inside")), is_announced=False)
         with socket.create_connection(outside.getsockname(), timeout=10.0) as caller:
             speaking = threading.Thread(target=speak, args=inside.accept()[:1])
             speaking.start()
@@ -176,5 +176,5 @@ def test_a_client_is_known_by_the_connection_that_it_is_given_until_it_hangs_up(
     with socket.socket(socket.AF_UNIX) as served:
         served.bind(inside.path)
         served.listen()
-        SocketProxy(listening_socket(f"unix:{tmp_path}/outside"), inside, is_announced=True).open()
+        open_proxy(listening_socket(f"unix:{tmp_path}/outside"), inside, is_announced=True)
         asyncio.run(call())

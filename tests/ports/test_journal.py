@@ -22,7 +22,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.schema import Event, SetOff
 from upwash.real.host import journal as journal_module
-from upwash.real.host.journal import FileJournal, JournalNotifier, Unwritten, read_events
+from upwash.real.host.journal import FileJournal, Unwritten, read_events
 
 
 class Found(msgspec.Struct):
@@ -403,7 +403,7 @@ def test_the_user_is_told_through_the_log(tmp_path: Path) -> None:
 
     async def use() -> None:
         with closing(FileJournal(tmp_path / "log")) as journal:
-            await JournalNotifier(journal).notify(found, Position(1.0, 2.0, 3.0))
+            await journal.notify(found, Position(1.0, 2.0, 3.0))
 
     asyncio.run(use())
     told = events(tmp_path / "log")[-1]

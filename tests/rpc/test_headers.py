@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.rpc.headers import MOST_DEPTH, MOST_TEXT_BYTES, too_much
+from upwash.rpc.wire import MOST_DEPTH, MOST_TEXT_BYTES, too_much
 
 ENOUGH = 10**6
 LEAVES = (

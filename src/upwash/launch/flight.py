@@ -35,7 +35,7 @@ from upwash.real.host.clock import (
     keep_right_from_services,
     problem_by,
 )
-from upwash.real.host.journal import FileJournal, JournalNotifier, Unwritten, Watcher, read_events
+from upwash.real.host.journal import FileJournal, Unwritten, Watcher, read_events
 from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
 from upwash.real.trust.credentials import Credentials
@@ -178,7 +178,7 @@ async def _ports(
         onboard_dialer=own,
         onboard_runtime=own,
         camera=camera,
-        notifier=JournalNotifier(journal),
+        notifier=journal,
         journal=journal,
         finder=server_finder(config),
     )

@@ -2,7 +2,7 @@
 
 `NDArray[np.float32]`, or `np.ndarray[tuple[int, Literal[3]], np.dtype[np.uint8]]` where the dimensions count too. An
 array is sent as a map of `dtype` (numpy's, little-endian), `shape` and `data` (its bytes, the last index fastest).
-Nothing of it is executed: what does not fit the hint is refused. Only services that use numpy need it.
+What does not fit the hint is refused. Only services that use numpy need numpy.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _MOST_DIMENSIONS = 64  # numpy's own; the product of many sizes takes hours
 
 @dataclass(frozen=True, slots=True)
 class ArrayHint:
-    """What a type hint says of an array: its dtype, and of each dimension the size, or None for any."""
+    """The type hint of an array: its dtype, and the size of each dimension, or None for any."""
 
     dtype: Any
     shape: tuple[int | None, ...] | None  # None: any number of dimensions
 
     def fits(self, shape: tuple[int, ...]) -> bool:
-        """Whether an array of that shape is meant."""
+        """Whether the hint allows that shape."""
         return self.shape is None or (
             len(shape) == len(self.shape)
             and all(size in (None, given) for size, given in zip(self.shape, shape, strict=True))
@@ -55,7 +55,7 @@ def require_arrays(hint: Any, what: str, seen: set[Any] | None = None) -> None:
         seen.add(hint)
         try:
             inner += typing.get_type_hints(hint).values()
-        except (NameError, TypeError):  # a class that others judge
+        except (NameError, TypeError):  # `require_plain` judges such a class
             return
     for part in inner:
         require_arrays(part, what, seen)
@@ -86,7 +86,7 @@ def _size(hint: Any) -> int | None:
 
 
 def to_wire(value: Any) -> Any:
-    """What is sent of an array, or of one of numpy's numbers; raises TypeError for anything else."""
+    """An array, or a number of numpy's, as plain values; raises TypeError for any other type."""
     numpy = sys.modules.get("numpy")
     if numpy is not None and isinstance(value, numpy.ndarray):
         whole = numpy.ascontiguousarray(value, value.dtype.newbyteorder("<"))
@@ -101,7 +101,7 @@ def to_wire(value: Any) -> Any:
 
 
 def from_wire(hint: Any, sent: Any) -> Any:
-    """The array, its own copy; raises ValueError for what does not fit the type hint."""
+    """A copy of the array that was sent; raises ValueError where it does not fit the type hint."""
     import numpy as np
 
     meant = array_hint(hint)

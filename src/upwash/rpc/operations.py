@@ -1,4 +1,4 @@
-"""Which functions of a class are the operations of its service. What looks like one and cannot be one is refused."""
+"""Which functions of a class are the operations of its service; an attribute that only looks like one is refused."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ def operations_of(cls: type) -> dict[str, Callable[..., Any]]:
     """The public methods of a class, inherited ones too, by name.
 
     Raises DeclarationError where there is none, and for a public attribute that callers would miss: a property, a
-    static method, an object that can be called, what a decorator made of a method, `__call__`.
+    static method, another callable object, `__call__`.
     """
     if any("__call__" in vars(base) for base in cls.__mro__):
         raise DeclarationError(f"service {cls.__name__}: give __call__ a name without underscores")
     found = {name: inspect.getattr_static(cls, name) for name in dir(cls) if not name.startswith("_")}
-    methods = {name: each for name, each in found.items() if not _is_data(each)}
-    for name, each in methods.items():
-        if why := _why_not(name, each):
+    methods = {name: attribute for name, attribute in found.items() if not _is_data(attribute)}
+    for name, method in methods.items():
+        if why := _why_not(name, method):
             raise DeclarationError(f"service {cls.__name__}, method {name}: {why}")
     if not methods:
         raise DeclarationError(f"service {cls.__name__} has no public method to call")
@@ -30,14 +30,14 @@ def operations_of(cls: type) -> dict[str, Callable[..., Any]]:
 
 
 def _is_data(attribute: object) -> bool:
-    """Whether nobody would call it: a constant, a class or type hint, the place of an attribute in `__slots__`."""
+    """Whether it is not for calls: a constant, a class or type hint, the place of an attribute in `__slots__`."""
     if isinstance(attribute, type) or get_origin(attribute) or inspect.ismemberdescriptor(attribute):
         return True
     return not callable(attribute) and not hasattr(type(attribute), "__get__")
 
 
 def _why_not(name: str, attribute: Any) -> str:
-    """Why an attribute cannot be called from afar, and what to do; empty where it can."""
+    """Why an attribute cannot be an operation, with the remedy; "" where it can."""
     if not inspect.isfunction(attribute):
         return f"declare it as a plain method, with self, not as a {type(attribute).__name__}, {_HIDE}"
     if inspect.iscoroutinefunction(attribute):
@@ -54,7 +54,7 @@ def _why_not(name: str, attribute: Any) -> str:
     if first is None or first.kind not in (first.POSITIONAL_ONLY, first.POSITIONAL_OR_KEYWORD):
         return "its first parameter must be self"
     if hasattr(attribute, "__wrapped__"):
-        given = dict.fromkeys([each.name for each in parameters if each is not first])
+        given = dict.fromkeys([parameter.name for parameter in parameters if parameter is not first])
         try:
             inspect.signature(attribute, follow_wrapped=False).bind(None, **given)
         except TypeError as error:

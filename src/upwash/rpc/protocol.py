@@ -1,11 +1,9 @@
-"""What a drone and an edge daemon say to each other: paths and messages.
+"""Messages between drones and edge daemons, and their paths.
 
 Each message is one MessagePack map; each exchange is one request and one reply on a gRPC path, so that a client
-or a server in another language needs nothing but gRPC and MessagePack. Who the drone is says its certificate,
-not the message.
-
-Neither end believes the other more than it must: every field has its bounds where it is declared, every text is
-escaped as it arrives, and a message that breaks a bound is none.
+or a server in another language needs nothing but gRPC and MessagePack. The certificate names the drone, not the
+message. Every field has its bounds where it is declared, every text is escaped as it arrives, and a message that
+breaks a bound is refused.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ DENY = "/upwash.Daemon/Deny"
 PREPARE = "/upwash.Daemon/Prepare"
 HOLD = "/upwash.Daemon/Hold"
 STATUS = "/upwash.Daemon/Status"
-# gRPC's standard question, to a daemon or an instance of a service, and the answer of one that is well.
+# gRPC's standard question to a daemon or an instance of a service, and the answer where it serves.
 HEALTH_CHECK = "/grpc.health.v1.Health/Check"
 SERVING = b"\x08\x01"
 
@@ -69,9 +67,9 @@ class AvailabilityReply(msgspec.Struct, frozen=True):
     """Yes, with the endpoints of those that run and the length of the lease; or no, with the reason.
 
     An endpoint is a port of the host that the daemon was reached at, such as ":40000" (`resolve`). `peers` are the
-    servers that it can have prepared. So many drones wait for a slot; one that is refused for want of one waits from
-    then on, if it asks again in `ask_again_s`, which is 0 for any other reason. A service that keeps failing there is
-    left alone for another `pause_s`.
+    servers that it can have prepared. `waiting` drones queue for a slot. A drone that is refused for want of a slot
+    queues too, if it asks again in `ask_again_s`, which is 0 for other refusals. A service that keeps failing is not
+    started for another `pause_s`.
     """
 
     available: bool
@@ -92,9 +90,9 @@ class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StartReply(msgspec.Struct, frozen=True):
-    """The endpoint to call; or why there is none, and when to ask for a slot where that is all it lacks.
+    """The endpoint to call; or why there is none, and when to ask for a slot, if only that is missing.
 
-    A service that keeps failing there is left alone for another `pause_s`.
+    A service that keeps failing is not started for another `pause_s`.
     """
 
     endpoint: Endpoint = ""
@@ -115,7 +113,7 @@ class LeaveReply(msgspec.Struct, frozen=True):
 
 
 class DenyRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Calls of these services raised there which did not raise on the drone, since the drone last said so."""
+    """Calls of these services raised there and did not raise on the drone, since the drone's last such message."""
 
     server: NameText
     services: Names
@@ -126,7 +124,7 @@ class DenyReply(msgspec.Struct, frozen=True):
 
 
 class PrepareRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """I will be at your peer by then: have it start these services, and hold a slot for me for so long after."""
+    """I will be at your peer in `arrives_in_s`: have it start these services, and hold a slot for `hold_s` more."""
 
     server: NameText
     peer: NameText
@@ -136,7 +134,7 @@ class PrepareRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HoldRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A daemon to its peer: start these services for this drone, and hold a slot for it for so long."""
+    """A daemon to its peer: start these services for this drone, and hold a slot for it for `for_s`."""
 
     server: NameText
     drone: NameText
@@ -157,17 +155,17 @@ class StatusRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CertificateStatus(msgspec.Struct, frozen=True):
-    """A certificate that the daemon relies on, and until when it can."""
+    """A certificate that the daemon uses, and its expiry."""
 
     holder: NameText
     expires: Annotated[datetime, Meta(tz=True)]
 
 
 class StatusReply(msgspec.Struct, frozen=True):
-    """The daemon's servers, its last refusals and its certificates; and for how long it has run.
+    """The daemon's servers, its last refusals, its certificates, and how long it has run.
 
     `at_door` are connections that were refused before any request; `limits` hold for each instance of a
-    service. An earlier daemon says nothing of both.
+    service. Replies of earlier daemons have neither.
     """
 
     up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]
@@ -210,27 +208,27 @@ def _decode(message: bytes, expected: type[T]) -> T:
 
 
 def _clean(value: object) -> object:
-    """Plain values, lists and maps included, with each text in them escaped; refuses what is no finite number."""
+    """Plain values, lists and maps included, with each text in them escaped; refuses numbers that are not finite."""
     match value:
         case str():
             return escaped(value)
         case float() if not math.isfinite(value):
             raise msgspec.ValidationError("Expected a finite number")
         case list():
-            return [_clean(each) for each in value]
+            return [_clean(item) for item in value]
         case dict():
-            return {_clean(key): _clean(each) for key, each in value.items()}
+            return {_clean(key): _clean(item) for key, item in value.items()}
     return value
 
 
 def resolve(endpoint: str, daemon_address: str) -> str:
     """The address of an endpoint that a daemon gave: a port of its own host, and no other place.
 
-    Of a daemon on a unix socket it is a socket in the same folder, or below it. Raises GarbledReply for anything
-    else: who is called, and how its name is looked up, is not for a server to choose.
+    For a daemon on a unix socket it is a socket in the same folder, or below it. Raises GarbledReply for other
+    endpoints: a server must not choose another host, or how its name is looked up.
     """
     if daemon_address.startswith("unix:"):
-        if endpoint.startswith("unix:") and _folder(daemon_address) in _path(endpoint).parents:
+        if endpoint.startswith("unix:") and _path(daemon_address).parent in _path(endpoint).parents:
             return endpoint
     elif (port := _PORT.match(endpoint)) and int(port[1]) <= _MOST_PORT:
         return daemon_address.rpartition(":")[0] + endpoint
@@ -239,9 +237,5 @@ def resolve(endpoint: str, daemon_address: str) -> str:
     )
 
 
-def _folder(address: str) -> Path:
-    return _path(address).parent
-
-
 def _path(address: str) -> Path:
-    return Path(os.path.abspath(address.removeprefix("unix:")))  # noqa: PTH100 - which takes out what goes up again
+    return Path(os.path.abspath(address.removeprefix("unix:")))  # noqa: PTH100 - which resolves ".."

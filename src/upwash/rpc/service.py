@@ -7,7 +7,7 @@
 
 Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from
 parameter name to value, a reply a map with either `value` or `fault`. Services keep no state between calls, and a
-call may be made twice: on a server and, where that gives no usable answer, on the drone. What must not says so:
+call may run twice: on a server and, where that gives no usable answer, on the drone. A method can forbid that:
 
         @once
         def drop_parcel(self) -> None: ...                                # on the drone alone, never again
@@ -42,12 +42,12 @@ _PLAIN = (str, int, float, bool, type(None))
 _SPEC = "__upwash_service__"
 _ONCE = "__upwash_once__"
 _STUB = "__upwash_stub__"
-_MOST_CONCURRENCY = 64  # more threads than that of one process only wait for each other
-_LONGEST_MESSAGE = 10_000  # characters of an exception's that says too much
-_TOLD_LENGTH = 200  # characters of what a fault says, where it is told and not raised
+_MOST_CONCURRENCY = 64  # more threads of one process only wait for each other
+_LONGEST_MESSAGE = 10_000  # characters of an exception's that is too long to send
+_LONGEST_SUMMARY = 200  # characters of an exception that is not raised
 
 
-class Fault(msgspec.Struct, frozen=True):
+class ServiceFault(msgspec.Struct, frozen=True):
     """A service's own exception on its way to the caller; `type` is `module:qualified.name`."""
 
     type: str
@@ -57,9 +57,9 @@ class Fault(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Method:
-    """One operation's wire form: what a stub sends and what an instance does with it.
+    """One operation: what a stub sends, and what an instance does with it.
 
-    `once` where a call must run on the drone alone, and never a second time.
+    With `once` a call must run on the drone alone, and never a second time.
     """
 
     service: str
@@ -75,7 +75,7 @@ class Method:
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
         """The profile key and the request of a call with these arguments.
 
-        Raises TypeError as the call would, and ValueError for arguments that are too much.
+        Raises TypeError as the call would, and ValueError for arguments above the bounds.
         """
         bound = self.signature.bind(*args, **kwargs)
         bound.apply_defaults()
@@ -91,11 +91,11 @@ class Method:
         try:
             value = getattr(target, self.name)(**arguments)
             return key, self.reply.encode(self.reply_type(value=value))
-        except BaseException as error:  # noqa: BLE001 - whatever the service raises, sys.exit() too, is the caller's
+        except BaseException as error:  # noqa: BLE001 - the caller gets all that it raises, sys.exit() too
             return key, self.fault_reply(error)
 
     def key_of(self, request: bytes) -> str:
-        """The profile key of a request; raises msgspec.MsgspecError for anything else."""
+        """The profile key of a request; raises msgspec.MsgspecError for other bytes."""
         return self._key(self._arguments(request))
 
     def under(self, key: str, request: bytes) -> bytes:
@@ -106,14 +106,14 @@ class Method:
         )
 
     def argument(self, key: str) -> object:
-        """The argument that has that profile key; raises ValueError where its type hint has none."""
+        """The argument with that profile key; raises ValueError where its type hint has none."""
         try:
             return msgspec.convert(key, self.key_type, strict=False)
         except msgspec.ValidationError as error:
             raise ValueError(f"{self.name}({self.profile_by}=...): {error}") from error
 
     def decode(self, reply: bytes) -> Any:
-        """A reply, checked against the type hints; raises GarbledReply for anything else."""
+        """A reply, checked against the type hints; raises GarbledReply where it does not fit them."""
         try:
             decoded = self.reply.decode(reply)
         except msgspec.MsgspecError as error:
@@ -128,27 +128,27 @@ class Method:
         """The exception that a decoded reply carries, in short; "" where it carries a value."""
         if decoded.fault is UNSET:
             return ""
-        return printable(f"{decoded.fault.type.replace(':', '.')}: {decoded.fault.message}", _TOLD_LENGTH)
+        return printable(f"{decoded.fault.type.replace(':', '.')}: {decoded.fault.message}", _LONGEST_SUMMARY)
 
     def result(self, decoded: Any) -> object:
-        """What a decoded reply means to the caller: its value, or the service's exception, raised."""
+        """The value of a decoded reply; raises the service's exception where it carries one."""
         if decoded.fault is not UNSET:
             raise _rebuild(decoded.fault)
         return decoded.value
 
     def fault_reply(self, error: BaseException) -> bytes:
-        """The reply of a call in which the service raised this."""
+        """The reply of a call in which the service raised this exception."""
         cls = type(error)
         type_path = f"{cls.__module__}:{cls.__qualname__}"
         try:
             message = str(error)
-        except Exception:  # noqa: BLE001 - an exception that cannot say what it is
+        except Exception:  # noqa: BLE001 - its own code may raise any
             message = ""
         try:
-            return self.reply.encode({"fault": Fault(type_path, message, _plain_args(error))})
-        except (OverflowError, ValueError):  # what it says has no encoding, or is too much
+            return self.reply.encode({"fault": ServiceFault(type_path, message, _plain_args(error))})
+        except (OverflowError, ValueError):  # its text or arguments have no encoding, or are too long
             message = message[:_LONGEST_MESSAGE].encode(errors="backslashreplace").decode()
-            return self.reply.encode({"fault": Fault(type_path, message)})
+            return self.reply.encode({"fault": ServiceFault(type_path, message)})
 
     def _arguments(self, request: bytes) -> dict[str, Any]:
         decoded = self.request.decode(request)
@@ -163,7 +163,7 @@ class Method:
 
 @dataclass(frozen=True)
 class ServiceSpec:
-    """What is known of a declared service; an instance of it computes `concurrency` calls at a time."""
+    """A declared service; an instance of it computes `concurrency` calls at a time."""
 
     name: str
     methods: Mapping[str, Method]
@@ -194,8 +194,8 @@ def service(
 ) -> type[T] | Callable[[type[T]], type[T]]:
     """Declares a class as a service, called `name` (by default the class's name in lower case).
 
-    Its public methods are its operations; `profile_by` names the parameter by whose value estimates are kept
-    apart. An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be
+    Its public methods are its operations; each value of the parameter that `profile_by` names has its own estimates.
+    An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be
     safe for threads. Raises DeclarationError where a parameter, its default or a result cannot be
     sent, and for public attributes that are no plain methods and no data.
     """
@@ -215,7 +215,7 @@ def service(
 def once(method: Callable[P, R], /) -> Callable[P, R]:
     """Declares a method of a service as one whose calls run on the drone alone, and never a second time.
 
-    For what acts on the world: neither a server nor a repetition after a failure ever sees such a call.
+    For methods that act on the world: neither a server nor a repetition after a failure ever sees such calls.
     """
     if not inspect.isfunction(method):
         raise DeclarationError(
@@ -226,7 +226,7 @@ def once(method: Callable[P, R], /) -> Callable[P, R]:
 
 
 def spec_of(cls: type) -> ServiceSpec:
-    """What is known of a class that was declared as a service; raises UsageError for any other class."""
+    """The service that a class declares; raises UsageError for a class that declares none."""
     spec = vars(cls).get(_SPEC)
     if not isinstance(spec, ServiceSpec):
         raise UsageError(f"{cls.__name__} is not a service: put @service above the class")
@@ -262,7 +262,7 @@ def _stub_method(service_name: str, method: Method, invoke: Invoke) -> Callable[
 def request_of(
     call: Callable[..., object], args: tuple[object, ...], kwargs: Mapping[str, object]
 ) -> tuple[Operation, Method, bytes]:
-    """What a stub's method would send if it were called with these arguments; raises TypeError as the call would.
+    """The operation, method and request of a stub's method with these arguments; raises TypeError as the call would.
 
     UsageError where it is no method of a stub.
     """
@@ -296,8 +296,8 @@ def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) ->
 
 
 def _used_by(cls: type, hint: Any) -> type[msgspec.Struct] | None:
-    """The settings of the service that the type hint is, or of which it says that it may be None."""
-    parts = [each for each in typing.get_args(hint) if each is not type(None)] or [hint]
+    """The settings of the service in the type hint, which may add that it may be None."""
+    parts = [part for part in typing.get_args(hint) if part is not type(None)] or [hint]
     spec = vars(parts[0]).get(_SPEC) if len(parts) == 1 and isinstance(parts[0], type) else None
     if not isinstance(spec, ServiceSpec):
         return None
@@ -333,7 +333,7 @@ def _describe_method(
     require_sendable(hints["return"], f"{where}: the result")
     reply_type = msgspec.defstruct(
         f"{cls.__name__}_{name}_reply",
-        [("value", hints["return"] | UnsetType, UNSET), ("fault", Fault | UnsetType, UNSET)],
+        [("value", hints["return"] | UnsetType, UNSET), ("fault", ServiceFault | UnsetType, UNSET)],
     )
     request_type = msgspec.defstruct(f"{cls.__name__}_{name}_request", fields)
     types = dict(fields)
@@ -351,7 +351,7 @@ def _describe_method(
 
 
 def _require_default(parameter: inspect.Parameter, hint: Any, where: str) -> None:
-    """Raises DeclarationError for a default that no instance would take."""
+    """Raises DeclarationError for a default that cannot be sent."""
     if parameter.default is parameter.empty:
         return
     encoding: Encoding[Any] = Encoding(hint)
@@ -364,7 +364,7 @@ def _require_default(parameter: inspect.Parameter, hint: Any, where: str) -> Non
         ) from error
 
 
-_FAULT = msgspec.msgpack.encode({"fault": None})[:-1]  # how a reply begins that carries one
+_FAULT = msgspec.msgpack.encode({"fault": None})[:-1]  # the beginning of a reply that carries one
 
 
 def carries_fault(reply: bytes) -> bool:
@@ -373,19 +373,16 @@ def carries_fault(reply: bytes) -> bool:
 
 
 def _plain_args(error: BaseException) -> list[Any] | None:
-    """What the exception can be made of again, as far as that can be sent."""
+    """The arguments that make the exception again, if they can be sent."""
     try:
         args = error.__reduce__()[1]
-    except Exception:  # noqa: BLE001 - it cannot be made again
+    except Exception:  # noqa: BLE001 - its own code may raise any
         return None
     return list(args) if all(type(argument) in _PLAIN for argument in args) else None
 
 
-def _rebuild(fault: Fault) -> Exception:
-    """The exception again, or a ServiceError that names it.
-
-    Not by calling its class: the constructor may want other arguments than those that an exception keeps.
-    """
+def _rebuild(fault: ServiceFault) -> Exception:
+    """The exception again, without its constructor, or a ServiceError that names it."""
     cls = _exception_class(fault.type)
     for args in ((fault.message,) if fault.args is None else tuple(fault.args), (fault.message,)):
         try:
@@ -402,8 +399,8 @@ def _rebuild(fault: Fault) -> Exception:
 def _exception_class(type_path: str) -> type[Exception] | None:
     """The exception class of that path, if this process has it already.
 
-    Nothing is imported and no module's own code looks it up: a reply must not choose what runs here. Nor may it pass
-    for an error of upwash itself, by whatever name that is known: those say what became of the vehicle.
+    Nothing is imported and no module's own code runs: a reply must not choose what runs here. An error of upwash
+    itself is refused under any name: those report on the vehicle.
     """
     module_name, _, qualname = type_path.partition(":")
     found: object = sys.modules.get(module_name)

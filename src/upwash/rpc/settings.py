@@ -1,13 +1,13 @@
-"""What a service's constructor takes: its parameters are the settings that a configuration may give.
+"""Settings of a service: the parameters of its constructor, which a configuration may give.
 
     class Detector:
         def __init__(self, *, threads: int = 2, labels: Path | None = None) -> None: ...
 
-Settings are checked by the type hints wherever they come from, and travel as plain values: what JSON has. A relative
-path counts from the configuration's file, so what travels is absolute.
+Settings are checked by the type hints, and travel as the plain values of JSON. A relative path counts from the
+configuration's file, so an absolute one travels.
 
-A parameter whose type is a service is another one that this one uses. It is made in the same instance, of a table of
-its own settings, so that its calls never leave the computer that this one runs on:
+A parameter whose type is a service is another service that this one uses. It is made in the same instance, from a
+table of its own settings, so its calls never leave that computer:
 
     class Inspection:
         def __init__(self, detector: Detector) -> None: ...               # [service.settings.detector]
@@ -21,7 +21,7 @@ import traceback
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -71,26 +71,20 @@ def required_settings(kind: type[msgspec.Struct]) -> list[str]:
 
 def plain(settings: msgspec.Struct) -> dict[str, object]:
     """The settings as they travel."""
-    found: dict[str, object] = msgspec.to_builtins(settings, enc_hook=str, str_keys=True)
-    return found
+    return cast(dict[str, object], msgspec.to_builtins(settings, enc_hook=str, str_keys=True))
 
 
 def with_files(
     kind: type[msgspec.Struct], settings: PlainSettings, carried: Callable[[Path], Path]
 ) -> dict[str, object]:
-    """The same settings with every path in them replaced by the one that its file was carried to."""
+    """The same settings, with `carried` of each path in place of the path."""
     checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
-    found: dict[str, object] = msgspec.to_builtins(
-        checked, enc_hook=lambda path: str(carried(path)), str_keys=True
-    )
-    return found
+    found = msgspec.to_builtins(checked, enc_hook=lambda path: str(carried(path)), str_keys=True)
+    return cast(dict[str, object], found)
 
 
 def construct(cls: type[T], kind: type[msgspec.Struct], settings: PlainSettings) -> T:
-    """An object of the class, made with settings that travelled.
-
-    Raises UsageError where they do not fit, or the constructor raises.
-    """
+    """An object of the class with these settings; raises UsageError where they do not fit, or it cannot be made."""
     try:
         checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
     except msgspec.ValidationError as error:
@@ -116,9 +110,9 @@ def _made(cls: type[T], settings: msgspec.Struct) -> T:
 
 
 def _place(error: Exception, cls: type) -> str:
-    """The last line of the class's own file that the error came through, or of any file."""
+    """The innermost line of the error's trace in the class's own file, or in any file."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [each for each in frames if each.filename == _file_of(cls)]
+    own = [frame for frame in frames if frame.filename == _file_of(cls)]
     last = (own or frames)[-1]
     return f"{last.filename}, line {last.lineno}"
 
@@ -128,7 +122,7 @@ def _file_of(cls: type) -> str:
 
 
 def _parameters(cls: type) -> Iterator[tuple[inspect.Parameter, Any]]:
-    """The parameters of the constructor that have a name to be given by, each with its type hint or None."""
+    """The parameters of the constructor that have a name, each with its type hint or None."""
     constructor = inspect.getattr_static(cls, "__init__")
     if constructor is object.__init__:
         return

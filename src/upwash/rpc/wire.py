@@ -1,8 +1,9 @@
-"""What can be sent: which types, and MessagePack where everything wrong with foreign bytes is one error.
+"""Which types can be sent, and MessagePack: all that can be wrong with received bytes is one error.
 
-The values of a message bound the receiver's time and memory: `rpc/headers.py` counts them before any is built. A type
-whose values are hashed may have fewer: a sender can choose numbers whose hashes collide, and then the time grows with
-the square of their number.
+The values of a message bound the receiver's time and memory, so their headers are counted before any is built: one
+byte can stand for a list, which costs a hundred bytes. Binary data and numbers are skipped, so a photo costs as much
+as its few headers. A type whose values are hashed may have fewer: a sender can choose numbers whose hashes collide,
+and then the time grows with the square of their number.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ from msgspec import inspect as types
 
 from upwash.errors import DeclarationError
 from upwash.rpc.arrays import from_wire, is_array, require_arrays, to_wire
-from upwash.rpc.headers import too_much
 from upwash.support.text import printable
 
 T = TypeVar("T")
 
-
 _encoder = msgspec.msgpack.Encoder(enc_hook=to_wire)
 
+MOST_TEXT_BYTES = 2**18  # in a message; texts below 32 bytes do not count, as their number is bounded
+MOST_DEPTH = 100
 _MOST_VALUES = 2**17
 _MOST_OF_NUMBERS = 2**14  # where numbers are hashed
 _MOST_OF_CLASSES = 2**10  # where objects are, which take longer to compare
-_SEEDED = {  # types with few values, or with hashes that nobody else can know
+_SEEDED = {  # types with few values, or with hashes that a sender cannot know
     *(types.StrType, types.BytesType, types.BoolType, types.NoneType, types.EnumType, types.LiteralType),
     *(types.TupleType, types.VarTupleType, types.UnionType),  # of other types, which count too
 }
@@ -48,16 +49,16 @@ class Encoding(Generic[T]):
         self._nests = len(set(classes)) < len(classes)
 
     def encode(self, value: object) -> bytes:
-        """The value as MessagePack; raises TypeError for what has no encoding, ValueError for what is too much."""
+        """The value as MessagePack; raises TypeError for a type without encoding, ValueError above the bounds."""
         data = _encoder.encode(value)
         if why := self._too_much(data):
             raise ValueError(why)
         return data
 
     def decode(self, data: bytes) -> T:
-        """The value, checked against the type; raises msgspec.MsgspecError for one of another type, or too much.
+        """The value, checked against the type; raises msgspec.MsgspecError for another type, or above the bounds.
 
-        The error's text is escaped and cut, as it may quote a name or a value of the other side's.
+        The error's text is escaped and cut, as it may quote what the other side sent.
         """
         if why := self._too_much(data):
             raise msgspec.DecodeError(why)
@@ -81,20 +82,20 @@ def _most_values(parts: list[types.Type]) -> int:
     """How many values a message of a type with these parts may have."""
     hashed = [part.key_type for part in parts if isinstance(part, types.DictType)]
     hashed += [part.item_type for part in parts if isinstance(part, (types.SetType, types.FrozenSetType))]
-    kinds = {type(part) for each in hashed for part in _parts(each, set())}
+    kinds = {type(part) for found in hashed for part in _parts(found, set())}
     if kinds <= _SEEDED:
         return _MOST_VALUES
     return _MOST_OF_NUMBERS if kinds <= _SEEDED | _NUMBERS else _MOST_OF_CLASSES
 
 
 def require_sendable(hint: Any, what: str) -> None:
-    """Raises DeclarationError for a type that would not arrive as it was sent."""
+    """Raises DeclarationError for a type whose values would not arrive as they were sent."""
     require_plain(hint, what, is_meant=is_array)
     require_arrays(hint, what)
 
 
 def require_plain(hint: Any, what: str, *, is_meant: Callable[[type], bool]) -> None:
-    """Raises DeclarationError for a type that has no encoding and is not meant to have any of these."""
+    """Raises DeclarationError for a type that has no encoding, except classes that `is_meant` accepts."""
     try:
         found = types.type_info(hint)
     except TypeError as error:
@@ -131,3 +132,69 @@ def _parts(found: types.Type, seen: set[type]) -> Iterator[types.Type]:
     ]
     for part in inner:
         yield from _parts(part, seen)
+
+
+# --- bounds -------------------------------------------------------------------------------------------------
+
+_FROM_BINARY = (  # of a value's header: its bytes, and how many of them are a length; from 0xC4 on
+    *((2, 1), (3, 2), (5, 4)),  # binary data
+    *((3, 1), (4, 2), (6, 4)),  # extensions
+    *((5, 0), (9, 0)),  # floats
+    *((2, 0), (3, 0), (5, 0), (9, 0)),  # unsigned integers
+    *((2, 0), (3, 0), (5, 0), (9, 0)),  # integers
+    *((3, 0), (4, 0), (6, 0), (10, 0), (18, 0)),  # extensions of a fixed size
+    *((2, 1), (3, 2), (5, 4)),  # texts
+    *((3, 2), (5, 4)),  # lists
+    *((3, 2), (5, 4)),  # maps
+)
+_BINARY, _TEXT, _LIST, _MAP, _NEGATIVE = 0xC4, 0xD9, 0xDC, 0xDE, 0xE0
+
+
+def _layout(head: int) -> tuple[int, int, int]:
+    """Of a value with that first byte: the bytes that this fixes, the bytes of its length, the values in it."""
+    if 0x80 <= head < 0x90:
+        return 1, 0, 2 * (head - 0x80)
+    if 0x90 <= head < 0xA0:
+        return 1, 0, head - 0x90
+    if 0xA0 <= head < 0xC0:
+        return 1 + head - 0xA0, 0, 0
+    if _BINARY <= head < _NEGATIVE:
+        return *_FROM_BINARY[head - _BINARY], 0
+    return 1, 0, 0
+
+
+_LAYOUTS = tuple(_layout(head) for head in range(256))
+
+
+def too_much(message: bytes, most_values: int) -> str:
+    """Which bound the message exceeds, "" for none; a message that is cut short is left to the decoder."""
+    at, left, text_bytes = 0, 1, 0
+    outer: list[int] = []  # how many values are left in each list and map around this one
+    for _ in range(most_values):
+        if at >= len(message):
+            return ""
+        head = message[at]
+        size, length_bytes, inside = _LAYOUTS[head]
+        if length_bytes:
+            length = int.from_bytes(message[at + 1 : at + 1 + length_bytes])
+            if head >= _LIST:
+                inside = 2 * length if head >= _MAP else length
+            else:
+                at += length
+                text_bytes += length if head >= _TEXT else 0
+        at += size
+        left -= 1
+        if inside:
+            outer.append(left)
+            left = inside
+        if text_bytes > MOST_TEXT_BYTES:
+            return f"more than {MOST_TEXT_BYTES} bytes of text in one message: send it as bytes"
+        if len(outer) > MOST_DEPTH:
+            return f"more than {MOST_DEPTH} lists or maps within each other"
+        if left > most_values:
+            break
+        while not left:
+            if not outer:
+                return ""
+            left = outer.pop()
+    return f"more than {most_values} values in one message: send numbers as an array, or as bytes"

@@ -18,7 +18,7 @@ from upwash.core.geo import Position
 from upwash.ports import Camera, Journal, Notifier
 from upwash.real.camera.camera import FolderCamera
 from upwash.real.camera.video import VideoCamera
-from upwash.real.host.journal import FileJournal, JournalNotifier
+from upwash.real.host.journal import FileJournal
 from upwash.sim.camera import ModelCamera, RenderedCamera
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
@@ -101,7 +101,7 @@ def in_memory(_: Path) -> list[dict[str, Any]]:
 def in_a_file(folder: Path) -> list[dict[str, Any]]:
     async def run() -> None:
         with contextlib.closing(FileJournal(folder / "log.jsonl")) as journal:
-            await happen(journal, JournalNotifier(journal))
+            await happen(journal, journal)
 
     asyncio.run(run())
     opened, *events = map(msgspec.json.decode, (folder / "log.jsonl").read_bytes().splitlines())

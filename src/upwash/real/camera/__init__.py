@@ -1,1 +1,11 @@
-"""Cameras: the files of a folder, video devices and streams."""
+"""Cameras: the files of a folder, video devices and streams.
+
+Laws. A photo is a JPEG that was captured after it was asked for. A source that fails is a CameraError that names it
+and the remedy, and is tried again. A driver that hangs holds up neither the flight nor the end of the program.
+
+- camera.py   a folder of JPEG files, shot in name order
+- video.py    a device, stream, pipeline or video file, through OpenCV; a thread reads every frame
+
+Ugly: OpenCV prints its warnings itself, and can be silenced only before it is imported or opens its first source.
+GStreamer aborts a program that ends while it reads, so `close` waits a second for the thread.
+"""

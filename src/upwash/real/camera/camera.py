@@ -19,8 +19,7 @@ _SUFFIXES = frozenset({".jpg", ".jpeg"})
 class FolderCamera:
     """A Camera that shoots the JPEG files of a folder in name order, over and over; each takes `photo_s`.
 
-    The folder is listed once: files that come later are not seen. Raises UsageError for a folder that is
-    missing or has no JPEG file.
+    The folder is listed once, at the start. Raises UsageError for a folder that is missing or has no JPEG file.
     """
 
     def __init__(self, folder: Path, *, photo_s: float) -> None:
@@ -36,7 +35,7 @@ class FolderCamera:
 
 
 def read_photos(folder: Path, most: int) -> dict[str, bytes]:
-    """The first JPEG files of the folder, in name order and by their names; raises UsageError where there is none.
+    """The first `most` JPEG files of the folder, by name; raises UsageError where there is none.
 
     Raises CameraError for a file that cannot be read.
     """
@@ -44,7 +43,7 @@ def read_photos(folder: Path, most: int) -> dict[str, bytes]:
 
 
 def read_photo_file(path: Path) -> bytes:
-    """The bytes of a photo; raises CameraError, which names the file."""
+    """The bytes of a photo; raises a CameraError that names the file."""
     try:
         if (size := path.stat().st_size) > _MOST_BYTES:
             raise OSError(
@@ -65,7 +64,7 @@ def photo_files(folder: Path) -> list[Path]:
     """
     try:
         with os.scandir(folder) as entries:
-            names = sorted(each.name for each in entries if _is_photo(each))
+            names = sorted(entry.name for entry in entries if _is_photo(entry))
     except (FileNotFoundError, NotADirectoryError):
         raise UsageError(
             f"camera: there is no folder {folder}; name a folder that holds JPEG photos"

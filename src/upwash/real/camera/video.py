@@ -25,8 +25,8 @@ _LAST_FRAME_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Wish:
-    """A photo that is waited for, of a frame that is no older than the wish."""
+class _Request:
+    """A photo that is waited for, of a frame that was captured after `asked_s`."""
 
     asked_s: float
     photo: asyncio.Future[Photo]
@@ -35,9 +35,9 @@ class _Wish:
 class VideoCamera:
     """A Camera that reads a video device (0, "/dev/video0"), a stream (a URL), GStreamer's pipeline, or a video file.
 
-    A thread reads every frame, so that none waits in a buffer; a photo is the first that was captured after it was
-    asked for. That is `latency_s` before it arrives. A source that fails is opened again, once a second, and a file
-    that has ended begins again.
+    A thread reads every frame, so that none waits in a buffer; a photo is the first that was captured after the
+    request. A frame was captured `latency_s` before it arrives. A source that fails, or a file that has ended, is
+    opened again, once a second.
     """
 
     def __init__(self, source: int | str, *, latency_s: float = 0.0) -> None:
@@ -46,14 +46,14 @@ class VideoCamera:
         self._name = shown_source(source)
         self._loop = asyncio.get_running_loop()
         self._trouble = "it has not been opened yet"
-        self._wishes: list[_Wish] = []
+        self._requests: list[_Request] = []
         self._closed = threading.Event()
         # A thread that a driver does not return to must not hold up the program's end.
         self._thread = thread(self._read, name=f"camera {self._name}", failed=self._lose)
 
     @classmethod
     async def open(cls, source: int | str, *, latency_s: float = 0.0) -> VideoCamera:
-        """The camera, once it has shown a frame; raises CameraError if it does not, UsageError without OpenCV."""
+        """The camera, once it has given a frame; raises CameraError if it does not, UsageError without OpenCV."""
         with extra("detector"):
             await asyncio.to_thread(_silence_opencv)
         if is_pipeline(source) and not _has_gstreamer():
@@ -71,20 +71,20 @@ class VideoCamera:
         return camera
 
     async def take_photo(self, at: Position) -> Photo:
-        """Returns the next frame as a JPEG; raises CameraError if none comes within 5 s, and the latency."""
+        """Returns the next frame as a JPEG; raises CameraError if none comes within 5 s and the latency."""
         return await self._frame(_FRAME_S + self._latency_s)
 
     def close(self) -> None:
-        """Stops reading; the device is free as soon as its driver returns, for which this waits a second at most."""
+        """Stops reading; waits a second at most for the driver, which then frees the device."""
         self._closed.set()
         if self._thread.is_alive():
             self._thread.join(_LAST_FRAME_S)  # GStreamer aborts a program that ends while it reads
 
     async def _frame(self, timeout_s: float) -> Photo:
-        wish = _Wish(self._loop.time(), self._loop.create_future())
-        self._wishes.append(wish)
+        request = _Request(self._loop.time(), self._loop.create_future())
+        self._requests.append(request)
         try:
-            return await asyncio.wait_for(wish.photo, timeout_s)
+            return await asyncio.wait_for(request.photo, timeout_s)
         except TimeoutError:
             raise CameraError(
                 self._name,
@@ -92,7 +92,7 @@ class VideoCamera:
                 "program uses it",
             ) from None
         finally:
-            self._wishes.remove(wish)
+            self._requests.remove(request)
 
     # --- in the thread ---
 
@@ -114,7 +114,7 @@ class VideoCamera:
                 self._trouble = "its frames have come to an end"
                 return
             captured_s = self._loop.time() - self._latency_s
-            jpeg = capture.jpeg() if self._wishes else None
+            jpeg = capture.jpeg() if self._requests else None
             self._trouble = capture.trouble or self._trouble
             if jpeg is not None:
                 photo = Photo(jpeg, captured_s, source=self._name)
@@ -124,13 +124,13 @@ class VideoCamera:
     # --- in the loop ---
 
     def _hand_out(self, photo: Photo) -> None:
-        for wish in self._wishes:
-            if photo.captured_s >= wish.asked_s and not wish.photo.done():
-                wish.photo.set_result(photo)
+        for request in self._requests:
+            if photo.captured_s >= request.asked_s and not request.photo.done():
+                request.photo.set_result(photo)
 
 
 class _Capture:
-    """An opened source, frame by frame; `pause_s` is what to wait between two, for a file as it was recorded."""
+    """An opened source, frame by frame; `pause_s` is the time between two frames of a file."""
 
     def __init__(self, source: int | str) -> None:
         import cv2
@@ -154,11 +154,11 @@ class _Capture:
         self.pause_s = 1 / max(1.0, self._capture.get(cv2.CAP_PROP_FPS)) if is_file else 0.0
 
     def next(self) -> bool:
-        """Goes on to the next frame, which it waits for; False where there is none."""
+        """Waits for the next frame; False where there is none."""
         return self._capture.grab()
 
     def jpeg(self) -> bytes | None:
-        """The frame as a JPEG; None if it cannot be decoded, or has more bits than a JPEG, as `trouble` says then."""
+        """The frame as a JPEG; None if it cannot be decoded, or has more bits than a JPEG (see `trouble`)."""
         import cv2
         import numpy as np
 
@@ -186,13 +186,9 @@ def _has_gstreamer() -> bool:
 
 
 def _silence_opencv() -> None:
-    """Keeps its warnings off the terminal: what is wrong with a camera is said in a CameraError."""
-    os.environ.setdefault(
-        "OPENCV_FFMPEG_LOGLEVEL", "-8"
-    )  # the only way to tell it; read at the first opening
-    os.environ.setdefault(
-        "OPENCV_LOG_LEVEL", "SILENT"
-    )  # all that there is before OpenCV 4.7; read at the import
+    """Keeps its warnings off the terminal: a CameraError says what is wrong with a camera."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # it has no other way; read at the first opening
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # the only way before OpenCV 4.7; read at the import
     import cv2
 
     if hasattr(cv2.utils, "logging"):

@@ -110,6 +110,10 @@ class FileJournal:
             finally:
                 self._show(entry)
 
+    async def notify(self, message: object, at: Position) -> None:
+        """Notifies the user through the event log, and so through all that shows it."""
+        self.record(schema.Notified(message=msgspec.to_builtins(message), at=at))
+
     def close(self) -> None:
         """Ends the log, with what it lacks if there is room for it now."""
         if self._unwritten:
@@ -247,14 +251,3 @@ def _seconds_since(events: Sequence[Event], now: datetime) -> float:
             case schema.LogOpened(time=known):
                 return max(last_s, (now - known).total_seconds())
     return last_s
-
-
-class JournalNotifier:
-    """Notifies the user through the event log, and so through all that shows it."""
-
-    def __init__(self, journal: FileJournal) -> None:
-        self._journal = journal
-
-    async def notify(self, message: object, at: Position) -> None:
-        """Records the message with its place."""
-        self._journal.record(schema.Notified(message=msgspec.to_builtins(message), at=at))

@@ -54,23 +54,20 @@ def stopping_politely(stop: Callable[[str], bool | None]) -> Iterator[None]:
 @contextlib.contextmanager
 def ending_in_time() -> Iterator[Callable[[float], None]]:
     """Yields a function that ends the program in that many seconds, with exit code 1, if the block still runs."""
-    timers: list[threading.Timer] = []
 
     def end() -> None:
         _log.error("what was under way did not end in time: ending without it")
         os._exit(1)
 
-    def within(seconds: float) -> None:
-        timer = threading.Timer(seconds, end)
-        timer.daemon = True
-        timer.start()
-        timers.append(timer)
+    with contextlib.ExitStack() as stack:
 
-    try:
+        def within(seconds: float) -> None:
+            timer = threading.Timer(seconds, end)
+            timer.daemon = True
+            timer.start()
+            stack.callback(timer.cancel)
+
         yield within
-    finally:
-        for timer in timers:
-            timer.cancel()
 
 
 @contextlib.contextmanager

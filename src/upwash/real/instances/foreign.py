@@ -18,7 +18,7 @@ import msgspec
 
 from upwash.errors import UsageError
 from upwash.real.link.direct import BESIDE_BYTES, frame, read_frame
-from upwash.rpc.service import Fault, Method
+from upwash.rpc.service import Method, ServiceFault
 from upwash.support.background import thread
 from upwash.support.text import printable, signal_name
 
@@ -45,14 +45,14 @@ class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
 
     id: int
     value: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
-    fault: Fault | msgspec.UnsetType = msgspec.UNSET
+    fault: ServiceFault | msgspec.UnsetType = msgspec.UNSET
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
     """What is sent on to the drone of an answer."""
 
     value: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
-    fault: Fault | msgspec.UnsetType = msgspec.UNSET
+    fault: ServiceFault | msgspec.UnsetType = msgspec.UNSET
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -106,7 +106,7 @@ class ForeignProgram:
         try:
             key = method.key_of(request)
         except msgspec.MsgspecError as error:
-            fault = Fault("builtins:TypeError", f"{method.name}(): {error}")
+            fault = ServiceFault("builtins:TypeError", f"{method.name}(): {error}")
             return "", _encoder.encode(Reply(fault=fault))
         number, answered = next(self._numbers), Future[Answer]()
         self._waiting[number] = answered

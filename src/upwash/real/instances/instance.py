@@ -46,7 +46,7 @@ from upwash.real.instances.limits import apply_limits
 from upwash.real.instances.lxd.credentials import ControlCredentials
 from upwash.real.link.direct import DirectListener
 from upwash.real.link.listener import HealthCheck, Listener
-from upwash.real.link.proxy import GrpcSocket, SocketProxy
+from upwash.real.link.proxy import GrpcSocket, open_proxy
 from upwash.real.link.requests import Caller, Requests
 from upwash.real.link.streams import listening_socket
 from upwash.rpc.protocol import service_path
@@ -120,7 +120,7 @@ class ServiceInstance:
         """Begins to answer, also who connects to the socket from outside, and says so."""
         self._listener.start()
         if outside is not None and self._inside is not None:
-            SocketProxy(outside, self._inside, is_announced=self._is_announced, context=context).open()
+            open_proxy(outside, self._inside, is_announced=self._is_announced, context=context)
         self._report(Ready(self._listener.address))
 
     def admit(self, drones: list[str], finishing: list[str]) -> None:

@@ -1,1 +1,20 @@
-"""Connections: gRPC links, the door with mutual TLS in front of them, and sockets given to other processes."""
+"""Calls between programs: gRPC links, the door with mutual TLS before them, and socket pairs to own instances.
+
+Laws. A peer is a stranger until its certificate is checked; strangers are bounded in connections, handshakes, bytes
+and time. A known caller is bounded in connections, requests and frames. A request is bounded in size, in number and
+by its deadline, and cancelling it ends it at the other end. Neither gRPC nor a service ever holds the daemon's key.
+
+- link.py, way.py     a drone's end of gRPC, and what is measured of the way to a server
+- listener.py         the server's end of gRPC
+- direct.py           both ends of calls over a socket pair
+- requests.py         what both listeners do with a request
+- door.py, tls.py     accepts, checks certificates, and hands the bytes on
+- limits.py           the door's bounds
+- proxy.py            from a door into an instance, and who calls
+- streams.py          connections of bytes, and sockets that listen
+- hand_over.py        gives the listening socket to the next daemon
+
+Ugly: gRPC for Python tells neither who is at the other end of a connection nor when a handshake is done, and does not
+end a request whose peer reads nothing. So TLS ends in the door, callers are known by the address of a unix socket,
+and deadlines are kept by the link.
+"""

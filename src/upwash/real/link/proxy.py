@@ -107,59 +107,47 @@ async def _end_of(connection: socket.socket) -> AsyncIterator[StreamEnd]:
         end.hang_up()
 
 
-class SocketProxy:
+def open_proxy(
+    outside: socket.socket, inside: GrpcSocket, *, is_announced: bool, context: ssl.SSLContext | None = None
+) -> None:
     """Lets callers in, at most 1024 at once, in a thread of its own until the process ends.
 
     With `is_announced` the first line of each connection names the client.
     """
+    callers: set[asyncio.Task[None]] = set()
 
-    def __init__(
-        self,
-        outside: socket.socket,
-        inside: GrpcSocket,
-        *,
-        is_announced: bool,
-        context: ssl.SSLContext | None = None,
-    ) -> None:
-        self._outside = outside
-        self._inside = inside
-        self._is_announced = is_announced
-        self._context = context
-        self._callers: set[asyncio.Task[None]] = set()
-
-    def open(self) -> None:
-        """Begins to accept connections."""
-        thread(lambda: asyncio.run(self._serve()), name="socket proxy", failed=lambda _: os._exit(1)).start()
-
-    async def _serve(self) -> None:
-        loop = asyncio.get_running_loop()
-        listen = loop.create_unix_server if self._outside.family == socket.AF_UNIX else loop.create_server
-        server = await listen(lambda: StreamEnd(self._enter), sock=self._outside, ssl=self._context)
-        await server.serve_forever()
-
-    def _enter(self, caller: StreamEnd) -> None:
-        if len(self._callers) >= _MOST_CONNECTIONS:
+    def enter(caller: StreamEnd) -> None:
+        if len(callers) >= _MOST_CONNECTIONS:
             caller.hang_up()
             return
-        task = start(self._serve_caller(caller), name="a caller's connection", failed=only_logged)
-        self._callers.add(task)
-        task.add_done_callback(self._callers.discard)
+        task = start(_serve(caller, outside, inside, is_announced), name="a connection", failed=only_logged)
+        callers.add(task)
+        task.add_done_callback(callers.discard)
 
-    async def _serve_caller(self, caller: StreamEnd) -> None:
-        """Returns when the caller, or the door on its behalf, has hung up."""
-        try:
-            client = await _announced(caller) if self._is_announced else Client("")
-            if self._is_announced and self._outside.family == socket.AF_UNIX:
-                async with self._inside.connection(client) as connection:
-                    _give(connection, over=caller.transport)
-                    await caller.line()  # which never comes: it ends when the door hangs up
-            else:
-                async with self._inside.connect(client) as inside:
-                    await join(caller, inside)
-        except OSError:
-            pass  # hung up
-        finally:
-            caller.close()
+    async def accept() -> None:
+        loop = asyncio.get_running_loop()
+        listen = loop.create_unix_server if outside.family == socket.AF_UNIX else loop.create_server
+        server = await listen(lambda: StreamEnd(enter), sock=outside, ssl=context)
+        await server.serve_forever()
+
+    thread(lambda: asyncio.run(accept()), name="socket proxy", failed=lambda _: os._exit(1)).start()
+
+
+async def _serve(caller: StreamEnd, outside: socket.socket, inside: GrpcSocket, is_announced: bool) -> None:
+    """Returns when the caller, or the door on its behalf, has hung up."""
+    try:
+        client = await _announced(caller) if is_announced else Client("")
+        if is_announced and outside.family == socket.AF_UNIX:
+            async with inside.connection(client) as connection:
+                _give(connection, over=caller.transport)
+                await caller.line()  # which never comes: it ends when the door hangs up
+        else:
+            async with inside.connect(client) as end:
+                await join(caller, end)
+    except OSError:
+        pass  # hung up
+    finally:
+        caller.close()
 
 
 async def _announced(caller: StreamEnd) -> Client:

@@ -1,7 +1,7 @@
 """Servers of the networks that this computer is in, by multicast DNS: RFC 6762, and service discovery, RFC 6763.
 
-Anybody in the network may announce anything. So what is found is an address and no more: whoever answers there has to
-show the certificate of the server that was looked for.
+Any computer in the network may announce any server. So an address is found, and no more: what answers there must show
+the certificate of that server.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Collection
 from ipaddress import IPv4Address, IPv6Address, ip_address
 
 import ifaddr
-from zeroconf import IPVersion
+from zeroconf import InterfaceChoice, IPVersion
 from zeroconf.asyncio import AsyncServiceInfo, AsyncZeroconf
 
 from upwash.errors import Unreachable
@@ -35,13 +35,13 @@ async def announcing(names: Collection[str], host: str, port: int) -> AsyncItera
                 port=port,
                 server=f"{name}.upwash.local.",
             )
-            # The daemon whose place this one takes announces the same for a moment.
+            # The daemon that this one replaces announces the same for a moment.
             await (await network.async_register_service(info, cooperating_responders=True))
         yield
 
 
 async def find(server: str, *, within_s: float, interface: str | None = None) -> str:
-    """The address at which the server is announced; raises Unreachable where it is not in that time."""
+    """The address at which the server is announced; raises Unreachable where it is not within that time."""
     info = AsyncServiceInfo(_KIND, f"{server}.{_KIND}")
     async with _opened(interface) as network:
         await info.async_request(network.zeroconf, 1000 * within_s)
@@ -56,13 +56,10 @@ async def find(server: str, *, within_s: float, interface: str | None = None) ->
 
 @contextlib.asynccontextmanager
 async def _opened(interface: str | None) -> AsyncIterator[AsyncZeroconf]:
-    """The network at the interface of that address, or at all of them, as they are now."""
+    """The network at the interface of that address, or at all interfaces of now."""
+    interfaces = InterfaceChoice.All if interface is None else [interface]
     try:
-        network = (
-            AsyncZeroconf(ip_version=IPVersion.V4Only)
-            if interface is None
-            else AsyncZeroconf(interfaces=[interface], ip_version=IPVersion.V4Only)
-        )
+        network = AsyncZeroconf(interfaces=interfaces, ip_version=IPVersion.V4Only)
     except OSError as error:
         raise Unreachable(f"no network in which servers are announced: {error.strerror}") from error
     try:
@@ -73,11 +70,9 @@ async def _opened(interface: str | None) -> AsyncIterator[AsyncZeroconf]:
 
 def _own_addresses(version: int) -> list[IPv4Address | IPv6Address]:
     """Those of that version of IP that other computers can reach without knowing an interface."""
-    said = [each.ip for adapter in ifaddr.get_adapters() for each in adapter.ips]
-    addresses = [ip_address(each if isinstance(each, str) else each[0]) for each in said]
-    return [
-        each for each in addresses if each.version == version and not (version == 6 and each.is_link_local)
-    ]
+    found = [known.ip for adapter in ifaddr.get_adapters() for known in adapter.ips]
+    addresses = [ip_address(ip if isinstance(ip, str) else ip[0]) for ip in found]
+    return [ip for ip in addresses if ip.version == version and not (version == 6 and ip.is_link_local)]
 
 
 def _address_of(info: AsyncServiceInfo) -> str | None:
