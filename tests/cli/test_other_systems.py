@@ -94,7 +94,7 @@ def test_the_module_hides_what_is_linuxs(project: Path) -> None:
 )
 def test_a_command_that_needs_linux_says_so(command: tuple[str, ...], project: Path) -> None:
     assert upwash(project, *command, code=2) == (
-        f"upwash: upwash {command[0]} needs Linux: run it on a Linux computer or virtual machine\n"
+        f"upwash: {command[0]} needs Linux: run it on a Linux computer or virtual machine\n"
     )
 
 

@@ -136,7 +136,7 @@ def warn_of_plans(config: DroneConfig) -> None:
 def require_linux(command: str) -> None:
     """Raise UsageError on a system that lacks Linux's calls."""
     if not hasattr(os, "memfd_create"):
-        raise UsageError(f"upwash {command} needs Linux: run it on a Linux computer or virtual machine")
+        raise UsageError(f"{command} needs Linux: run it on a Linux computer or virtual machine")
 
 
 def new_run_folder() -> Path:

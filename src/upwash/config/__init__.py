@@ -1,9 +1,18 @@
-"""Configuration: TOML files become frozen values, or a ConfigError that names file, key and remedy."""
+"""Configuration: TOML files become frozen values, or a ConfigError that names file, key and remedy.
+
+A file is read in this order: `reading` (TOML to plain values), `shorthand` (short forms written out), `convert` (types,
+which `values`, `drone`, `daemon` and `runtime` declare), `checks` (what no type says). The first problem is raised.
+After that every value is possible, and `places`, `flight_times`, `fleet` and `truth` answer what follows from several
+keys.
+
+A docstring below a key is its line in docs/configuration-reference.md, and the description of a kind of value is what
+an error says was expected: both are for people who write files. Ugly is that msgspec names a wrong value by a path in
+its message, which `explanation` has to take apart.
+"""
 
 from __future__ import annotations
 
-from upwash.config.altitudes import AltitudesAboveSea, altitudes_above_sea, is_planned_home
-from upwash.config.battery import finish_by_s, reserve_percent, usable_s
+from upwash.config.checks import never_offloaded
 from upwash.config.daemon import (
     DaemonConfig,
     DaemonKeysConfig,
@@ -22,7 +31,6 @@ from upwash.config.drone import (
     FleetDroneConfig,
     GridConfig,
     HeatConfig,
-    HedgeConfig,
     HomeConfig,
     Lie,
     MissionConfig,
@@ -37,18 +45,25 @@ from upwash.config.drone import (
     VehicleConfig,
     unsigned_port,
 )
-from upwash.config.drone_file import drone_config, read_drone_config
+from upwash.config.drone_file import drone_config, read_drone_config, refuse_several
 from upwash.config.fleet import Presence, fleet_of, presences
-from upwash.config.fleet_checks import refuse_several
-from upwash.config.offers import never_offloaded
-from upwash.config.pace import pace_in_numbers, told_in_numbers, told_pace
+from upwash.config.flight_times import (
+    finish_by_s,
+    pace_in_numbers,
+    reserve_percent,
+    told_in_numbers,
+    told_pace,
+    usable_s,
+)
 from upwash.config.places import (
+    AltitudesAboveSea,
+    altitudes_above_sea,
     coverage_kept,
     coverage_of,
     ending,
     frame_of,
     geofence,
-    measured_servers,
+    is_planned_home,
     movable_waypoints,
     plan_notices,
     server_areas,
@@ -60,85 +75,15 @@ from upwash.config.places import (
     true_range_m,
     waypoints,
 )
-from upwash.config.problems import Document
-from upwash.config.reading import convert, impossible_values, read_document
+from upwash.config.reading import (
+    Document,
+    convert,
+    impossible_values,
+    read_document,
+    refuse_first,
+    repeated,
+    unknown,
+)
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine
-
-__all__ = [
-    "AltitudesAboveSea",
-    "AutopilotConfig",
-    "CameraConfig",
-    "CoverageFile",
-    "DaemonConfig",
-    "DaemonKeysConfig",
-    "Document",
-    "DroneConfig",
-    "EnergyConfig",
-    "EventConfig",
-    "FaultConfig",
-    "FleetDroneConfig",
-    "GridConfig",
-    "HeatConfig",
-    "HedgeConfig",
-    "HomeConfig",
-    "IdentityConfig",
-    "ImageConfig",
-    "KeysConfig",
-    "Lie",
-    "MissionConfig",
-    "NetworkConfig",
-    "NoiseConfig",
-    "PeerConfig",
-    "PlanFile",
-    "PolicyConfig",
-    "Presence",
-    "ProbeConfig",
-    "RuntimeConfig",
-    "SafeEnd",
-    "ServerConfig",
-    "ServerTruth",
-    "ServiceConfig",
-    "SettingsTable",
-    "TruthConfig",
-    "VehicleConfig",
-    "altitudes_above_sea",
-    "convert",
-    "coverage_kept",
-    "coverage_of",
-    "drone_config",
-    "ending",
-    "finish_by_s",
-    "fleet_of",
-    "frame_of",
-    "geofence",
-    "impossible_values",
-    "is_address",
-    "is_on_this_machine",
-    "is_planned_home",
-    "measured_servers",
-    "movable_waypoints",
-    "never_offloaded",
-    "pace_in_numbers",
-    "plan_notices",
-    "presences",
-    "read_daemon_config",
-    "read_document",
-    "read_drone_config",
-    "refuse_several",
-    "reserve_percent",
-    "server_areas",
-    "server_places",
-    "server_position",
-    "server_truth",
-    "stands",
-    "sweeps_of",
-    "told_in_numbers",
-    "told_pace",
-    "true_areas",
-    "true_range_m",
-    "unsigned_port",
-    "usable_s",
-    "waypoints",
-]

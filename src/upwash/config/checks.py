@@ -1,13 +1,11 @@
-"""What cannot be in a drone's configuration, beyond what the types say of each value by itself."""
+"""What cannot stand in a drone's configuration, beyond what the types say of each value by itself."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from upwash.config.altitudes import is_planned_home
-from upwash.config.battery import finish_by_s
 from upwash.config.drone import (
     RADIOS,
     AutopilotConfig,
@@ -21,67 +19,100 @@ from upwash.config.drone import (
     ServiceConfig,
     TruthConfig,
 )
-from upwash.config.places import geofence, measured_servers, sweeps_of, waypoints
-from upwash.config.problems import Problem, listed, metrics_problems, unknown
+from upwash.config.flight_times import finish_by_s
+from upwash.config.places import geofence, is_planned_home, measured_servers, sweeps_of, waypoints
+from upwash.config.reading import (
+    Problem,
+    below,
+    listed,
+    metrics_problems,
+    name_problems,
+    repeated,
+    unknown,
+)
 from upwash.config.truth import server_truth
-from upwash.config.values import MDNS, is_address, repeated
+from upwash.config.values import MDNS, is_address
 from upwash.core.geo import Position, ground_distance_m
-from upwash.core.operation import ON_DRONE
 from upwash.core.vehicle.geofence import breached_by_leg, breached_by_position, breached_by_way
 from upwash.mavlink.connection import parse_connection
 from upwash.plans import Plan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
 _HOME = Position(0.0, 0.0)
+_MOST_DRONES = 1000  # that one simulation has been tried with
 
 
 def problems(config: DroneConfig) -> Iterator[Problem]:
     """Everything about the configuration that cannot be, though each value by itself could."""
     yield from metrics_problems(config.metrics, config.metrics_hosts)
     if not config.drones:
-        yield from way_problems("mission", config.mission)
+        yield from _way_problems("mission", config.mission)
     yield from _mission_problems(config.mission, config.services)
     yield from _autopilot_problems(config.autopilot)
     yield from _lighter_problems(config)
-    yield from _reserve_problems(config)
-    yield from _energy_problems(config)
+    yield from _battery_problems(config)
     yield from _camera_problems(config.camera)
     if config.event is not None and config.camera.park_seed is not None:
         yield "event", "the photos of camera.park_seed show what is there: leave one of the two out"
-    for index, name in repeated([service.name for service in config.services]):
-        yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
-    for index, name in repeated([server.name for server in config.servers]):
-        yield f"server[{index}].name", f'a second server named "{name}": give each its own name'
-    for index, server in enumerate(config.servers):
-        if server.name == ON_DRONE:
-            yield (
-                f"server[{index}].name",
-                f'"{ON_DRONE}" stands for the drone itself in results: rename the server',
-            )
+    yield from name_problems("service", [service.name for service in config.services])
+    yield from name_problems("server", [server.name for server in config.servers])
     yield from _network_problems(config.network)
     yield from _coverage_problems(config)
     for index, service in enumerate(config.services):
-        yield from _key_problems(f"service[{index}].local_pace_s", service, service.local_pace_s)
-        yield from _key_problems(
-            f"service[{index}].local_joining_slowdown", service, service.local_joining_slowdown
-        )
+        key = f"service[{index}]"
+        yield from _key_problems(f"{key}.local_pace_s", service, service.local_pace_s)
+        yield from _key_problems(f"{key}.local_joining_slowdown", service, service.local_joining_slowdown)
     for index, server in enumerate(config.servers):
-        for key, problem in _server_problems(server, config):
-            yield f"server[{index}].{key}", problem
+        yield from below(f"server[{index}]", _server_problems(server, config))
     for index, fault in enumerate(config.faults):
-        for key, problem in _fault_problems(fault, config.servers):
-            yield f"fault[{index}].{key}", problem
+        yield from below(f"fault[{index}]", _fault_problems(fault, config.servers))
+    if len(config.drones) > _MOST_DRONES:
+        count = len(config.drones)
+        yield "drone", f"{count} drones: one simulation has at most {_MOST_DRONES}, divide them among files"
+    yield from name_problems("drone", [drone.name for drone in config.drones])
+    for index, drone in enumerate(config.drones):
+        yield from below(f"drone[{index}]", _drone_problems(drone, config))
 
 
-def way_problems(key: str, table: MissionConfig | FleetDroneConfig) -> Iterator[Problem]:
-    """Whether the table says once, and not in two ways, where to fly."""
+def never_offloaded(config: DroneConfig) -> Iterator[str]:
+    """A warning for each service that always runs on the drone, as no server is believed to offer it."""
+    offered = {name for server in config.servers for name in (*server.processing_s, *server.remote_call_s)}
+    for service in config.services if config.servers else ():
+        if service.name not in offered:
+            keys = [f"{key} = 0.5" for key in service.local_call_s if key]
+            example = f"{{ {', '.join(keys)} }}" if keys else "0.5"
+            yield (
+                f"{service.name} always runs on the drone, as no [[server]] has a time for it: add what a call takes "
+                f"to the servers that offer it, as in remote_call_s = {{ {service.name} = {example} }}"
+            )
+
+
+def _drone_problems(drone: FleetDroneConfig, config: DroneConfig) -> Iterator[Problem]:
+    if drone.name in [server.name for server in config.servers]:
+        yield "name", f'"{drone.name}" is a server too: rename one of them'
+    if drone.vanishes_s is not None and drone.vanishes_s <= drone.departs_s:
+        problem = f"{drone.vanishes_s:g} is not after departs_s = {drone.departs_s:g}: let it vanish later"
+        yield "vanishes_s", problem
+    mission = config.mission
+    if any((drone.grid, drone.waypoints_m, drone.plan)):
+        yield from _way_problems("", drone)
+        if drone.plan is not None and mission.home is None:
+            yield "plan", "its places count from mission.home, which all drones share: add it"
+    elif any((mission.grid, mission.waypoints_m, mission.plan)):
+        yield from _way_problems("", mission)
+    else:
+        yield "", "nowhere to fly: give it a grid, waypoints_m or a plan, or [mission] one for all drones"
+    yield from _times_problems("local_call_s", drone.local_call_s, config.services)
+
+
+def _way_problems(key: str, table: MissionConfig | FleetDroneConfig) -> Iterator[Problem]:
     ways = {"grid": table.grid, "waypoints_m": table.waypoints_m, "plan": table.plan}
     found = [name for name, value in ways.items() if value is not None]
     if len(found) != 1:
         yield key, f"no single list of waypoints: give one of {listed(ways)}, found {listed(found)}"
 
 
-def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
+def _mission_problems(mission: MissionConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
     if mission.plan is not None and mission.home is None:
         yield "mission.home", f"missing, and {mission.plan.file} names none: add it"
     keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
@@ -118,23 +149,16 @@ def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:
                 )
 
 
-def _reserve_problems(config: DroneConfig) -> Iterator[Problem]:
-    mission, endurance_s = config.mission, config.vehicle.endurance_s
-    if mission.reserve_s is None or endurance_s is None:
-        return
-    if mission.reserve_s >= endurance_s:
-        yield (
-            "mission.reserve_s",
-            f"{mission.reserve_s:g} is no less than vehicle.endurance_s = {endurance_s:g}: nothing is left to fly",
+def _battery_problems(config: DroneConfig) -> Iterator[Problem]:
+    reserve_s, endurance_s = config.mission.reserve_s, config.vehicle.endurance_s
+    if reserve_s is not None and endurance_s is not None and reserve_s >= endurance_s:
+        problem = (
+            f"{reserve_s:g} is no less than vehicle.endurance_s = {endurance_s:g}: nothing is left to fly"
         )
-
-
-def _energy_problems(config: DroneConfig) -> Iterator[Problem]:
+        yield "mission.reserve_s", problem
     if config.heat and config.energy and config.energy.computer_load_w is not None:
-        yield (
-            "energy.computer_load_w",
-            f"heat.load_w = {config.heat.load_w:g} says already what a call adds: leave it out",
-        )
+        problem = f"heat.load_w = {config.heat.load_w:g} says already what a call adds: leave it out"
+        yield "energy.computer_load_w", problem
 
 
 def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
@@ -151,27 +175,25 @@ def _autopilot_problems(autopilot: AutopilotConfig) -> Iterator[Problem]:
         except ValueError as error:
             yield "autopilot.connection", str(error)
     if autopilot.dead_man_s is not None and autopilot.on_failure == "hold":
-        yield (
-            "autopilot.dead_man_s",
-            'nobody is to hover for ever: set on_failure to "return" or "land", or leave dead_man_s out',
+        problem = (
+            'a vehicle must not hover for ever: set on_failure to "return" or "land", or leave dead_man_s out'
         )
+        yield "autopilot.dead_man_s", problem
 
 
 def _network_problems(network: NetworkConfig) -> Iterator[Problem]:
-    if network.kind == "networkmanager" and not network.interfaces:
-        yield "network.interfaces", 'missing: name those that upwash may use, such as interfaces = ["wlan1"]'
-    if network.kind != "networkmanager" and network.interfaces:
-        yield (
-            "network.interfaces",
-            f'kind = "{network.kind}" uses none: leave them out, or set "networkmanager"',
-        )
-    if network.kind == "networkmanager" and network.radios > 1 and len(network.interfaces) != network.radios:
-        yield (
-            "network.radios",
-            f"{network.radios} radios on {len(network.interfaces)} interfaces: name one interface for each",
-        )
-    for index, name in repeated(list(network.interfaces)):
-        yield f"network.interfaces[{index}]", f'"{name}" a second time: name each interface once'
+    key, interfaces = "network.interfaces", network.interfaces
+    if network.kind != "networkmanager":
+        if interfaces:
+            yield key, f'kind = "{network.kind}" uses none: leave them out, or set "networkmanager"'
+    elif not interfaces:
+        yield key, 'missing: name those that upwash may use, such as interfaces = ["wlan1"]'
+    elif network.radios > 1 and len(interfaces) != network.radios:
+        count = len(interfaces)
+        problem = f"{network.radios} radios on {count} interfaces: name one interface for each"
+        yield "network.radios", problem
+    for index, name in repeated(list(interfaces)):
+        yield f"{key}[{index}]", f'"{name}" a second time: name each interface once'
 
 
 def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
@@ -226,19 +248,16 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
     yield from _place_problems(server, config.mission)
     if server.address == MDNS:
         if config.keys is None:
-            yield (
-                "address",
-                'without [keys] anybody could announce this server: give them, or its "host:port"',
-            )
+            problem = 'without [keys] any computer could announce this server: give them, or its "host:port"'
+            yield "address", problem
     elif server.address is not None and not is_address(server.address):
         yield "address", f'expected "host:port", "unix:path" or "mdns", found "{server.address}"'
     if server.check_s < server.check_running_s:
         problem = f"{server.check_s:g} is less than check_running_s = {server.check_running_s:g}"
         yield "check_s", f"{problem}: a check that starts the service takes at least as long"
-    yield from times_problems("processing_s", server.processing_s, config.services)
-    yield from times_problems("remote_call_s", server.remote_call_s, config.services)
-    for key, problem in _truth_problems(server.truth, config.services):
-        yield f"truth.{key}", problem
+    yield from _times_problems("processing_s", server.processing_s, config.services)
+    yield from _times_problems("remote_call_s", server.remote_call_s, config.services)
+    yield from below("truth", _truth_problems(server.truth, config.services))
     turn_s, join_s = server.truth.turn_s, server_truth(server, config.services).join_s
     if turn_s is not None and turn_s < join_s:
         yield (
@@ -254,9 +273,9 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
         yield from _belief_problems(server, config.services)
 
 
-def _truth_problems(truth: TruthConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
-    yield from times_problems("processing_s", truth.processing_s, services)
-    yield from times_problems("remote_call_s", truth.remote_call_s, services)
+def _truth_problems(truth: TruthConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
+    yield from _times_problems("processing_s", truth.processing_s, services)
+    yield from _times_problems("remote_call_s", truth.remote_call_s, services)
     names = [service.name for service in services]
     for image in truth.images or ():
         if image not in names:
@@ -290,27 +309,23 @@ def _why_placed(server: ServerConfig) -> str:
 
 
 def _coverage_problems(config: DroneConfig) -> Iterator[Problem]:
-    known, home = config.network.coverage_map, config.mission.home
+    key, known, home = "network.coverage_map", config.network.coverage_map, config.mission.home
     if known is None:
         return
     if not measured_servers(config):
-        yield (
-            "network.coverage_map",
-            'no server has range_m = "measured", so there is nothing to keep: leave it out',
-        )
+        yield key, 'no server has range_m = "measured", so there is nothing to keep: leave it out'
     elif not known.is_empty and known.has_home != (home is not None):
         its, ours = ("a", "none") if known.has_home else ("no", "one")
         yield (
-            "network.coverage_map",
+            key,
             f"{known.file} was measured around {its} home, and the mission has {ours}: "
             "name a map of this field, or give mission.home as it was then",
         )
 
 
-def times_problems(
-    key: str, times: Mapping[str, Mapping[str, float]], services: tuple[ServiceConfig, ...]
+def _times_problems(
+    key: str, times: Mapping[str, Mapping[str, float]], services: Sequence[ServiceConfig]
 ) -> Iterator[Problem]:
-    """Whether the times are of services and profile keys that there are."""
     by_name = {service.name: service for service in services}
     for name, by_key in times.items():
         if name in by_name:
@@ -335,7 +350,7 @@ def _key_problems(key: str, service: ServiceConfig, by_key: Mapping[str, float])
             yield key, unknown(f"profile key of {service.name}", name, known)
 
 
-def _belief_problems(server: ServerConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
+def _belief_problems(server: ServerConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
     """Whether every call that may go to the server has a believed delay and, in simulation, a true one."""
     named = {*server.processing_s, *server.remote_call_s}
     offered = [each for each in services if each.name in named]
@@ -362,7 +377,7 @@ def _operation_problems(server: ServerConfig, service: ServiceConfig, key: str) 
         yield "bandwidth_bit_s", f"missing, and {operation} has no truth.remote_call_s: add one of them"
 
 
-def _fault_problems(fault: FaultConfig, servers: tuple[ServerConfig, ...]) -> Iterator[Problem]:
+def _fault_problems(fault: FaultConfig, servers: Sequence[ServerConfig]) -> Iterator[Problem]:
     names = [server.name for server in servers]
     targets = [*names, *(f"link:{name}" for name in names), "autopilot"]
     if fault.target not in targets:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from upwash.config.problems import Document, Problem, metrics_problems, refuse_first, unknown
-from upwash.config.reading import convert, read_document
+from upwash.config.reading import (
+    Document,
+    Problem,
+    convert,
+    metrics_problems,
+    name_problems,
+    read_document,
+    refuse_first,
+    unknown,
+)
 from upwash.config.runtime import (
     Cpus,
     DiskBytes,
@@ -19,7 +27,7 @@ from upwash.config.runtime import (
     RuntimeConfig,
     runtime_problems,
 )
-from upwash.config.shorthand import image_written_out
+from upwash.config.shorthand import each_table, image_written_out
 from upwash.config.values import (
     START_TIMEOUT_S,
     Command,
@@ -39,9 +47,7 @@ from upwash.config.values import (
     is_address,
     is_listening_address,
     is_on_this_machine,
-    repeated,
 )
-from upwash.core.operation import ON_DRONE
 from upwash.errors import ConfigError
 
 _REVOKED = "revoked.txt"
@@ -173,24 +179,18 @@ def read_daemon_config(path: Path) -> DaemonConfig:
 
 
 def daemon_config(document: Document, file: Path) -> DaemonConfig:
-    """The configuration that the document of that file says; raises ConfigError."""
+    """The configuration in the document of that file; raises ConfigError."""
     if "mission" in document:
         raise ConfigError(str(file), "mission", "this is a drone's configuration: name the daemon's file")
     tables = _written_out(document, file.absolute().parent)
     config = convert(tables, DaemonConfig, file=file, as_written=document)
     refuse_first(file, _problems(config))
-    return _with_list_beside(config)
-
-
-def _with_list_beside(config: DaemonConfig) -> DaemonConfig:
     keys = config.keys
-    if (
-        keys is None
-        or keys.revoked is not None
-        or not (beside := keys.authority.with_name(_REVOKED)).exists()
-    ):
-        return config
-    return replace(config, keys=replace(keys, revoked=beside))
+    if keys is not None and keys.revoked is None:
+        beside = keys.authority.with_name(_REVOKED)
+        if beside.exists():
+            return replace(config, keys=replace(keys, revoked=beside))
+    return config
 
 
 def _written_out(document: Document, folder: Path) -> Document:
@@ -198,109 +198,84 @@ def _written_out(document: Document, folder: Path) -> Document:
     services, servers = document.get("service"), document.get("server")
     if not isinstance(services, list) or not isinstance(servers, list):
         return document
-    names = [each["name"] for each in services if isinstance(each, dict) and _has_name(each)]
+    tables = [service for service in services if isinstance(service, dict)]
+    names = [table["name"] for table in tables if isinstance(table.get("name"), str)]
     return document | {
-        "service": [image_written_out(each, folder) if isinstance(each, dict) else each for each in services],
-        "server": [{"images": names} | each if isinstance(each, dict) else each for each in servers],
+        "service": each_table(services, lambda service: image_written_out(service, folder)),
+        "server": each_table(servers, lambda server: {"images": names} | server),
     }
 
 
-def _has_name(table: dict[str, Any]) -> bool:
-    return isinstance(table.get("name"), str)
-
-
 def _problems(config: DaemonConfig) -> Iterator[Problem]:
+    is_reached = config.keys is not None and not config.listen.startswith(
+        "unix:"
+    )  # by drones, over a network
     yield from _access_problems(config)
+    if config.announce and not is_reached:
+        yield "announce", 'needs [keys], by which drones know the server, and a "host:port" to listen on'
     yield from metrics_problems(config.metrics, config.metrics_hosts)
     yield from runtime_problems(config.runtime)
-    if config.runtime.kind == "lxd" and (config.keys is None or config.listen.startswith("unix:")):
-        yield (
-            "runtime.kind",
-            '"lxd" needs [keys] and a "host:port" to listen on: containers are called over the network',
-        )
-    for index, name in repeated([image.name for image in config.images]):
-        yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
-    for index, identity in enumerate(config.identities):
-        if identity.name == ON_DRONE:
-            yield (
-                f"server[{index}].name",
-                f'"{ON_DRONE}" stands for the drone itself in results: rename the server',
-            )
-    for index, name in repeated([identity.name for identity in config.identities]):
-        yield f"server[{index}].name", f'a second server named "{name}": give each its own name'
+    if config.runtime.kind == "lxd" and not is_reached:
+        problem = '"lxd" needs [keys] and a "host:port" to listen on: containers are called over the network'
+        yield "runtime.kind", problem
     names = [image.name for image in config.images]
+    yield from name_problems("service", names)
+    yield from name_problems("server", [identity.name for identity in config.identities])
     for index, identity in enumerate(config.identities):
         for image in identity.images:
             if image not in names:
                 yield f"server[{index}].images", unknown("service", image, names)
-    yield from _port_problems(config)
-    yield from _peer_problems(config)
-
-
-def _port_problems(config: DaemonConfig) -> Iterator[Problem]:
-    if config.instance_ports is None:
-        if config.outside_ports is not None:
-            yield "outside_ports", "needs instance_ports, which those ports lead to"
-        return
-    first, last = config.instance_ports
-    instances = sum(len(identity.images) for identity in config.identities)
-    if config.keys is None or config.listen.startswith("unix:"):
-        yield (
-            "instance_ports",
-            'needs [keys] and a "host:port" to listen on: without them instances have no such ports',
-        )
-    elif last < first:
-        yield "instance_ports", f"ends at {last}, before its first port {first}: give the first and the last"
-    elif last - first + 1 < instances:
-        yield (
-            "instance_ports",
-            f"{last - first + 1} ports are too few for {instances} instances, one of each service on each server: "
-            f"end at {first + instances - 1} or later",
-        )
-    elif first <= int(config.listen.rpartition(":")[2] or 0) <= last:
-        yield "instance_ports", f'has the daemon\'s own port of listen = "{config.listen}" in it: give others'
-    elif (
-        config.outside_ports is not None and config.outside_ports[1] - config.outside_ports[0] != last - first
-    ):
-        yield "outside_ports", f"expected {last - first + 1} ports, as many as instance_ports has"
-
-
-def _peer_problems(config: DaemonConfig) -> Iterator[Problem]:
-    for index, name in repeated([peer.name for peer in config.peers]):
-        yield f"peer[{index}].name", f'a second peer named "{name}": name each server once'
-    shows_certificate = config.keys is not None and not config.listen.startswith("unix:")
+    yield from _port_problems(config, is_reached=is_reached)
+    yield from name_problems("peer", [peer.name for peer in config.peers])
     for index, peer in enumerate(config.peers):
         if peer.name in [identity.name for identity in config.identities]:
             yield f"peer[{index}].name", f"{peer.name} is this daemon itself: name servers of other daemons"
         if not is_address(peer.address):
             yield f"peer[{index}].address", f'expected "host:port" or "unix:path", found "{peer.address}"'
-        elif not shows_certificate and not is_on_this_machine(peer.address):
-            yield (
-                f"peer[{index}].address",
-                f'"{peer.address}" is another machine: give [keys], and a "host:port" to listen on',
-            )
+        elif not is_reached and not is_on_this_machine(peer.address):
+            problem = f'"{peer.address}" is another machine: give [keys], and a "host:port" to listen on'
+            yield f"peer[{index}].address", problem
+
+
+def _port_problems(config: DaemonConfig, *, is_reached: bool) -> Iterator[Problem]:
+    if config.instance_ports is None:
+        if config.outside_ports is not None:
+            yield "outside_ports", "needs instance_ports, which those ports lead to"
+        return
+    key, (first, last), outside = "instance_ports", config.instance_ports, config.outside_ports
+    instances, ports = sum(len(identity.images) for identity in config.identities), last - first + 1
+    if not is_reached:
+        problem = 'needs [keys] and a "host:port" to listen on: without them instances have no such ports'
+        yield key, problem
+    elif last < first:
+        yield key, f"ends at {last}, before its first port {first}: give the first and the last"
+    elif ports < instances:
+        yield (
+            key,
+            f"{ports} ports are too few for {instances} instances, one of each service on each server: "
+            f"end at {first + instances - 1} or later",
+        )
+    elif first <= int(config.listen.rpartition(":")[2] or 0) <= last:
+        yield key, f'has the daemon\'s own port of listen = "{config.listen}" in it: give others'
+    elif outside is not None and outside[1] - outside[0] + 1 != ports:
+        yield "outside_ports", f"expected {ports} ports, as many as instance_ports has"
 
 
 def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
-    if config.announce and (config.keys is None or config.listen.startswith("unix:")):
-        yield "announce", 'needs [keys], by which drones know the server, and a "host:port" to listen on'
+    key = "allow_without_certificates"
     if not is_listening_address(config.listen):
         yield "listen", f'expected "host:port" or "unix:path", found "{config.listen}"'
     elif config.keys is None and not config.allow_without_certificates:
         yield (
             "keys",
-            (
-                "missing: add [keys] with authority, certificate and key, "
-                "or allow_without_certificates = true on a loopback address"
-            ),
+            "missing: add [keys] with authority, certificate and key, or allow_without_certificates = true on a "
+            "loopback address",
         )
     elif config.keys is not None and config.allow_without_certificates:
-        yield "allow_without_certificates", "contradicts [keys]: remove one of the two"
+        yield key, "contradicts [keys]: remove one of the two"
     elif config.allow_without_certificates and not is_on_this_machine(config.listen):
         yield (
-            "allow_without_certificates",
-            (
-                f'would let anyone in at "{config.listen}": '
-                'listen on "127.0.0.1:7070" or "unix:path", or give [keys] instead'
-            ),
+            key,
+            f'would let anyone in at "{config.listen}": listen on "127.0.0.1:7070" or "unix:path", or give [keys] '
+            "instead",
         )

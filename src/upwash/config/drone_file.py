@@ -1,4 +1,4 @@
-"""Reads a drone's configuration or a scenario."""
+"""Read a drone's configuration or a scenario."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import msgspec
 from upwash.config.checks import order_problems, plan_problems, problems
 from upwash.config.drone import DroneConfig
 from upwash.config.fleet import fleet_of
-from upwash.config.fleet_checks import fleet_problems
 from upwash.config.places import as_planned
-from upwash.config.problems import Document, Problem, refuse_first
-from upwash.config.reading import convert, read_document
+from upwash.config.reading import Document, Problem, convert, read_document, refuse_first
 from upwash.config.shorthand import written_out
 from upwash.errors import ConfigError
 
@@ -40,11 +38,11 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
         mission = as_planned(mission, mission.plan, named=document["mission"])
         config = msgspec.structs.replace(config, mission=mission)
     refuse_first(file, problems(config))
-    refuse_first(file, fleet_problems(config))
-    for each in fleet_of(config):
-        if each.mission.plan is not None:
-            refuse_first(each.mission.plan.file, plan_problems(each.mission, each.mission.plan.plan))
-        refuse_first(file, order_problems(each))
+    for drone in fleet_of(config):
+        plan = drone.mission.plan
+        if plan is not None:
+            refuse_first(plan.file, plan_problems(drone.mission, plan.plan))
+        refuse_first(file, order_problems(drone))
     return config
 
 
@@ -56,4 +54,15 @@ def _size_problems(document: Document) -> Iterator[Problem]:
         yield (
             "server",
             f"{servers} servers of {services} services are {services * servers:,} pairs: at most {_MOST_PAIRS:,}",
+        )
+
+
+def refuse_several(config: DroneConfig, file: Path, *, what: str) -> None:
+    """Raises ConfigError where the file has several drones, and `what` is of one."""
+    if config.drones:
+        raise ConfigError(
+            str(file),
+            "drone",
+            f"{what} is of one drone, and this file has [[drone]] tables, which are for simulations: give each drone "
+            "a file of its own, with its name at the top and its waypoints in [mission]",
         )

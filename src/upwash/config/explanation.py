@@ -14,7 +14,7 @@ from typing import Any
 
 from msgspec import ValidationError, inspect
 
-from upwash.config.problems import Problem, listed, unknown
+from upwash.config.reading import Problem, listed, unknown
 from upwash.support.camera_source import shown_source
 
 _WORDS = {
@@ -95,7 +95,7 @@ def _described(info: inspect.Type) -> str:
         case inspect.LiteralType(values=values):
             return "one of " + listed(f'"{value}"' for value in values)
         case inspect.EnumType(cls=cls):
-            return "one of " + listed(json.dumps(each.value) for each in cls)
+            return "one of " + listed(json.dumps(member.value) for member in cls)
         case inspect.StructType() | inspect.DataclassType() as table:
             return f"a table with the keys {listed(_keys(table))}"
         case inspect.CustomType(cls=cls) if cls is Path:

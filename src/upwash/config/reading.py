@@ -1,39 +1,47 @@
 """From a TOML file to a typed value, or to a ConfigError that says what to change.
 
-msgspec checks the types; `explanation` puts its errors into words.
+msgspec checks the types; `explanation` puts its errors into words. What no type says is checked by generators of
+problems: the key, and what is wrong there with what to do about it.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from upwash.config.coverage import CoverageFile
-from upwash.config.problems import Document, Problem, refuse_first
-from upwash.config.values import PlanFile, SettingsTable
+from upwash.config.values import PlanFile, SettingsTable, is_listening_address
+from upwash.core.operation import ON_DRONE
 from upwash.errors import ConfigError
 from upwash.support.input_files import read_file, read_toml, text_of, why_unreadable
 
 T = TypeVar("T")
+Document = dict[str, Any]
+Problem = tuple[str, str]  # the key, and what is wrong with it
 
 _MOST_BYTES = 1_000_000  # some 40,000 waypoints
 _MOST_NESTED = 12
-_ENDLESS = re.compile(r"server\b.*\.turn_s")  # keys whose values may be without end
+_ENDLESS = re.compile(r"server\b.*\.turn_s")  # keys whose values may be infinite
+_HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
 
 
 def read_document(file: Path) -> Document:
-    """The file's tables as plain values; every number in them is finite, or of an endless turn, and fits 64 bits."""
+    """The file's tables as plain values; numbers are finite, except of an endless turn, and fit 64 bits."""
     try:
         text = text_of(read_file(file, most_bytes=_MOST_BYTES))
     except FileNotFoundError:
         raise ConfigError(str(file), "", "no such file: check the path") from None
+    except UnicodeDecodeError as error:
+        problem = f"not UTF-8 text (byte {error.start}): save it as UTF-8"
+        raise ConfigError(str(file), "", problem) from None
     except (OSError, ValueError) as error:
-        raise ConfigError(str(file), "", _unreadable(error)) from None
+        problem = f"cannot be read ({why_unreadable(error)}): name a readable file"
+        raise ConfigError(str(file), "", problem) from None
     try:
         document = read_toml(text)
     except ValueError as error:
@@ -50,10 +58,10 @@ def convert(
     as_written: Mapping[str, object],
     at: str = "",
 ) -> T:
-    """The document as a value of that kind; paths in it count from the file's folder.
+    """The document as a value of that kind; its paths count from the file's folder. Raises ConfigError.
 
-    `as_written` is the document before shorthands were written out: error messages quote it. `at` is the key of a
-    document that is a table of the file's.
+    Error messages quote `as_written`, the document before shorthands were written out. `at` is the document's key, if
+    the document is a table of the file.
     """
     folder = file.absolute().parent
 
@@ -68,20 +76,20 @@ def convert(
     try:
         return msgspec.convert(document, kind, dec_hook=resolve)
     except msgspec.ValidationError as error:
-        from upwash.config.explanation import explained  # only needed once something is wrong
+        from upwash.config.explanation import explained  # only needed for errors
 
         key, problem = explained(error, as_written, kind)
         raise ConfigError(str(file), ".".join(filter(None, (at, key))), problem) from None
 
 
-def _unreadable(error: OSError | ValueError) -> str:
-    if isinstance(error, UnicodeDecodeError):
-        return f"not UTF-8 text (byte {error.start}): save it as UTF-8"
-    return f"cannot be read ({why_unreadable(error)}): name a readable file"
+def refuse_first(file: Path, problems: Iterable[Problem]) -> None:
+    """Raise ConfigError for the first of the problems, if there is one."""
+    for key, problem in problems:
+        raise ConfigError(str(file), key, problem)
 
 
 def impossible_values(value: object, key: str, depth: int = 0) -> Iterator[Problem]:
-    """What no value of a key may be: infinite, but for turns, longer than 64 bits, or nested without end."""
+    """Values that no key may have: infinite (but turns), longer than 64 bits, or nested without end."""
     match value:
         case math.inf if _ENDLESS.fullmatch(key):
             pass
@@ -97,3 +105,52 @@ def impossible_values(value: object, key: str, depth: int = 0) -> Iterator[Probl
             yield key, f"expected a finite number, found {value}"
         case int() if value.bit_length() > 63:
             yield key, "expected a number that fits 64 bits"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names as an error message lists them."""
+    return ", ".join(names) or "none"
+
+
+def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
+    """The message that a name is not allowed, with the allowed names and the nearest of them."""
+    import difflib  # only needed for errors
+
+    choices = list(allowed)
+    near = difflib.get_close_matches(name, choices, n=1)
+    hint = f'did you mean "{near[0]}"? ' if near else ""
+    return f'unknown {what} "{name}"; {hint}allowed: {listed(choices)}'
+
+
+def below(prefix: str, problems: Iterable[Problem]) -> Iterator[Problem]:
+    """The problems of a table that stands at `prefix`."""
+    for key, problem in problems:
+        yield f"{prefix}.{key}" if key else prefix, problem
+
+
+def name_problems(key: str, names: list[str]) -> Iterator[Problem]:
+    """Names of the tables [[key]] that are given twice, or that stand for the drone in results."""
+    for index, name in enumerate(names):
+        if name == ON_DRONE and key in ("server", "drone"):
+            what = f'"{ON_DRONE}" stands for the drone itself in results: rename the {key}'
+            yield f"{key}[{index}].name", what
+    for index, name in repeated(names):
+        yield f"{key}[{index}].name", f'a second {key} named "{name}": give each its own name'
+
+
+def repeated(names: list[str]) -> list[tuple[int, str]]:
+    """The names that stand earlier in the list too, each with its index."""
+    first: dict[str, int] = {}
+    return [(index, name) for index, name in enumerate(names) if first.setdefault(name, index) < index]
+
+
+def metrics_problems(metrics: str | None, hosts: Collection[str]) -> Iterator[Problem]:
+    """What is wrong with the address of the metrics, and with the names of `metrics_hosts`."""
+    if metrics is not None and (metrics.startswith("unix:") or not is_listening_address(metrics)):
+        yield "metrics", f'expected "host:port" such as "127.0.0.1:9100", found "{metrics}"'
+    if hosts and metrics is None:
+        yield "metrics_hosts", 'needs metrics, such as "0.0.0.0:9100"'
+    for index, host in enumerate(hosts):
+        if not _HOST_NAME.fullmatch(host):
+            problem = f'expected a name such as "host.docker.internal", without a port, found "{host}"'
+            yield f"metrics_hosts[{index}]", problem

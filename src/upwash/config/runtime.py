@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from upwash.config.problems import Problem
+from upwash.config.reading import Problem
 from upwash.config.values import FilePath, Name, Names, Text
 
 # Less than a Python interpreter with gRPC needs helps nobody.
@@ -89,27 +89,32 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
-    """What is wrong with a runtime's table beyond its types."""
-    import ipaddress  # only needed where a daemon is configured
-
-    yield from _device_problems(runtime)
+    """What is wrong with a runtime's table, beyond its types."""
+    if runtime.devices and runtime.kind == "lxd":
+        problem = "containers of LXD or Incus get devices by a profile: name it in engine.profiles"
+        yield "runtime.devices", problem
+    for index, device in enumerate(runtime.devices if runtime.kind == "process" else ()):
+        if not device.startswith("/dev/") or ".." in device.split("/"):
+            yield f"runtime.devices[{index}]", f'expected a path below /dev, found "{device}"'
     if runtime.kind == "docker":
         yield from _docker_problems(runtime.engine_addresses)
-        return
-    engine = runtime.engine
-    for index, address in enumerate(runtime.engine_addresses):
+    else:
+        yield from _lxd_problems(runtime)
+
+
+def _lxd_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
+    import ipaddress  # only needed where a daemon is configured
+
+    engine, addresses = runtime.engine, runtime.engine_addresses
+    for index, address in enumerate(addresses):
         if not address.startswith(("unix:/", "https://")):
-            yield (
-                f"runtime.engine.addresses[{index}]",
-                f'expected "unix:/path" or "https://host:port", found "{address}"',
-            )
-    if any(address.startswith("https://") for address in runtime.engine_addresses):
+            problem = f'expected "unix:/path" or "https://host:port", found "{address}"'
+            yield f"runtime.engine.addresses[{index}]", problem
+    if any(address.startswith("https://") for address in addresses):
         for name in ("certificate", "key", "engine_certificate"):
             if getattr(engine, name) is None:
-                yield (
-                    f"runtime.engine.{name}",
-                    "missing: an engine at an https address is shown and shows one",
-                )
+                problem = "missing: an engine at an https address is shown and shows one"
+                yield f"runtime.engine.{name}", problem
     try:
         subnet = ipaddress.IPv4Network(runtime.network.subnet)
     except ValueError as error:
@@ -119,23 +124,11 @@ def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
             yield "runtime.network.subnet", f'expected a subnet from /16 to /30, found "{subnet}"'
 
 
-def _device_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
-    if runtime.devices and runtime.kind == "lxd":
-        yield (
-            "runtime.devices",
-            "containers of LXD or Incus get devices by a profile: name it in engine.profiles",
-        )
-    for index, device in enumerate(runtime.devices if runtime.kind == "process" else ()):
-        if not device.startswith("/dev/") or ".." in device.split("/"):
-            yield f"runtime.devices[{index}]", f'expected a path below /dev, found "{device}"'
-
-
 def _docker_problems(addresses: tuple[str, ...]) -> Iterator[Problem]:
+    key = "runtime.engine.addresses"
     if len(addresses) > 1:
-        yield "runtime.engine.addresses", f"one address of Docker or Podman is enough, found {len(addresses)}"
+        yield key, f"one address of Docker or Podman is enough, found {len(addresses)}"
     for address in addresses:
         if not address.startswith("unix:/"):
-            yield (
-                "runtime.engine.addresses[0]",
-                f'expected "unix:/path" of an engine on this machine, found "{address}"',
-            )
+            problem = f'expected "unix:/path" of an engine on this machine, found "{address}"'
+            yield f"{key}[0]", problem

@@ -10,67 +10,55 @@ from pathlib import Path
 from typing import Any
 
 from upwash.config.drone import RADIOS
-from upwash.config.problems import Document
+from upwash.config.reading import Document
 
 _REMOTE = ("processing_s", "remote_call_s")
 
 
 def written_out(document: Document, folder: Path) -> Document:
     """The document without shorthands, its times by service and profile key, its paths from the folder."""
-    services = _tables(document.get("service"))
-    return document | {
-        name: value
-        for name, value in {
-            "mission": _each(document.get("mission"), lambda table: with_program_from(table, folder)),
-            "service": _each(document.get("service"), lambda table: _service(table, folder)),
-            "server": _each(document.get("server"), lambda table: _server(table, services, folder)),
-            "drone": _each(
-                document.get("drone"), lambda table: table | _by_service(table, services, "local_call_s")
-            ),
-        }.items()
-        if name in document
+    found = document.get("service")
+    services = [table for table in found if isinstance(table, dict)] if isinstance(found, list) else []
+    changes: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+        "mission": lambda table: _with_program_from(table, folder),
+        "service": lambda table: _service(table, folder),
+        "server": lambda table: _server(table, services, folder),
+        "drone": lambda table: table | _by_service(table, services, "local_call_s"),
     }
+    tables = {name: each_table(document[name], changes[name]) for name in changes if name in document}
+    return document | tables
 
 
-def _tables(value: object) -> list[dict[str, Any]]:
-    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
-
-
-def _each(value: object, write_out: Callable[[dict[str, Any]], dict[str, Any]]) -> object:
-    """Writes out a table, or each table of an array."""
+def each_table(value: object, write_out: Callable[[dict[str, Any]], dict[str, Any]]) -> object:
+    """The table written out, or each table of an array; other values stay as they are."""
     if isinstance(value, list):
         return [write_out(item) if isinstance(item, dict) else item for item in value]
     return write_out(value) if isinstance(value, dict) else value
 
 
-def with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The table with the file of its program, if it names one, as a path from the folder."""
-    program = table.get("program")
+def _with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The table with its program's file, and the files that its command names, as paths from the folder."""
+    program, command = table.get("program"), table.get("command")
+    paths: dict[str, Any] = {}
     if isinstance(program, str) and ".py:" in program:
-        return table | {"program": str(folder / program)}
-    return table
-
-
-def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """A daemon's service with its times by profile key and its program's file as a path from the folder."""
-    return with_program_from(image, folder) | _by_key(image, "pace_s") | _with_files_of_command(image, folder)
-
-
-def _with_files_of_command(image: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The words of its command that name files of the folder as their paths."""
-    command = image.get("command")
-    if not isinstance(command, list):
-        return {}
-    return {"command": [_file_of(word, folder) if isinstance(word, str) else word for word in command]}
+        paths["program"] = str(folder / program)
+    if isinstance(command, list):
+        paths["command"] = [_file_of(word, folder) if isinstance(word, str) else word for word in command]
+    return table | paths
 
 
 def _file_of(word: str, folder: Path) -> str:
     return str(folder / word) if word and (folder / word).is_file() else word
 
 
+def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A daemon's service with its times by profile key and its program's file as a path from the folder."""
+    return _with_program_from(image, folder) | _by_key(image, "pace_s")
+
+
 def _service(service: dict[str, Any], folder: Path) -> dict[str, Any]:
     by_key = _by_key(service, "local_call_s", "local_pace_s", "local_joining_slowdown")
-    return with_program_from(service, folder) | by_key | _with_files_of_command(service, folder)
+    return _with_program_from(service, folder) | by_key
 
 
 def _by_key(table: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -91,7 +79,7 @@ def _server(server: dict[str, Any], services: list[dict[str, Any]], folder: Path
 
 def _by_service(table: dict[str, Any], services: list[dict[str, Any]], *names: str) -> dict[str, Any]:
     """The times of a table by service and key: a number is that of all beneath, a key's that of all that have it."""
-    named = {each["name"]: each for each in services if isinstance(each.get("name"), str)}
+    named = {service["name"]: service for service in services if isinstance(service.get("name"), str)}
     if not named:
         return {}
     return {name: _nested(table[name], named) for name in names if name in table}

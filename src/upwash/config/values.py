@@ -166,12 +166,6 @@ def is_listening_address(text: str) -> bool:
     return is_address(f"any:{port}" if colon and host in _EVERYWHERE else text)
 
 
-def repeated(names: list[str]) -> list[tuple[int, str]]:
-    """The names that were already there further up, each with its index."""
-    first: dict[str, int] = {}
-    return [(index, name) for index, name in enumerate(names) if first.setdefault(name, index) < index]
-
-
 def is_on_this_machine(address: str) -> bool:
     """Whether a `host:port` or `unix:path` can only be reached from this machine itself."""
     import ipaddress  # only needed where certificates are not

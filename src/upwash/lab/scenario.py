@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from upwash.config import Document, DroneConfig, drone_config, impossible_values, read_document
-from upwash.config.problems import refuse_first
+from upwash.config.reading import refuse_first
 from upwash.errors import ConfigError
 
 _DRONES = "drones"

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import msgspec
 
 from upwash.config import DroneConfig, NoiseConfig, ServerConfig
-from upwash.config.problems import unknown
-from upwash.config.values import repeated
+from upwash.config.reading import repeated, unknown
 from upwash.core.policies.names import POLICIES
 from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes

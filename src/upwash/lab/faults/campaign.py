@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import msgspec
 
 from upwash.config import DroneConfig
-from upwash.config.problems import Document
+from upwash.config.reading import Document
 from upwash.lab.faults.history import calls_of
 from upwash.lab.faults.promises import Broken, History, Promise, broken_promises
 from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs, moment_of

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from upwash.config import DroneConfig, Lie, drone_config
-from upwash.config.problems import Document
+from upwash.config.reading import Document
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing

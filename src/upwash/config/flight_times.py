@@ -1,0 +1,64 @@
+"""How fast the vehicle gets on, and how long a mission may take, as far as a configuration says."""
+
+from __future__ import annotations
+
+from msgspec import structs
+
+from upwash.config.drone import DroneConfig, VehicleConfig
+from upwash.core.planning.legs import PACES, Pace
+
+_USUAL_M_S2, _USUAL_TAKEOFF_S = 1.0, 10.0  # of a simulated vehicle without numbers
+_STEPS_PERCENT = 2.0  # of the reported battery level: the reserve's watch adds one step, and one is left
+
+
+def told_pace(vehicle: VehicleConfig) -> Pace | None:
+    """That of the profile or of the numbers; None where the file has neither."""
+    if vehicle.profile is not None:
+        return PACES[vehicle.profile]
+    if vehicle.acceleration_m_s2 is None and vehicle.takeoff_s is None:
+        return None
+    return pace_in_numbers(vehicle)
+
+
+def told_in_numbers(vehicle: VehicleConfig) -> VehicleConfig:
+    """The same vehicle, whose file says what a simulation assumes: for a flight with a stand-in that flies so."""
+    if vehicle.profile is not None:
+        return vehicle
+    pace = pace_in_numbers(vehicle)
+    return structs.replace(vehicle, acceleration_m_s2=pace.acceleration_m_s2, takeoff_s=pace.lifting_s)
+
+
+def pace_in_numbers(vehicle: VehicleConfig) -> Pace:
+    """That of a simulated vehicle without a profile."""
+    takeoff_s = _USUAL_TAKEOFF_S if vehicle.takeoff_s is None else vehicle.takeoff_s
+    return Pace(vehicle.acceleration_m_s2 or _USUAL_M_S2, lifting_s=takeoff_s)
+
+
+def reserve_percent(config: DroneConfig) -> float | None:
+    """What has to be left of the battery at touchdown; None where nothing has to, or nothing tells how much it is."""
+    mission, endurance_s = config.mission, config.vehicle.endurance_s
+    reserves = [mission.reserve_percent]
+    if mission.reserve_s is not None and endurance_s is not None:
+        reserves.append(100 * mission.reserve_s / endurance_s)
+    return max((percent for percent in reserves if percent is not None), default=None)
+
+
+def usable_s(config: DroneConfig) -> float | None:
+    """How long the battery lasts above the mission's reserve; None where the configuration does not say."""
+    if config.vehicle.endurance_s is None:
+        return None
+    return config.vehicle.endurance_s * (1 - (reserve_percent(config) or 0.0) / 100)
+
+
+def finish_by_s(config: DroneConfig) -> float | None:
+    """By when the mission is to be over, in seconds from arming: as configured, or else before the reserve ends it.
+
+    None where nothing may run lighter, or nothing says how long the battery lasts.
+    """
+    mission = config.mission
+    if mission.finish_by_s is not None or not mission.lighter:
+        return mission.finish_by_s
+    lasts_s, endurance_s = usable_s(config), config.vehicle.endurance_s
+    if lasts_s is None or endurance_s is None or reserve_percent(config) is None:
+        return None
+    return lasts_s - _STEPS_PERCENT / 100 * endurance_s
