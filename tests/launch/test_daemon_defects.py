@@ -15,7 +15,8 @@ from typing import Any, NoReturn
 import pytest
 
 from upwash.config import read_daemon_config
-from upwash.launch import daemon
+from upwash.launch import daemon, daemon_changes
+from upwash.launch.daemon_changes import RunningDaemon
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.trust.authority import make_keys
 from upwash.server.daemon import EdgeServer
@@ -77,7 +78,7 @@ def test_a_daemon_whose_background_fails_ends_with_that_failure(
         case "edge":
             monkeypatch.setattr(EdgeServer, "run", fail)
         case "reload":
-            monkeypatch.setattr(daemon, "_reload_at", fail)
+            monkeypatch.setattr(RunningDaemon, "reload_at", fail)
         case "expiry":
             monkeypatch.setattr(daemon, "watch_expiry", fail)
     with pytest.raises(LookupError, match="a defect"):
@@ -106,7 +107,7 @@ def test_a_defect_in_handing_over_leaves_the_daemon_serving(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     make_keys(tmp_path / "keys", servers=[["s1"]], drones=[])
-    monkeypatch.setattr(daemon, "hand_over", fail)
+    monkeypatch.setattr(daemon_changes, "hand_over", fail)
 
     class StaysThenStops(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:

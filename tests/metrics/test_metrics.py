@@ -139,7 +139,8 @@ class Edge:
         self.edge = EdgeServer(
             AdmissionController({"s1": ServerOffer(frozenset({"detector"}), slots=1)}),
             images=IMAGES,
-            runtime=self.metrics.runtime(runtime),
+            runtime=runtime,
+            observer=self.metrics.observer(),
             dialer=ModelDialer("s1", Switchboard({}), Wire()),
             start_timeout_s=60.0,
             drain_s=10.0,

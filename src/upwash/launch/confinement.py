@@ -26,10 +26,10 @@ _NAMES = tuple(each.name for each in fields(Limits))
 
 @dataclass(frozen=True, slots=True)
 class Confinement:
-    """The sandbox or None, its `weakness`, and by the name of each limit that cannot hold why (`unenforced`)."""
+    """The sandbox or None, its `warning`, and by the name of each limit that cannot hold why (`unenforced`)."""
 
     sandbox: Sandbox | None = None
-    weakness: str = ""
+    warning: str = ""
     unenforced: Mapping[str, str] = field(default_factory=dict)
 
     def limits(self, config: DaemonConfig) -> dict[str, Limits]:
@@ -81,8 +81,8 @@ async def find_confinement(config: DaemonConfig) -> Confinement:
             f"services run without a sandbox: {error}",
             f"processes have limits in a sandbox alone, and there is none: {error}",
         )
-    weakness = "the daemon is root: services in their sandbox may start processes without limit"
-    return Confinement(sandbox, weakness if is_root else "", sandbox.unenforced)
+    warning = "the daemon is root: services in their sandbox may start processes without limit"
+    return Confinement(sandbox, warning if is_root else "", sandbox.unenforced)
 
 
 def _refuse_missing(devices: Sequence[str]) -> None:
@@ -103,5 +103,5 @@ async def _unenforced_by_docker(runtime: RuntimeConfig) -> Mapping[str, str]:
         await engine.close()
 
 
-def _without_sandbox(weakness: str, why: str) -> Confinement:
-    return Confinement(weakness=weakness, unenforced=dict.fromkeys(_NAMES, why))
+def _without_sandbox(warning: str, why: str) -> Confinement:
+    return Confinement(warning=warning, unenforced=dict.fromkeys(_NAMES, why))

@@ -1,26 +1,25 @@
-"""The metrics of an edge daemon: what it is asked and what starts, counted; how its servers stand, looked at."""
+"""The metrics of an edge daemon: its requests and instances, counted; its servers' state, read at each scrape."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Iterator
-from dataclasses import dataclass
-from operator import attrgetter
 from typing import Any, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from upwash.core.admission.clients import Client, DoorReason
+from upwash.core.admission.clients import Client, DoorReason, DroneUsage, TeamUsage
 from upwash.core.admission.instances import InstanceState
-from upwash.errors import InstanceError, Refused
-from upwash.metrics.buckets import CALL_S, START_S
-from upwash.ports import Answered, AnsweredCall, Instance, InstanceSpec, Runtime, ignored
+from upwash.errors import Refused
+from upwash.metrics import CALL_S
+from upwash.ports import AnsweredCall, InstanceSpec
 from upwash.rpc.protocol import AVAILABILITY, DENY, HOLD, LEAVE, PREPARE, START, STATUS
-from upwash.server.daemon import EdgeServer, Snapshot
+from upwash.server.daemon import EdgeServer, Observer, Snapshot
 
 _LOOK_S = 5.0  # longer than a daemon is ever busy at a stretch
+_START_S = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
 _REQUESTS = {
     AVAILABILITY: "availability",
     START: "start",
@@ -35,7 +34,7 @@ Handle = Callable[[str, bytes, Client], Coroutine[Any, Any, bytes]]
 
 
 class DaemonMetrics:
-    """Stands between a daemon and what asks it and what it asks, and lets everything through as it is."""
+    """Counts a daemon's requests, and what happens to its instances."""
 
     def __init__(self) -> None:
         self.registry = registry = CollectorRegistry()
@@ -49,7 +48,7 @@ class DaemonMetrics:
             "upwash_instance_start_seconds",
             "What the start of an instance took, of those that became ready",
             ["server", "service"],
-            buckets=START_S,
+            buckets=_START_S,
             registry=registry,
         )
         self.calls = Histogram(
@@ -67,7 +66,7 @@ class DaemonMetrics:
         )
 
     def daemon(self, handle: Handle) -> Handle:
-        """Counts the requests that reach the daemon."""
+        """The same handler, with each request counted."""
 
         async def answer(path: str, body: bytes, client: Client) -> bytes:
             request, outcome = _REQUESTS.get(path, "unknown"), "failed"
@@ -83,169 +82,108 @@ class DaemonMetrics:
 
         return answer
 
-    def runtime(self, runtime: Runtime) -> Runtime:
-        """Counts how instances start and end."""
-        return _Runtime(runtime, self)
+    def observer(self) -> Observer:
+        """Counts the starts, failures and calls of instances."""
+        return Observer(self._started, self._failed, self._answered)
 
     def look_at(self, edge: EdgeServer) -> None:
-        """From now on tells how the daemon stands whenever it is asked; to be called on its event loop."""
-        self.registry.register(_Standing(edge, asyncio.get_running_loop()))
+        """Read the daemon's state at each scrape from now on; must be called on its event loop."""
+        self.registry.register(_DaemonState(edge, asyncio.get_running_loop()))
+
+    def _started(self, spec: InstanceSpec, took_s: float) -> None:
+        self.starts.labels(spec.server, spec.service).observe(took_s)
+
+    def _failed(self, spec: InstanceSpec) -> None:
+        self.failures.labels(spec.server, spec.service).inc()
+
+    def _answered(self, spec: InstanceSpec, call: AnsweredCall) -> None:
+        if call.outcome != "dropped":
+            self.calls.labels(spec.server, spec.service, call.method).observe(call.took_s)
 
 
-@dataclass(frozen=True, slots=True)
-class _Runtime:
-    runtime: Runtime
-    metrics: DaemonMetrics
-
-    async def start(
-        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
-    ) -> Instance:
-        def heard(call: AnsweredCall) -> None:
-            if call.outcome != "dropped":
-                self.metrics.calls.labels(spec.server, spec.service, call.method).observe(call.took_s)
-            answered(call)
-
-        began_s = asyncio.get_running_loop().time()
-        try:
-            instance = await self.runtime.start(spec, called=called, answered=heard)
-        except (InstanceError, asyncio.CancelledError):
-            self.metrics.failures.labels(spec.server, spec.service).inc()
-            raise
-        took_s = asyncio.get_running_loop().time() - began_s
-        self.metrics.starts.labels(spec.server, spec.service).observe(took_s)
-        return _Instance(instance, spec, self.metrics)
-
-
-@dataclass(frozen=True, slots=True)
-class _Instance:
-    instance: Instance
-    spec: InstanceSpec
-    metrics: DaemonMetrics
-
-    @property
-    def endpoint(self) -> str:
-        return self.instance.endpoint
-
-    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        await self.instance.admit(drones, finishing)
-
-    async def drain(self, why: str) -> None:
-        await self.instance.drain(why)
-
-    async def health(self) -> None:
-        await self.instance.health()
-
-    async def exited(self) -> str:
-        how = await self.instance.exited()
-        self.metrics.failures.labels(self.spec.server, self.spec.service).inc()
-        return how
-
-    async def stop(self) -> None:
-        await self.instance.stop()
+_G, _C = GaugeMetricFamily, CounterMetricFamily
+_FAMILIES = (
+    (_G, "slots", "Drones that the server takes at once", ["server"]),
+    (_G, "leases", "Drones that have a slot", ["server"]),
+    (_G, "slots_held", "Slots held for a drone on its way", ["server"]),
+    (_G, "waiting", "Drones that wait for a slot", ["server"]),
+    (_C, "turns_ended", "Turns that ended because another drone waited", ["server"]),
+    (_G, "instances", "1 for the state that the instance is in", ["server", "service", "state"]),
+    (_C, "instances_replaced", "Instances that were of no use, and were stopped", ["server", "service"]),
+    (_C, "instances_renewed", "Instances that took over in another version", ["server", "service"]),
+    (_G, "service_paused_seconds", "Time for which a failing service is left alone", ["server", "service"]),
+    (_C, "drone_slot_seconds", "Time with a slot", ["server", "drone", "team"]),
+    (_C, "drone_calls", "Answered calls", ["server", "drone", "team"]),
+    (_C, "drone_computing_seconds", "What services took for calls", ["server", "drone", "team"]),
+    (_C, "team_slot_seconds", "Time with a slot, of forgotten drones too", ["server", "team"]),
+    (_C, "team_calls", "Answered calls, of forgotten drones too", ["server", "team"]),
+    (
+        _C,
+        "team_computing_seconds",
+        "What services took for calls, of forgotten drones too",
+        ["server", "team"],
+    ),
+    (_C, "refusals", "Clients refused, with a reason", ["server"]),
+    (_C, "door_refusals", "Connections refused before any request", ["reason"]),
+    (_G, "certificate_expiry_timestamp_seconds", "When the certificate ends, since 1970", ["holder"]),
+)
+StateSample = tuple[
+    str, float, tuple[str, ...]
+]  # the name of its family, and the values of the family's labels
 
 
-class _Standing(Collector):
-    """Looks at a daemon on its own event loop, when a thread that answers Prometheus asks."""
+class _DaemonState(Collector):
+    """Reads a daemon's state on its own event loop, from the thread that answers Prometheus."""
 
     def __init__(self, edge: EdgeServer, loop: asyncio.AbstractEventLoop) -> None:
         self._edge = edge
         self._loop = loop
 
     def collect(self) -> Iterator[Metric]:
-        """How the daemon stands now."""
-        standing = asyncio.run_coroutine_threadsafe(_look(self._edge), self._loop).result(_LOOK_S)
-        slots = GaugeMetricFamily("upwash_slots", "Drones that the server takes at once", labels=["server"])
-        leases = GaugeMetricFamily("upwash_leases", "Drones that have a slot", labels=["server"])
-        held = GaugeMetricFamily("upwash_slots_held", "Slots held for a drone on its way", labels=["server"])
-        waiting = GaugeMetricFamily("upwash_waiting", "Drones that wait for a slot", labels=["server"])
-        turns = CounterMetricFamily(
-            "upwash_turns_ended", "Turns that ended for the sake of a drone that waited", labels=["server"]
-        )
-        instances = GaugeMetricFamily(
-            "upwash_instances",
-            "1 for the state that the instance is in",
-            labels=["server", "service", "state"],
-        )
-        replaced = CounterMetricFamily(
-            "upwash_instances_replaced",
-            "Instances that were of no use, and were stopped",
-            labels=["server", "service"],
-        )
-        renewed = CounterMetricFamily(
-            "upwash_instances_renewed",
-            "Instances that took over in another version of the service",
-            labels=["server", "service"],
-        )
-        paused = GaugeMetricFamily(
-            "upwash_service_paused_seconds",
-            "How much longer a service that keeps failing is left alone",
-            labels=["server", "service"],
-        )
-        for server in standing.servers:
-            slots.add_metric([server.name], server.slots)
-            coming = sum(bool(lease.held_by) for lease in server.leases)
-            leases.add_metric([server.name], len(server.leases) - coming)
-            held.add_metric([server.name], coming)
-            waiting.add_metric([server.name], sum(each.waits_s is not None for each in server.accounts))
-            turns.add_metric([server.name], server.turns_ended)
-            for instance in server.instances:
-                replaced.add_metric([server.name, instance.service], instance.replaced)
-                renewed.add_metric([server.name, instance.service], instance.renewed)
-                paused.add_metric([server.name, instance.service], instance.paused_s)
-                for state in InstanceState:
-                    labels = [server.name, instance.service, state]
-                    instances.add_metric(labels, float(instance.state == state))
-        yield from (slots, leases, held, waiting, turns, instances, replaced, renewed, paused)
-        yield from _usage(standing)
-        yield from (_refusals(standing), _refusals_at_door(standing), _expiries(standing))
+        """The metrics of the daemon's state now."""
+        standing = asyncio.run_coroutine_threadsafe(_read(self._edge), self._loop).result(_LOOK_S)
+        families = {
+            name: kind(f"upwash_{name}", what, labels=labels) for kind, name, what, labels in _FAMILIES
+        }
+        for name, number, values in _samples(standing):
+            families[name].add_metric(values, float(number))
+        yield from families.values()
 
 
-async def _look(edge: EdgeServer) -> Snapshot:
+async def _read(edge: EdgeServer) -> Snapshot:
     return edge.standing()
 
 
-def _usage(standing: Snapshot) -> Iterator[Metric]:
-    """What drones and teams used; the numbers of teams count forgotten drones too."""
-    for whose, labels in (("drone", ["server", "drone", "team"]), ("team", ["server", "team"])):
-        used = [
-            (each, [server.name, *(getattr(each, label) for label in labels[1:])])
-            for server in standing.servers
-            for each in (server.drones if whose == "drone" else server.teams)
-        ]
-        for name, what, number in (
-            ("slot_seconds", "Time with a slot", attrgetter("slot_s")),
-            ("calls", "Answered calls", attrgetter("calls")),
-            ("computing_seconds", "What services took for calls", attrgetter("computed_s")),
-        ):
-            family = CounterMetricFamily(f"upwash_{whose}_{name}", what, labels=labels)
-            for each, values in used:
-                family.add_metric(values, number(each))
-            yield family
-
-
-def _refusals(standing: Snapshot) -> Metric:
-    refusals = CounterMetricFamily("upwash_refusals", "Clients refused, with a reason", labels=["server"])
-    for server, times in standing.refused.items():
-        refusals.add_metric([server], times)
-    return refusals
-
-
-def _refusals_at_door(standing: Snapshot) -> Metric:
-    refusals = CounterMetricFamily(
-        "upwash_door_refusals", "Connections refused before any request", labels=["reason"]
-    )
-    known = {each.reason: each.times for each in standing.at_door}
+def _samples(standing: Snapshot) -> Iterator[StateSample]:
+    for server in standing.servers:
+        at = (server.name,)
+        held = sum(bool(lease.held_by) for lease in server.leases)
+        yield "slots", server.slots, at
+        yield "leases", len(server.leases) - held, at
+        yield "slots_held", held, at
+        yield "waiting", sum(drone.waits_s is not None for drone in server.accounts), at
+        yield "turns_ended", server.turns_ended, at
+        for instance in server.instances:
+            service = (server.name, instance.service)
+            yield "instances_replaced", instance.replaced, service
+            yield "instances_renewed", instance.renewed, service
+            yield "service_paused_seconds", instance.paused_s, service
+            for state in InstanceState:
+                yield "instances", instance.state == state, (*service, state)
+        for drone in server.drones:
+            yield from _used("drone", drone, (server.name, drone.drone, drone.team))
+        for team in server.teams:
+            yield from _used("team", team, (server.name, team.team))
+    for name, times in standing.refused.items():
+        yield "refusals", times, (name,)
+    at_door = {status.reason: status.times for status in standing.at_door}
     for reason in get_args(DoorReason):
-        refusals.add_metric([reason], known.get(reason, 0))
-    return refusals
+        yield "door_refusals", at_door.get(reason, 0), (reason,)
+    for known in standing.certificates:
+        yield "certificate_expiry_timestamp_seconds", known.expires.timestamp(), (known.holder,)
 
 
-def _expiries(standing: Snapshot) -> Metric:
-    expiries = GaugeMetricFamily(
-        "upwash_certificate_expiry_timestamp_seconds",
-        "When the certificate ends, since 1970",
-        labels=["holder"],
-    )
-    for certificate in standing.certificates:
-        expiries.add_metric([certificate.holder], certificate.expires.timestamp())
-    return expiries
+def _used(whose: str, user: DroneUsage | TeamUsage, values: tuple[str, ...]) -> Iterator[StateSample]:
+    yield f"{whose}_slot_seconds", user.slot_s, values
+    yield f"{whose}_calls", user.calls, values
+    yield f"{whose}_computing_seconds", user.computed_s, values

@@ -9,7 +9,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.metrics.buckets import CALL_S
+from upwash.metrics import CALL_S
 
 _ON_DRONE = "drone"
 

@@ -96,6 +96,15 @@ class Snapshot:
     at_door: Sequence[DoorStatus]
 
 
+@dataclass(frozen=True, slots=True)
+class Observer:
+    """Callables for what happens to instances: a start and its duration (s), a failure, an answered call."""
+
+    started: Callable[[InstanceSpec, float], None] = lambda *_: None
+    failed: Callable[[InstanceSpec], None] = lambda _: None
+    answered: Callable[[InstanceSpec, AnsweredCall], None] = lambda *_: None
+
+
 def _route(
     request: type[R], answer: Callable[[R, Client], Awaitable[msgspec.Struct]]
 ) -> Callable[[bytes, Client], Awaitable[bytes]]:
@@ -134,8 +143,10 @@ class EdgeServer:
         peers: Mapping[str, str] = MappingProxyType({}),
         certificates: Sequence[CertificateStatus] = (),
         at_door: Callable[[], Sequence[DoorStatus]] = tuple,
+        observer: Observer = Observer(),
     ) -> None:
         self._host = host
+        self._observer = observer
         self._at_door = at_door
         self._images = images
         self._runtime = runtime
@@ -455,14 +466,16 @@ class EdgeServer:
             limits=image.limits,
         )
         instance: Instance | None = None
-        why = ""  # of its end; none where it was stopped, and whoever waits for it should ask again
+        why = ""  # of its end; empty if it was stopped, and those who wait for it should ask again
+        began_s = self._now_s()
         try:
             async with asyncio.timeout(self._start_timeout_s):
                 instance = await self._runtime.start(
                     spec,
                     called=lambda drone: self._called(start, drone),
-                    answered=lambda call: self._answered(start, call),
+                    answered=lambda call: self._answered(start, spec, call),
                 )
+            self._observer.started(spec, self._now_s() - began_s)
             self._instances[start] = instance
             await self._tell_whom(
                 start, instance, self._host.admitted(start.server)
@@ -486,6 +499,8 @@ class EdgeServer:
             _log.warning("%s", why)
         finally:
             self._instances.pop(start, None)
+            if why:
+                self._observer.failed(spec)
             if instance is not None:
                 await self._stop(spec, instance)
             settled = self._settled.pop(start.number)
@@ -534,8 +549,9 @@ class EdgeServer:
         if self._has_place(start):
             self._host.called(start.server, start.service, drone, now_s=self._now_s())
 
-    def _answered(self, start: StartInstance, call: AnsweredCall) -> None:
+    def _answered(self, start: StartInstance, spec: InstanceSpec, call: AnsweredCall) -> None:
         now_s = self._now_s()
+        self._observer.answered(spec, call)
         self._host.used(start.server, call.drone, took_s=call.took_s, outcome=call.outcome, now_s=now_s)
         if self._has_place(start):
             self._host.answered(
