@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from upwash.config import DroneConfig, plan_notices
+from upwash.core.policies.names import POLICIES
 from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection
 from upwash.support.loading import extra
@@ -52,7 +53,7 @@ def add_policy(parser: argparse.ArgumentParser, *, instead_of: str) -> None:
     """Add the option that flies by another policy."""
     parser.add_argument(
         "--policy",
-        choices=("local-only", "opportunistic", "location-aware", "look-ahead"),
+        choices=POLICIES,
         help=f"instead of {instead_of}",
     )
 

@@ -46,6 +46,7 @@ from upwash.config.values import (
     VideoSource,
     is_on_this_machine,
 )
+from upwash.core.policies.names import PolicyName
 
 Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
@@ -62,7 +63,6 @@ PlacesInMetres = Annotated[
 SecondOfADay = Annotated[float, Meta(ge=0, le=86_400, description="a number from 0 to 86400, in seconds")]
 SystemId = Annotated[int, Meta(ge=1, le=255, description="a whole number from 1 to 255")]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
-PolicyName = Literal["local-only", "opportunistic", "location-aware", "look-ahead"]
 SafeEnd = Literal["return", "hold", "land"]
 Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
 FaultKind = Literal[

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 from upwash.core.policies.look_ahead import LookAhead
 from upwash.core.policies.policy import Deadline, LocalOnly, LocationAware, Opportunistic, Policy, WaitRule
 
-POLICIES = ("local-only", "opportunistic", "location-aware", "look-ahead")
+PolicyName = Literal["local-only", "opportunistic", "location-aware", "look-ahead"]
+POLICIES: tuple[str, ...] = get_args(PolicyName)
 
 
 def make_policy(
