@@ -19,7 +19,7 @@ from bench.results import FOLDER, leave
 
 from upwash.config import DroneConfig, FleetDroneConfig, ServerConfig, fleet_of, read_drone_config
 from upwash.lab.bounds import bounds_of
-from upwash.lab.fleet import outcome_of
+from upwash.lab.outcome import fleet_outcome
 from upwash.lab.processes import in_processes
 from upwash.lab.run import simulate_drones
 
@@ -170,7 +170,7 @@ def fly(flight: Flight) -> Shared:
     """Simulates the fleet."""
     config = config_of(flight)
     runs = simulate_drones(config)
-    outcome = outcome_of(runs, config)
+    outcome = fleet_outcome(runs, config)
     _, bound = bounds_of(list(runs.values()), fleet_of(config))
     assert outcome.mean_s is not None and outcome.worst_s is not None and outcome.jain is not None
     return Shared(

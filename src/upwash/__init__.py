@@ -89,8 +89,7 @@ if TYPE_CHECKING:
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
     from upwash.lab.campaigns.comparison import ComparedPolicy, compare
-    from upwash.lab.fleet import FleetSimulation, simulate_fleet
-    from upwash.lab.simulation import Simulation, simulate
+    from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 else:
     _MODULES = {
         "Attitude": "upwash.core.vehicle.telemetry",
@@ -103,7 +102,7 @@ else:
         "EarthPosition": "upwash.core.geo",
         "Event": "upwash.eventlog.schema",
         "FleetBound": "upwash.core.planning.bound",
-        "FleetSimulation": "upwash.lab.fleet",
+        "FleetSimulation": "upwash.lab.simulation",
         "GpsFix": "upwash.core.vehicle.telemetry",
         "Payload": "upwash.drone.payload",
         "Pending": "upwash.drone.pending",
@@ -121,7 +120,7 @@ else:
         "read_log": "upwash.eventlog.log:read",
         "read_result": "upwash.eventlog.results",
         "simulate": "upwash.lab.simulation",
-        "simulate_fleet": "upwash.lab.fleet",
+        "simulate_fleet": "upwash.lab.simulation",
     }
 
     def __getattr__(name: str) -> object:

@@ -15,7 +15,7 @@ import upwash
 from upwash.cli.main import main
 from upwash.eventlog import schema
 from upwash.eventlog.results import as_json
-from upwash.lab.fairness import jain
+from upwash.lab.outcome import jain
 
 SCENARIO = """
 seed = 5

@@ -40,15 +40,20 @@ class Flight:
             manner=PLAIN,
             fault=fault,
             incidents=incidents,
-            commanded=self.commands.append,
-            taken=self.taken.append,
-            reached=self.off_m.append,
-            jumped_unheard=self._count,
+            observe=self._observe,
         )
         self.autopilot.listen(self.news.append)
 
-    def _count(self) -> None:
-        self.unheard += 1
+    def _observe(self, event: str, command: str = "", by: str = "", off_m: float = 0.0) -> None:
+        match event:
+            case "commanded":
+                self.commands.append(command)
+            case "taken":
+                self.taken.append(by)
+            case "reached":
+                self.off_m.append(off_m)
+            case "jumped_unheard":
+                self.unheard += 1
 
     async def take_off(self) -> ModelAutopilot:
         await self.autopilot.in_the_air()

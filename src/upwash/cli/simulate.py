@@ -22,7 +22,7 @@ from upwash.eventlog.kept import lines_of
 from upwash.eventlog.results import as_json
 from upwash.eventlog.terminal import print_result
 from upwash.lab.figures import FigureFiles
-from upwash.lab.fleet import FleetSimulation, simulate_fleet
+from upwash.lab.simulation import FleetSimulation, simulate_fleet
 from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import Simulation, simulate
 from upwash.support.output_files import write_file

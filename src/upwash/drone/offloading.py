@@ -19,7 +19,7 @@ from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.events import Event, NoMoreCalls
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
-from upwash.drone.calling import Calling, CallAnswer, Invocation, Racing
+from upwash.drone.calling import CallAnswer, Calling, Invocation, Racing
 from upwash.drone.decisions import Background, Decisions, now_s
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.radios import RadioWorkers

@@ -17,9 +17,8 @@ from upwash.eventlog.narration import ran_on
 from upwash.eventlog.reasons import explained_calls
 from upwash.eventlog.results import CallResult, read_result
 from upwash.eventlog.schema import Event
-from upwash.lab.fleet import simulate_fleet
 from upwash.lab.scenario import read_scenario
-from upwash.lab.simulation import Simulation, simulate
+from upwash.lab.simulation import Simulation, simulate, simulate_fleet
 from upwash.support.sentences import say
 from upwash.support.text import escaped_lines, printable
 

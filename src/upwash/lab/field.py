@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
 from upwash.core.admission.admission import AdmissionController, ServerOffer
 from upwash.core.admission.clients import Client
 from upwash.lab.observer import Seen, ServerObserver
-from upwash.ports import Program, Runtime
-from upwash.rpc.service import ServiceSpec
+from upwash.missions.bundled import LoadedService
+from upwash.rpc.service import spec_of
 from upwash.server.daemon import EdgeServer, Image
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults, FaultyServer
@@ -23,13 +22,16 @@ from upwash.sim.world import ServerComputer, Wire
 from upwash.support.background import end, start
 
 
-@dataclass(frozen=True, slots=True)
 class Software:
-    """What runs on drones and servers: the services, and objects of those that really compute."""
+    """What runs on drones and servers: the services, and objects of them if they really compute."""
 
-    specs: Mapping[str, ServiceSpec]
-    programs: Mapping[str, Program]
-    objects: Mapping[str, object]
+    def __init__(self, services: Mapping[str, LoadedService], *, computing: bool) -> None:
+        self.classes = {name: service.cls for name, service in services.items()}
+        self.specs = {name: spec_of(cls) for name, cls in self.classes.items()}
+        self.programs = {name: service.program for name, service in services.items()}
+        self.objects: Mapping[str, object] = (
+            {name: service.made() for name, service in services.items()} if computing else {}
+        )
 
 
 def daemon_address(server: str) -> str:
@@ -41,73 +43,58 @@ def daemon_address(server: str) -> str:
 async def serving(
     config: DroneConfig, software: Software, *, seen: list[Seen] | None
 ) -> AsyncIterator[Switchboard]:
-    """Runs the configured servers; drones reach them through the switchboard."""
+    """Runs the configured servers; drones reach them through the switchboard.
+
+    A server is made when it gets its first request: of a thousand a drone meets a few.
+    """
+    board = Switchboard({})
+    chance, faults = Chance(config.seed), Faults(config.faults)
+    addresses = {server.name: daemon_address(server.name) for server in config.servers}
     async with contextlib.AsyncExitStack() as stack:
-        yield _Field(config, software, seen, stack).switchboard
 
+        def run(server: ServerConfig) -> None:
+            """Runs the server's daemon, which answers at its address from now on."""
+            name, truth = server.name, server_truth(server, config.services)
+            outside = FaultyServer(name, addresses[name], board, faults=faults)
+            computer = ServerComputer(name, truth, faults=faults, noise=config.noise, chance=chance)
+            runtime = ModelRuntime(
+                software.specs, computer, outside, objects=software.objects, lanes=truth.lanes
+            )
+            observer = ServerObserver(name, seen) if seen is not None else None
+            peers = {peer: addresses[peer] for peer in truth.peers if peer in addresses}
+            edge = EdgeServer(
+                AdmissionController({name: _offer(truth, software)}, peers=peers),
+                images={service: Image(program) for service, program in software.programs.items()},
+                runtime=observer.runtime(runtime) if observer else runtime,
+                dialer=ModelDialer(name, board, Wire()),
+                peers=peers,
+                start_timeout_s=60.0,
+                drain_s=10.0,
+            )
+            outside.plug_daemon(
+                observer.daemon(edge.handle) if observer else edge.handle, crash=runtime.crash
+            )
+            stack.push_async_callback(edge.close)
+            watch = start(edge.run(), name=f"daemon of {name}", failed=end_run)
+            stack.push_async_callback(end, watch)
 
-class _Field:
-    """The servers, each of which is made as somebody first speaks to it: of a thousand a drone meets a few."""
+        async def answer_first(server: ServerConfig, path: str, body: bytes, client: Client) -> bytes:
+            run(server)
+            return await board.handlers[addresses[server.name]](path, body, client)
 
-    def __init__(
-        self,
-        config: DroneConfig,
-        software: Software,
-        seen: list[Seen] | None,
-        stack: contextlib.AsyncExitStack,
-    ) -> None:
-        self.switchboard = Switchboard({})
-        self._config = config
-        self._software = software
-        self._seen = seen
-        self._stack = stack  # ends those that were made
-        self._chance = Chance(config.seed)
-        self._faults = Faults(config.faults)
-        self._addresses = {server.name: daemon_address(server.name) for server in config.servers}
         for server in config.servers:
-            self.switchboard.plug(self._addresses[server.name], functools.partial(self._answer_first, server))
-
-    async def _answer_first(self, server: ServerConfig, path: str, body: bytes, client: Client) -> bytes:
-        self._make(server)
-        return await self.switchboard.handlers[self._addresses[server.name]](path, body, client)
-
-    def _make(self, server: ServerConfig) -> None:
-        """Runs the server's daemon, which answers at its address from now on."""
-        truth = server_truth(server, self._config.services)
-        outside = FaultyServer(
-            server.name, self._addresses[server.name], self.switchboard, faults=self._faults
-        )
-        computer = ServerComputer(
-            server.name, truth, faults=self._faults, noise=self._config.noise, chance=self._chance
-        )
-        runtime = ModelRuntime(
-            self._software.specs, computer, outside, objects=self._software.objects, lanes=truth.lanes
-        )
-        observer = ServerObserver(server.name, self._seen) if self._seen is not None else None
-        edge = self._daemon(server.name, truth, observer.runtime(runtime) if observer else runtime)
-        handle = observer.daemon(edge.handle) if observer else edge.handle
-        outside.plug_daemon(handle, crash=runtime.crash)
-        self._stack.push_async_callback(edge.close)
-        watch = start(edge.run(), name=f"daemon of {server.name}", failed=end_run)
-        self._stack.push_async_callback(end, watch)
-
-    def _daemon(self, name: str, truth: ServerTruth, runtime: Runtime) -> EdgeServer:
-        peers = {peer: self._addresses[peer] for peer in truth.peers if peer in self._addresses}
-        return EdgeServer(
-            AdmissionController({name: _offer(truth, self._software.specs)}, peers=peers),
-            images={service: Image(program) for service, program in self._software.programs.items()},
-            runtime=runtime,
-            dialer=ModelDialer(name, self.switchboard, Wire()),
-            peers=peers,
-            start_timeout_s=60.0,
-            drain_s=10.0,
-        )
+            board.plug(addresses[server.name], functools.partial(answer_first, server))
+        yield board
 
 
-def _offer(truth: ServerTruth, specs: Mapping[str, ServiceSpec]) -> ServerOffer:
+def _offer(truth: ServerTruth, software: Software) -> ServerOffer:
     return ServerOffer(
         frozenset(truth.images),
         truth.slots,
         truth.turn_s,
-        {service: truth.lanes or specs[service].concurrency for service in truth.images if service in specs},
+        {
+            service: truth.lanes or software.specs[service].concurrency
+            for service in truth.images
+            if service in software.specs
+        },
     )

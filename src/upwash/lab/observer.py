@@ -27,7 +27,7 @@ import asyncio
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import msgspec
 
@@ -90,10 +90,10 @@ class DroneObserver:
         """Sees how long the drone's own services take."""
         return _Computer(computer, self)
 
-    def note(self, seen: Seen) -> None:
+    def note(self, event: str, **facts: Any) -> None:
         """Notes what the drone did."""
         if not self.life.is_over:
-            self.seen.append(msgspec.structs.replace(seen, drone=self.drone))
+            self.seen.append(Seen(event=event, drone=self.drone, **facts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +107,12 @@ class ServerObserver:
         """Sees the requests that reach the daemon."""
 
         async def answer(path: str, body: bytes, client: Client) -> bytes:
-            self.note(Seen(event="asked", path=path, drone=client.name))
+            self.note("asked", path=path, drone=client.name)
             reply = await handle(path, body, client)
-            self.note(Seen(event="answered", path=path, drone=client.name))
+            self.note("answered", path=path, drone=client.name)
             if path == HOLD and msgspec.msgpack.decode(reply, type=HoldReply).held:
                 hold = msgspec.msgpack.decode(body, type=HoldRequest)
-                self.note(Seen(event="held", drone=hold.drone, by=client.name, for_s=hold.for_s))
+                self.note("held", drone=hold.drone, by=client.name, for_s=hold.for_s)
             return reply
 
         return answer
@@ -121,9 +121,9 @@ class ServerObserver:
         """Sees instances start, end and serve."""
         return _Runtime(runtime, self)
 
-    def note(self, seen: Seen) -> None:
+    def note(self, event: str, **facts: Any) -> None:
         """Notes what the server did."""
-        self.seen.append(msgspec.structs.replace(seen, server=self.server))
+        self.seen.append(Seen(event=event, server=self.server, **facts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class _Dialer:
     observer: DroneObserver
 
     def dial(self, address: str, *, server: str) -> Link:
-        self.observer.note(Seen(event="dialled", server=server, address=address))
+        self.observer.note("dialled", server=server, address=address)
         return _Link(self.seen.dial(address, server=server), server, self.observer)
 
 
@@ -148,7 +148,7 @@ class _Link:
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         position = self.observer.position()
-        self.observer.note(Seen(event="sent", server=self.server, path=path, position=position))
+        self.observer.note("sent", server=self.server, path=path, position=position)
         return await self.seen.request(path, body, timeout_s=timeout_s)
 
     async def close(self) -> None:
@@ -163,14 +163,14 @@ class _Network:
 
     async def join(self, network: str, *, timeout_s: float) -> None:
         await self.seen.join(network, timeout_s=timeout_s)
-        self.observer.note(Seen(event="joined", network=network, radio=self.radio))
+        self.observer.note("joined", network=network, radio=self.radio)
 
     async def lost(self) -> str:
         return await self.seen.lost()
 
     async def leave(self) -> None:
         await self.seen.leave()
-        self.observer.note(Seen(event="left", radio=self.radio))
+        self.observer.note("left", radio=self.radio)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +185,7 @@ class _Computer:
         began_s = asyncio.get_running_loop().time()
         answered_s = await self.seen.compute(spec, operation)
         took_s = asyncio.get_running_loop().time() - began_s
-        self.observer.note(Seen(event="computed", operation=str(operation), took_s=took_s))
+        self.observer.note("computed", operation=str(operation), took_s=took_s)
         return answered_s
 
 
@@ -198,14 +198,14 @@ class _Runtime:
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> Instance:
         def served(drone: str) -> None:
-            self.observer.note(Seen(event="served", service=spec.service, drone=drone))
+            self.observer.note("served", service=spec.service, drone=drone)
             called(drone)
 
-        self.observer.note(Seen(event="instance_started", service=spec.service))
+        self.observer.note("instance_started", service=spec.service)
         try:
             instance = await self.seen.start(spec, called=served, answered=answered)
         except (UpwashError, asyncio.CancelledError):
-            self.observer.note(Seen(event="instance_ended", service=spec.service))
+            self.observer.note("instance_ended", service=spec.service)
             raise
         return _Instance(instance, spec.service, self.observer)
 
@@ -223,7 +223,7 @@ class _Instance:
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
         if not self.ended:
-            self.observer.note(Seen(event="admitted", service=self.service, drones=sorted(drones)))
+            self.observer.note("admitted", service=self.service, drones=sorted(drones))
         await self.seen.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:
@@ -244,7 +244,7 @@ class _Instance:
     def _end(self) -> None:
         if not self.ended:
             self.ended = True
-            self.observer.note(Seen(event="instance_ended", service=self.service))
+            self.observer.note("instance_ended", service=self.service)
 
 
 _HAIR_M = 0.01  # a drone that hovers on a border is now within and now without
@@ -259,7 +259,7 @@ class RangeInterval:
     to_s: float = math.inf
 
 
-async def observe(
+async def observe_ranges(
     autopilot: ModelAutopilot, areas: Mapping[str, Reach], stays: list[RangeInterval]
 ) -> NoReturn:
     """Adds each stay as it begins, and ends it, until cancelled."""

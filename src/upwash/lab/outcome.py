@@ -1,35 +1,45 @@
-"""What the flight of a scenario came to in a few numbers, whether one drone flew or several at the same time."""
+"""What simulated flights came to in a few numbers: of one drone, or of several at the same time."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from upwash.config import DroneConfig, fleet_of
+import msgspec
+
+from upwash.config import DroneConfig, PolicyConfig, Presence, fleet_of, presences
+from upwash.core.planning.bound import FleetBound
 from upwash.eventlog.results import EnergyTotals, Totals
 from upwash.lab.bounds import bound_of, bounds_of
-from upwash.lab.fleet import outcome_of
-from upwash.lab.run import Run, simulate, simulate_drones
+from upwash.lab.run import Run, simulate, simulate_drones, simulate_fleet
+from upwash.sim.chance import plays_a_part
 
 
 @dataclass(frozen=True, slots=True)
-class Together:
-    """What only several drones have: how many completed their missions, the slowest, and how evenly they saved."""
+class FleetOutcome:
+    """The completed missions of several drones; the fields are those of `FleetSimulation`."""
 
     completed: int
-    worst_s: float
-    jain: float
-    bound_shared_s: float
+    mean_s: float | None
+    worst_s: float | None
+    saved_s: Mapping[str, float]
+    jain: float | None
+    bound: FleetBound | None
+
+    @property
+    def fairness(self) -> float:
+        """Jain's index; 1 if it is not known of any drone what it saved."""
+        return 1.0 if self.jain is None else self.jain
 
 
 @dataclass(frozen=True, slots=True)
 class FlightOutcome:
-    """One flight, or one of several drones: then times, bounds and energy are means over those that completed theirs.
+    """One flight, or one of several drones: then times, bounds and energy are means over the completed missions.
 
-    The counts of `totals` are of all calls of all drones. `failure` says why it was not completed, which it is where
-    only drones are missing that vanish as the scenario has it. Bounds are None without a completed mission.
+    The counts of `totals` are of all calls of all drones. `failure` says why the flight was not completed; drones
+    that vanish by the scenario do not count. Bounds are None without a completed mission.
     """
 
     policy: str
@@ -40,12 +50,12 @@ class FlightOutcome:
     bound_s: float | None
     bound_with_joins_s: float | None
     energy: EnergyTotals | None
-    fleet: Together | None = None
+    fleet: FleetOutcome | None = None
 
     @property
     def least_s(self) -> float | None:
-        """The bound that it is held against: what servers can compute at a time counts among several drones."""
-        return self.bound_s if self.fleet is None else self.fleet.bound_shared_s
+        """The bound to compare with: among several drones servers compute a limited number of calls at a time."""
+        return self.fleet.bound.shared_s if self.fleet and self.fleet.bound else self.bound_s
 
 
 def fly(config: DroneConfig) -> FlightOutcome:
@@ -71,23 +81,19 @@ def _fly_one(config: DroneConfig) -> FlightOutcome:
 def _fly_fleet(config: DroneConfig) -> FlightOutcome:
     fleet, runs = fleet_of(config), simulate_drones(config)
     _, bound = bounds_of(list(runs.values()), fleet)
-    found = outcome_of(runs, config)
+    found = fleet_outcome(runs, config, bound)
     failure = _failure(runs)
-    completed = [run.result for run in runs.values() if run.result.completed]
-    together = None
-    if bound is not None and found.worst_s is not None:
-        jain = 1.0 if found.jain is None else found.jain
-        together = Together(len(completed), found.worst_s, jain, bound.shared_s)
+    drawn = [run.result.energy for run in runs.values() if run.result.completed and run.result.energy]
     return FlightOutcome(
         policy=" ".join(dict.fromkeys(each.policy.name for each in fleet)),
-        completed=together is not None and not failure,
+        completed=bound is not None and not failure,
         failure=failure,
         mission_time_s=found.mean_s,
         totals=_sums([run.result.totals for run in runs.values()]),
         bound_s=bound.free_s if bound else None,
         bound_with_joins_s=bound.with_joins_s if bound else None,
-        energy=_means([result.energy for result in completed if result.energy is not None]),
-        fleet=together,
+        energy=_means(drawn),
+        fleet=found if bound else None,
     )
 
 
@@ -120,3 +126,91 @@ def _means(drawn: Sequence[EnergyTotals]) -> EnergyTotals | None:
         battery_wh=drawn[0].battery_wh,
         **{name: fmean(getattr(each, name) for each in drawn) for name in names},
     )
+
+
+def fleet_outcome(
+    runs: Mapping[str, Run], config: DroneConfig, bound: FleetBound | None = None
+) -> FleetOutcome:
+    """What the runs of the scenario's drones came to."""
+    times_s = [run.result.mission_time_s for run in runs.values() if run.result.completed]
+    saved = saved_s(runs, fleet_of(config), presences(config))
+    return FleetOutcome(
+        completed=len(times_s),
+        mean_s=fmean(times_s) if times_s else None,
+        worst_s=max(times_s, default=None),
+        saved_s=saved,
+        jain=jain(saved.values()),
+        bound=bound,
+    )
+
+
+_NEVER_S = 1e6  # a period of looking around for a drone without servers
+_LEAST_S = 1e-3  # shorter savings are rounding
+
+
+def saved_s(
+    runs: Mapping[str, Run], fleet: Sequence[DroneConfig], there: Sequence[Presence]
+) -> dict[str, float]:
+    """By name, the seconds that each drone saved which completed its mission here and would have completed it alone.
+
+    Those that fly the same mission with the same computer and chance are flown alone once.
+    """
+    alone = _Alone()
+    saved: dict[str, float] = {}
+    for config, presence in zip(fleet, there, strict=True):
+        run = runs[config.name]
+        if run.result.completed and (alone_s := alone.time_s(config, presence)) is not None:
+            saved[config.name] = alone_s - run.result.mission_time_s
+    return saved
+
+
+def jain(saved: Iterable[float]) -> float | None:
+    """Jain's index: 1 where all saved the same, one n-th where one of n saved all; None of nobody.
+
+    Who lost time counts as having saved none, and where nobody saved anything that is even.
+    """
+    shares = [share if share > _LEAST_S else 0.0 for share in saved]
+    if not shares:
+        return None
+    squares = sum(share**2 for share in shares)
+    return sum(shares) ** 2 / (len(shares) * squares) if squares else 1.0
+
+
+class _Alone:
+    """Flies missions alone with every call on the drone, on batteries that do not end them."""
+
+    def __init__(self) -> None:
+        self._flown: list[tuple[DroneConfig, Presence, float | None]] = []
+
+    def time_s(self, config: DroneConfig, presence: Presence) -> float | None:
+        """The mission's time; None where it is not completed alone either."""
+        config, presence = _by_itself(config), _counted(config, presence)
+        for other, there, time_s in self._flown:
+            if other == config and there == presence:
+                return time_s
+        (run,) = simulate_fleet([config], there=[presence])
+        time_s = run.result.mission_time_s if run.result.completed else None
+        self._flown.append((config, presence, time_s))
+        return time_s
+
+
+def _by_itself(config: DroneConfig) -> DroneConfig:
+    """The same mission without servers, and without what makes no difference to its time then."""
+    replace = msgspec.structs.replace
+    return replace(
+        config,
+        name="alone",
+        seed=config.seed if plays_a_part(config) else 0,
+        policy=PolicyConfig(name="local-only", period_s=_NEVER_S, stay_or_go=config.policy.stay_or_go),
+        servers=(),
+        faults=tuple(fault for fault in config.faults if fault.target == "autopilot"),
+        energy=None,
+        mission=replace(config.mission, reserve_percent=None, reserve_s=None),
+        vehicle=replace(config.vehicle, endurance_s=None),
+    )
+
+
+def _counted(config: DroneConfig, presence: Presence) -> Presence:
+    """Its departure where faults strike it at seconds of the simulation."""
+    struck = any(fault.target == "autopilot" for fault in config.faults)
+    return Presence(presence.departs_s) if struck else Presence()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import msgspec
@@ -35,21 +35,20 @@ from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
-from upwash.lab.observer import DroneObserver, RangeInterval, Seen, observe
+from upwash.lab.observer import DroneObserver, RangeInterval, Seen, observe_ranges
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Camera, Dialer, Network
-from upwash.rpc.service import spec_of
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera, RenderedCamera, eventful
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
 from upwash.sim.journal import MemoryJournal
-from upwash.sim.link import Life, ModelDialer, Switchboard, lived
+from upwash.sim.link import ModelDialer, Switchboard, lived
 from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.turns import sleeps_reported
-from upwash.sim.vehicle import Manner, Plain
+from upwash.sim.vehicle import Manner, Plain, unobserved
 from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio, Wire
 from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
@@ -78,14 +77,6 @@ class Run:
     def log(self) -> bytes:
         """The event log, as the flying drone would have written it."""
         return b"".join(self.events.lines())
-
-
-class _End(NamedTuple):
-    """Why a mission was not completed, "" for one that was; whether its drone has vanished; and what it knew then."""
-
-    failure: str = ""
-    vanished: bool = False
-    coverage: Coverage | None = None
 
 
 def simulate(config: DroneConfig) -> Run:
@@ -120,78 +111,59 @@ def simulate_fleet(
     really compute, in no time, instead of returning empty results; what an onlooker sees of drones and servers is
     added to `seen`.
     """
-    fleet = [_at_hosts_of_their_own(config) for config in fleet]
-    journals = [MemoryJournal() for _ in fleet]
-    range_intervals: list[list[RangeInterval]] = [[] for _ in fleet]
-    ends = [_End() for _ in fleet]
+    drones = [
+        _Drone(_at_own_host(config), presence)
+        for config, presence in zip(fleet, there or [Presence() for _ in fleet], strict=True)
+    ]
+    ends = [_End() for _ in drones]
     try:
         with sleeps_reported():
-            ends = run_virtually(
-                _fly(
-                    fleet,
-                    there or [Presence() for _ in fleet],
-                    journals,
-                    range_intervals,
-                    computing=computing,
-                    seen=seen,
-                )
-            )
+            ends = run_virtually(_fly(drones, computing=computing, seen=seen))
     except (MissionFailed, UsageError):
         raise
     except UpwashError as error:
-        ends = [_End(str(error)) for _ in fleet]
+        ends = [_End(str(error)) for _ in drones]
     return [
-        Run(journal.events, read_result(journal.events), its_intervals, *end)
-        for journal, its_intervals, end in zip(journals, range_intervals, ends, strict=True)
+        Run(drone.journal.events, read_result(drone.journal.events), drone.range_intervals, *end)
+        for drone, end in zip(drones, ends, strict=True)
     ]
 
 
-def _at_hosts_of_their_own(config: DroneConfig) -> DroneConfig:
-    """The same with servers that are reached by their names, wherever they really are."""
+class _End(NamedTuple):
+    """Why a mission was not completed ("" if it was), whether its drone has vanished, and what it knew then."""
+
+    failure: str = ""
+    vanished: bool = False
+    coverage: Coverage | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Drone:
+    config: DroneConfig
+    presence: Presence
+    journal: MemoryJournal = field(default_factory=MemoryJournal)
+    range_intervals: list[RangeInterval] = field(default_factory=list)
+
+
+def _at_own_host(config: DroneConfig) -> DroneConfig:
+    """The same with servers that are reached by their names."""
     servers = tuple(
         msgspec.structs.replace(server, address=daemon_address(server.name)) for server in config.servers
     )
     return msgspec.structs.replace(config, servers=servers)
 
 
-async def _fly(
-    fleet: Sequence[DroneConfig],
-    there: Sequence[Presence],
-    journals: Sequence[MemoryJournal],
-    range_intervals: Sequence[list[RangeInterval]],
-    *,
-    computing: bool,
-    seen: list[Seen] | None,
-) -> list[_End]:
+async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Seen] | None) -> list[_End]:
     """Returns how each mission ended."""
-    for journal in journals:
-        journal.begin()
-    services = load_services(fleet[0].services)
-    classes = {name: service.cls for name, service in services.items()}
-    software = Software(
-        specs={name: spec_of(cls) for name, cls in classes.items()},
-        programs={name: service.program for name, service in services.items()},
-        objects={name: service.made() for name, service in services.items()} if computing else {},
-    )
-    async with serving(fleet[0], software, seen=seen) as switchboard:
-        flights = [
-            _fly_one(
-                config,
-                presence,
-                journal,
-                its_intervals,
-                classes=classes,
-                software=software,
-                switchboard=switchboard,
-                seen=seen,
-            )
-            for config, presence, journal, its_intervals in zip(
-                fleet, there, journals, range_intervals, strict=True
-            )
-        ]
-        plans = [waypoints(each.mission) for each in fleet]
+    for drone in drones:
+        drone.journal.begin()
+    first = drones[0].config
+    software = Software(load_services(first.services), computing=computing)
+    async with serving(first, software, seen=seen) as switchboard:
+        flights = [_fly_one(drone, software, switchboard, seen) for drone in drones]
         longest_s = _LONGEST_S + max(
-            sum(_LONGEST_STOP_S + waypoint.hold_s for waypoint in plan) for plan in plans
+            sum(_LONGEST_STOP_S + waypoint.hold_s for waypoint in waypoints(drone.config.mission))
+            for drone in drones
         )
         try:
             async with asyncio.timeout(longest_s):
@@ -204,61 +176,50 @@ async def _fly(
 
 
 async def _fly_one(
-    config: DroneConfig,
-    presence: Presence,
-    journal: MemoryJournal,
-    range_intervals: list[RangeInterval],
-    *,
-    classes: Mapping[str, type],
-    software: Software,
-    switchboard: Switchboard,
-    seen: list[Seen] | None,
+    drone: _Drone, software: Software, switchboard: Switchboard, seen: list[Seen] | None
 ) -> _End:
     """Flies one mission from the drone's departure on, and returns how it ended."""
+    config, presence, journal = drone.config, drone.presence, drone.journal
     if presence.departs_s:
         await asyncio.sleep(presence.departs_s)
-    chance, faults, energy, life = Chance(config.seed), Faults(config.faults), _energy(config), Life()
-    journal.meter, journal.life = energy, life
+    chance, faults = Chance(config.seed), Faults(config.faults)
+    journal.meter = _energy(config)
     observer: DroneObserver | None = None
-
-    def saw(what: Callable[[], Seen]) -> None:
-        if observer:
-            observer.note(what())
-
-    autopilot = _autopilot(
-        config,
-        chance,
-        faults,
-        energy,
-        commanded=lambda command: saw(lambda: Seen(event="commanded", command=command)),
-        taken=lambda by: saw(lambda: Seen(event="taken", by=by)),
-        reached=lambda off_m: saw(lambda: Seen(event="reached", off_m=off_m)),
-        given_back_unheard=lambda: saw(lambda: Seen(event="given_back_unheard")),
-        jumped_unheard=lambda: saw(lambda: Seen(event="jumped_unheard")),
-    )
     if seen is not None:
-        observer = DroneObserver(config.name, seen, lambda: autopilot.position, life)
+        observer = DroneObserver(config.name, seen, lambda: autopilot.position, journal.life)
+    observe = observer.note if observer else unobserved
+    autopilot = ModelAutopilot(
+        stands(config.mission),
+        ground_speed_m_s=config.mission.ground_speed_m_s,
+        manner=_manner(config.vehicle),
+        frame=frame_of(config.mission),
+        stretch=lambda: chance.factor("leg", config.noise.leg),
+        fault=lambda: faults.now("autopilot"),
+        incidents=faults.incidents,
+        endurance_s=config.vehicle.endurance_s,
+        energy=journal.meter,
+        observe=observe,
+    )
     areas = true_areas(config)
-    radios = _radios(config, areas, autopilot, switchboard, faults, chance=chance, energy=energy, life=life)
+    radios = _radios(config, areas, autopilot, switchboard, faults=faults, chance=chance, journal=journal)
     flight = Flight(
         load_mission(config.mission.program, mode=config.mission.mode),
         config,
-        services=classes,
+        services=software.classes,
         programs=software.programs,
         ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observer=observer),
     )
-    watching = observe(autopilot, areas, range_intervals)
     try:
-        async with beside(watching, name="observer of ranges"):
-            await lived(flight.run(), life, until_s=presence.vanishes_s)
+        async with beside(observe_ranges(autopilot, areas, drone.range_intervals), name="observer of ranges"):
+            await lived(flight.run(), journal.life, until_s=presence.vanishes_s)
     except MissionFailed:
         raise
     except UpwashError as error:
         return _End(str(error), coverage=flight.coverage)
     finally:
-        saw(lambda: Seen(event="flight_over", altitude_m=autopilot.position.altitude_m))
+        observe("flight_over", altitude_m=autopilot.position.altitude_m)
         await autopilot.close()
-    if life.is_over:
+    if journal.life.is_over:
         return _End(f"the drone vanished at {presence.vanishes_s:g} s, as its vanishes_s says", True)
     return _End(coverage=flight.coverage)
 
@@ -273,31 +234,27 @@ def _ports(
     chance: Chance,
     observer: DroneObserver | None,
 ) -> Ports:
-    """Models of all that the drone needs, which the observer sees through if there is one."""
-    networks, dialer = radios
+    """Models of everything that the drone needs, seen by the observer if there is one."""
     joining = Joining()
-    networks = [JoinedSlowly(network, joining) for network in networks]
-    heat = Heat(Surroundings(config.heat.ambient_c, config.heat.load_w)) if config.heat else None
+    networks: list[Network] = [JoinedSlowly(network, joining) for network in radios[0]]
     computer: Computer = DroneComputer(
         config.services,
-        heat=heat,
+        heat=Heat(Surroundings(config.heat.ambient_c, config.heat.load_w)) if config.heat else None,
         joining=joining,
         noise=config.noise.call,
         chance=chance,
         energy=journal.meter,
     )
-    onboard = Switchboard({})
+    dialer, onboard = radios[1], Switchboard({})
+    if observer is not None:
+        networks, dialer = observer.networks(networks), observer.dialer(dialer)
+        computer = observer.computer(computer)
     return Ports(
         autopilot=autopilot,
-        networks=observer.networks(networks) if observer else networks,
-        dialer=observer.dialer(dialer) if observer else dialer,
+        networks=networks,
+        dialer=dialer,
         onboard_dialer=ModelDialer(config.name, onboard, Wire()),
-        onboard_runtime=ModelRuntime(
-            software.specs,
-            observer.computer(computer) if observer else computer,
-            onboard,
-            objects=software.objects,
-        ),
+        onboard_runtime=ModelRuntime(software.specs, computer, onboard, objects=software.objects),
         camera=_camera(config, chance),
         notifier=journal,
         journal=journal,
@@ -319,14 +276,21 @@ def _radios(
     areas: Mapping[str, Reach],
     autopilot: ModelAutopilot,
     switchboard: Switchboard,
-    faults: Faults,
     *,
+    faults: Faults,
     chance: Chance,
-    energy: EnergyMeter | None,
-    life: Life,
+    journal: MemoryJournal,
 ) -> tuple[list[Network], Dialer]:
-    """The networks in the drone's reach, for each of its radios, and the way to whoever is there."""
+    """The networks in the drone's reach, for each of its radios, and what opens links to their servers."""
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
+    known = coverage_of(config)
+    limited = {each.name for each in config.servers if true_range_m(each) is not None}
+
+    def is_reached(server: str, position: Position) -> bool:
+        """Whether a server without a range answers there, by what earlier flights measured."""
+        place = known.at(server, position) if known is not None and server not in limited else None
+        return place is None or place.reached
+
     radio = ModelRadio(
         areas,
         server_places(config),
@@ -334,8 +298,8 @@ def _radios(
         config.services,
         faults=faults,
         position=lambda: autopilot.true_position,
-        energy=energy,
-        reached=functools.partial(_is_reached, coverage_of(config), _truly_limited(config)),
+        energy=journal.meter,
+        reached=is_reached,
     )
     cells: dict[str, list[NetworkCell]] = {}
     for server in config.servers:
@@ -352,18 +316,7 @@ def _radios(
     networks: list[Network] = [
         PositionNetwork(cells, lambda: autopilot.true_position) for _ in range(config.network.radios)
     ]
-    return networks, ModelDialer(config.name, switchboard, radio, life=life)
-
-
-def _truly_limited(config: DroneConfig) -> frozenset[str]:
-    """The servers of which the scenario says how far they are reached."""
-    return frozenset(each.name for each in config.servers if true_range_m(each) is not None)
-
-
-def _is_reached(known: Coverage | None, limited: frozenset[str], server: str, position: Position) -> bool:
-    """Whether a server answers there, of which nothing else is said than what earlier flights measured."""
-    place = known.at(server, position) if known is not None and server not in limited else None
-    return place is None or place.reached
+    return networks, ModelDialer(config.name, switchboard, radio, life=journal.life)
 
 
 def _camera(config: DroneConfig, chance: Chance) -> Camera:
@@ -386,35 +339,4 @@ def _manner(vehicle: VehicleConfig) -> Manner:
         acceleration_m_s2=pace.acceleration_m_s2,
         takeoff_s=pace.lifting_s,
         return_and_land_s=vehicle.return_and_land_s,
-    )
-
-
-def _autopilot(
-    config: DroneConfig,
-    chance: Chance,
-    faults: Faults,
-    energy: EnergyMeter | None,
-    *,
-    commanded: Callable[[str], None],
-    taken: Callable[[str], None],
-    reached: Callable[[float], None],
-    given_back_unheard: Callable[[], None],
-    jumped_unheard: Callable[[], None],
-) -> ModelAutopilot:
-    vehicle = config.vehicle
-    return ModelAutopilot(
-        stands(config.mission),
-        ground_speed_m_s=config.mission.ground_speed_m_s,
-        manner=_manner(vehicle),
-        frame=frame_of(config.mission),
-        stretch=lambda: chance.factor("leg", config.noise.leg),
-        fault=lambda: faults.now("autopilot"),
-        incidents=faults.incidents,
-        endurance_s=vehicle.endurance_s,
-        energy=energy,
-        commanded=commanded,
-        taken=taken,
-        reached=reached,
-        given_back_unheard=given_back_unheard,
-        jumped_unheard=jumped_unheard,
     )

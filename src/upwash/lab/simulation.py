@@ -1,4 +1,4 @@
-"""One simulated mission: from a scenario to what it came to."""
+"""Simulated missions of one drone, or of several at the same time: from a scenario to their results."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
-from upwash.config import DroneConfig, coverage_kept
-from upwash.core.planning.bound import Bound
+from upwash.config import DroneConfig, coverage_kept, fleet_of
+from upwash.core.planning.bound import Bound, FleetBound
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import Event
-from upwash.lab.bounds import bound_of
-from upwash.lab.run import Run
+from upwash.lab.bounds import bound_of, bounds_of
+from upwash.lab.outcome import fleet_outcome
+from upwash.lab.run import Run, simulate_drones
 from upwash.lab.run import simulate as fly
 from upwash.lab.scenario import name_of, read_scenario
 
@@ -77,4 +78,60 @@ def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenari
         vanished=run.vanished,
         bound=bound,
         events=run.events.as_read(),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetSimulation:
+    """Several missions at the same time, each by its drone's name, and what they came to; times in seconds.
+
+    `mean_s` and `worst_s` are of the missions that were completed, and None where there are none. `saved_s` is what
+    each of them saved against flying alone with every call on the drone, and `jain` says how even that is: 1 where
+    all saved the same, one n-th where one of n saved all. `bound` is the least mean that there could have been.
+    """
+
+    drones: Mapping[str, Simulation]
+    scenario: str
+    seed: int
+    mean_s: float | None
+    worst_s: float | None
+    saved_s: Mapping[str, float]
+    jain: float | None
+    bound: FleetBound | None
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """By name, why missions were not completed, but for those of drones that vanished as the scenario has it."""
+        return {
+            name: each.failure for name, each in self.drones.items() if each.failure and not each.vanished
+        }
+
+
+def simulate_fleet(
+    scenario: str | os.PathLike[str] | Mapping[str, object],
+    *,
+    policy: str | None = None,
+    seed: int | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> FleetSimulation:
+    """Simulates the missions of all drones of a scenario at the same time; without any `[[drone]]` that is one.
+
+    Its arguments and errors are those of `simulate`. A policy that is given is every drone's.
+    """
+    config = read_scenario(scenario, policy=policy, seed=seed, overrides=overrides)
+    fleet, runs = fleet_of(config), simulate_drones(config)
+    bounds, of_all = bounds_of(list(runs.values()), fleet)
+    outcome = fleet_outcome(runs, config, of_all)
+    return FleetSimulation(
+        drones={
+            each.name: simulation_of(runs[each.name], each, bound, scenario=name_of(scenario))
+            for each, bound in zip(fleet, bounds, strict=True)
+        },
+        scenario=name_of(scenario),
+        seed=config.seed,
+        mean_s=outcome.mean_s,
+        worst_s=outcome.worst_s,
+        saved_s=outcome.saved_s,
+        jain=outcome.jain,
+        bound=outcome.bound,
     )

@@ -17,7 +17,7 @@ from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.incidents import Incidents, ModelBattery
-from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
+from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle, Observe, unobserved
 from upwash.sim.vehicle_link import ModelVehicleLink
 from upwash.support.waiting import first
 from upwash.vehicle.ardupilot.airframe import TURN_DEG_S
@@ -31,8 +31,8 @@ class ModelAutopilot:
     """Flies in its manner from the ground below `start`; its `frame` says where on the Earth that is.
 
     `stretch` gives a factor on the duration of each leg, for noise, `fault` what is wrong with the vehicle now, and
-    `incidents` what befalls it and when; `sim.faults` says what each fault means. `reached` is called on an arrival
-    with the distance of the vehicle's true place from the waypoint; `sim.incidents` explains the last two callbacks.
+    `incidents` what happens to it and when; `sim.faults` says what each fault means. `observe` gets the events of
+    the vehicle and the incidents, and "reached" with the distance `off_m` of its true position from the waypoint.
     The battery is as full as `energy` says, or else empty `endurance_s` after the first take-off. A vehicle that
     `hovers_at` a place has been left there by another program.
     """
@@ -50,11 +50,7 @@ class ModelAutopilot:
         endurance_s: float | None = None,
         energy: EnergyMeter | None = None,
         hovers_at: Position | None = None,
-        commanded: Callable[[str], None] = lambda _: None,
-        taken: Callable[[str], None] = lambda _: None,
-        reached: Callable[[float], None] = lambda _: None,
-        given_back_unheard: Callable[[], None] = lambda: None,
-        jumped_unheard: Callable[[], None] = lambda: None,
+        observe: Observe = unobserved,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._manner = manner
@@ -67,24 +63,17 @@ class ModelAutopilot:
             manner,
             ground_speed_m_s=ground_speed_m_s,
             hovers_at=hovers_at,
-            commanded=commanded,
-            taken=taken,
+            observe=observe,
             moved=energy.move if energy else lambda _: None,
         )
         self._nose_deg = 0.0  # where it points once it hovers
         self._turned_to_deg: float | None = None
         self._ground_m = self._vehicle.home.altitude_m  # below the take-off, above the sea
-        self._reached = reached
-        self._hearing = ModelVehicleLink(self._vehicle, is_off=self._is_off)
-        Incidents(
-            incidents,
-            self._vehicle,
-            self._hearing,
-            given_back_unheard=given_back_unheard,
-            jumped_unheard=jumped_unheard,
-        )
-        self._hearing.take()
-        self._battery = ModelBattery(self._vehicle, self._hearing, energy=energy, endurance_s=endurance_s)
+        self._observe = observe
+        self._link = ModelVehicleLink(self._vehicle, is_off=self._is_off)
+        Incidents(incidents, self._vehicle, self._link, observe=observe)
+        self._link.take()
+        self._battery = ModelBattery(self._vehicle, self._link, energy=energy, endurance_s=endurance_s)
 
     @property
     def position(self) -> Position:
@@ -155,7 +144,7 @@ class ModelAutopilot:
         return EnergyFacts(
             low_percent=stage,
             critical_percent=stage,
-            home=self._hearing.home.at_altitude(0.0),
+            home=self._link.home.at_altitude(0.0),
             way_home=self._manner.returning,
         )
 
@@ -167,7 +156,7 @@ class ModelAutopilot:
     @property
     def control(self) -> Control:
         """Who has it."""
-        return self._hearing.control
+        return self._link.control
 
     @property
     def dead_man(self) -> DeadMan:
@@ -186,31 +175,31 @@ class ModelAutopilot:
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
         """All news from now on."""
-        self._hearing.listen(hear)
+        self._link.listen(hear)
 
     async def in_the_air(self) -> bool:
         """By its altitude."""
         await self._booted()
-        self._hearing.require("start")
+        self._link.require("start")
         return self._vehicle.flies
 
     async def claim(self, *, resumes: bool) -> None:
         """At once."""
-        self._hearing.require("start")
-        latch, before = self._hearing.latch, self.control
+        self._link.require("start")
+        latch, before = self._link.latch, self.control
         latch.claim(self._loop.time(), own_mode=GUIDED, resumes=resumes)
-        self._hearing.tell_control(before)
+        self._link.tell_control(before)
         latch.require("start")
 
     async def stood(self) -> None:
         """When its altitude is 0 and its motors stand still."""
         while self._vehicle.flies or self._vehicle.armed:
             await self._vehicle.changed.wait()
-        self._hearing.take_soon()
+        self._link.take_soon()
 
     async def limits(self) -> VehicleLimits:
         """Its home is where it stood; it has no fence."""
-        return VehicleLimits(self._hearing.home.at_altitude(0.0))
+        return VehicleLimits(self._link.home.at_altitude(0.0))
 
     async def ready(self) -> None:
         """At once, or when its autopilot has restarted."""
@@ -258,9 +247,9 @@ class ModelAutopilot:
             raise _late("goto", arrival_s)
         self._nose_deg = _bearing_deg(self.position, position, self._nose_deg)
         await self._move("goto", phases, until_s=arrival_s)
-        while self._hearing.doubt:
+        while self._link.doubt:
             await self._become_sure(begun_s, arrival_s)
-        self._reached(distance_m(self._vehicle.true_position, position))
+        self._observe("reached", off_m=distance_m(self._vehicle.true_position, position))
         self._waypoint = position
 
     async def turn_to(self, heading_deg: float) -> None:
@@ -309,9 +298,9 @@ class ModelAutopilot:
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
         """Returns just after the vehicle has crossed a border; AutopilotLost where its link is silent then."""
         while True:
-            self._hearing.require("watch the borders")
+            self._link.require("watch the borders")
             if await self._vehicle.borders.crossed(circles):
-                self._hearing.require("watch the borders")
+                self._link.require("watch the borders")
                 return
 
     async def border_truly_crossed(self, circles: Sequence[Circle]) -> None:
@@ -321,7 +310,7 @@ class ModelAutopilot:
 
     async def close(self) -> None:
         """Tells nothing more."""
-        self._hearing.listen(lambda _: None)
+        self._link.listen(lambda _: None)
 
     # --- commands and reports -------------------------------------------------------------------------------
 
@@ -336,7 +325,7 @@ class ModelAutopilot:
     ) -> None:
         """Sends a command; no other method does. With `goes` and without a target the command leads straight up."""
         self._reach(step)
-        latch = self._hearing.latch
+        latch = self._link.latch
         if modes:
             latch.expect_modes(modes)
         if armed is not None:
@@ -344,7 +333,7 @@ class ModelAutopilot:
         if goes:
             latch.expect_target(target)
         self._vehicle.obey(step, mode=modes[-1] if modes else None, armed=armed, target=target)
-        self._hearing.take()
+        self._link.take()
         if goes:
             latch.settle_target(obeyed=True)
 
@@ -354,8 +343,8 @@ class ModelAutopilot:
 
     def _reach(self, step: str) -> None:
         """Raises where the vehicle is not heard, or is not the program's."""
-        self._hearing.require(step)
-        self._hearing.latch.require(step)
+        self._link.require(step)
+        self._link.latch.require(step)
 
     def _is_off(self) -> bool:
         fault = self._fault()
@@ -410,10 +399,10 @@ class ModelAutopilot:
         """Returns at rest after its position has jumped again; AutopilotTimeout where that takes too long."""
         left_s = begun_s + arrival_s + _PATIENCE_S - self._loop.time()
         if left_s <= 0:
-            raise _late("goto", arrival_s, self._hearing.doubt)
+            raise _late("goto", arrival_s, self._link.doubt)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(left_s):
-                await first(asyncio.wait([self._hearing.lost]), self._hearing.jumped.wait())
+                await first(asyncio.wait([self._link.lost]), self._link.jumped.wait())
         await self._rest("goto")
 
     async def _booted(self) -> None:
@@ -423,7 +412,7 @@ class ModelAutopilot:
 
     async def _pass(self, for_s: float) -> None:
         """Returns after that time, or once the vehicle is not the program's any more."""
-        await asyncio.wait((self._hearing.lost,), timeout=for_s)
+        await asyncio.wait((self._link.lost,), timeout=for_s)
 
 
 def _late(step: str, arrival_s: float, doubt: str = "") -> AutopilotTimeout:

@@ -57,7 +57,8 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from functools import partial
+from typing import Any, Protocol
 
 import msgspec
 
@@ -85,15 +86,8 @@ _LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is
 _MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
 _MOST_STRANGERS = 64
 _SERVER = (
-    *_MOVING,
-    "garbage",
-    "wrong",
-    "lying",
-    "full",
-    "crash",
-    "hung",
-    "poisoned",
-    "unstartable",
+    *(*_MOVING, "garbage", "wrong", "lying", "full"),
+    *("crash", "hung", "poisoned", "unstartable"),
 )
 _INCIDENTS = (
     "pilot",
@@ -106,6 +100,30 @@ _INCIDENTS = (
 )  # of the autopilot alone
 _NOBODY = ":1"
 _UNDECODABLE = b"\xc1" * 16  # the one byte that MessagePack never uses
+_ELSEWHERE = (
+    "nobody.invalid:1", "dns:///nobody.invalid:1", "xds:///nobody", "unix:/run/nobody.sock", "unix-abstract:nobody",
+    ":0", ":70000", "ipv4:10.0.0.1:1", "",
+)  # fmt: skip
+_LEASES_S = (0.003, math.nan, -1.0, math.inf, 1e300, 0.0)
+_MANY = 300  # more than any field holds
+_LONG = "x" * 10_000
+_ESCAPES = "\x1b[2J\x1b]0;nobody\x07\x9b31m\u202e\u2066\r\nupwash: all is well"
+_RESULTS: tuple[dict[str, Any], ...] = (
+    {"value": {"neither": "this"}}, {"value": [[[]]]}, {"value": "text"}, {"value": math.nan}, {"fault": 7}, {},
+)  # fmt: skip
+_FAULTS = (
+    "upwash.drone.flight:AutopilotOverruled", "upwash.errors:MissionStopped", "upwash.drone.mission:MissionFailed",
+    "builtins:SystemExit", "builtins:KeyboardInterrupt", "builtins:MemoryError", "nobody:Known", _ESCAPES,
+)  # fmt: skip
+_LIES: Mapping[tuple[Lie, str], Sequence[dict[str, Any]]] = {  # by lie and path, except of availability
+    ("elsewhere", START): [{"endpoint": address} for address in _ELSEWHERE],
+    ("oversized", START): [{"endpoint": f":{_LONG}"}, {"reason": _LONG}],
+    ("oversized", PREPARE): [{"held": False, "reason": _LONG}],
+    ("oversized", HOLD): [{"held": False, "reason": _LONG}],
+    ("control", START): [{"reason": _ESCAPES}, {"endpoint": _ESCAPES}],
+    ("control", PREPARE): [{"held": False, "reason": _ESCAPES}],
+    ("control", HOLD): [{"held": False, "reason": _ESCAPES}],
+}
 
 
 class Faults:
@@ -178,7 +196,7 @@ class FaultyServer:
     def __init__(self, name: str, address: str, board: Plugboard, *, faults: Faults) -> None:
         self._name = name
         self._address = address
-        self._told = 0  # lies
+        self._lies = 0
         self._board = board
         self._faults = faults
         self._strangers: list[Client] = []  # that have taken all slots
@@ -187,9 +205,7 @@ class FaultyServer:
         """From now on the instance answers at that port of the server, as well as it can."""
 
         async def answer(path: str, body: bytes, client: Client) -> bytes:
-            reply = await self._suffering(lambda: handler(path, body, client))
-            fault = self._lying()
-            return as_instance(fault.lie, reply, number=self._next_way(fault)) if fault else reply
+            return self._lie(await self._suffering(lambda: handler(path, body, client)), as_instance)
 
         self._board.plug(resolve(address, self._address), answer)
 
@@ -202,13 +218,16 @@ class FaultyServer:
 
         async def answer(path: str, body: bytes, client: Client) -> bytes:
             reply = await self._suffering(lambda: ask(path, body, client))
-            fault = self._lying()
-            return as_daemon(fault.lie, path, reply, number=self._next_way(fault)) if fault else reply
+            return self._lie(reply, partial(as_daemon, path=path))
 
         async def ask(path: str, body: bytes, client: Client) -> bytes:
             match self._kind():
                 case "wrong" if path == AVAILABILITY:
-                    return _lie(msgspec.msgpack.decode(body, type=AvailabilityRequest))
+                    services = msgspec.msgpack.decode(body, type=AvailabilityRequest).services
+                    reply = AvailabilityReply(
+                        available=True, endpoints=dict.fromkeys(services, _NOBODY), lease_s=30.0
+                    )
+                    return msgspec.msgpack.encode(reply)
                 case "wrong" if path == START:
                     return msgspec.msgpack.encode(StartReply(endpoint=_NOBODY))
                 case "wrong" if path in (PREPARE, HOLD):
@@ -258,146 +277,73 @@ class FaultyServer:
         self._strangers.clear()
 
     async def _asks(self, daemon: Handler, stranger: Client) -> bool:
-        request = msgspec.msgpack.encode(AvailabilityRequest(self._name, []))
-        reply = await daemon(AVAILABILITY, request, stranger)
+        request = AvailabilityRequest(self._name, [])
+        reply = await daemon(AVAILABILITY, msgspec.msgpack.encode(request), stranger)
         return msgspec.msgpack.decode(reply, type=AvailabilityReply).available
 
     async def _leaves(self, daemon: Handler, stranger: Client) -> None:
         await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)
 
-    def _lying(self) -> FaultConfig | None:
+    def _lie(self, reply: bytes, lie: Callable[..., bytes]) -> bytes:
+        """The reply, or a lie instead: each in the next of its ways, from a first that differs between faults."""
         fault = self._faults.now(self._name)
-        return fault if fault is not None and fault.kind == "lying" else None
-
-    def _next_way(self, fault: FaultConfig) -> int:
-        """Each lie is told in the next of its ways; which is the first differs from fault to fault."""
-        self._told += 1
-        return self._told + int(1000 * fault.from_s)
+        if fault is None or fault.kind != "lying":
+            return reply
+        self._lies += 1
+        return lie(fault.lie, reply=reply, number=self._lies + int(1000 * fault.from_s))
 
     def _kind(self) -> str:
         fault = self._faults.now(self._name)
         return fault.kind if fault else ""
 
 
-def _lie(request: AvailabilityRequest) -> bytes:
-    endpoints = dict.fromkeys(request.services, _NOBODY)
-    return msgspec.msgpack.encode(AvailabilityReply(available=True, endpoints=endpoints, lease_s=30.0))
+def as_daemon(lie: Lie, *, path: str, reply: bytes, number: int) -> bytes:
+    """What a server replies instead of its daemon's honest reply, in the way of that number."""
+    honest: dict[str, Any] = msgspec.msgpack.decode(reply)
+    ways = _availability_lies(lie, honest) if path == AVAILABILITY else _LIES.get((lie, path), ())
+    if not ways:
+        return reply
+    way = ways[number % len(ways)]
+    return msgspec.msgpack.encode(honest | way if path == AVAILABILITY else way)
 
 
-_ELSEWHERE = (
-    "nobody.invalid:1", "dns:///nobody.invalid:1", "xds:///nobody", "unix:/run/nobody.sock", "unix-abstract:nobody",
-    ":0", ":70000", "ipv4:10.0.0.1:1", "",
-)  # fmt: skip
-_LEASES_S = (0.003, math.nan, -1.0, math.inf, 1e300, 0.0)
-_MANY = 300  # more than any field holds
-_LONG = "x" * 10_000
-_ESCAPES = "\x1b[2J\x1b]0;nobody\x07\x9b31m\u202e\u2066\r\nupwash: all is well"
-_RESULTS: tuple[dict[str, Any], ...] = (
-    {"value": {"neither": "this"}}, {"value": [[[]]]}, {"value": "text"}, {"value": math.nan}, {"fault": 7}, {},
-)  # fmt: skip
-_FAULTS = (
-    "upwash.drone.flight:AutopilotOverruled", "upwash.errors:MissionStopped", "upwash.drone.mission:MissionFailed",
-    "builtins:SystemExit", "builtins:KeyboardInterrupt", "builtins:MemoryError", "nobody:Known", _ESCAPES,
-)  # fmt: skip
-
-Reply = dict[str, Any]
-T = TypeVar("T")
-
-
-def as_daemon(lie: Lie, path: str, reply: bytes, *, number: int) -> bytes:
-    """What a server says instead of its daemon's honest reply, in the way of that number."""
-    tell = _OF_DAEMON.get((lie, path))
-    return msgspec.msgpack.encode(tell(msgspec.msgpack.decode(reply), number)) if tell else reply
-
-
-def as_instance(lie: Lie, reply: bytes, *, number: int) -> bytes:
-    """What a server says instead of its service's honest reply; may raise Refused."""
+def as_instance(lie: Lie, *, reply: bytes, number: int) -> bytes:
+    """What a server replies instead of its service's honest reply; may raise Refused."""
     match lie:
         case "types":
-            return msgspec.msgpack.encode(_one_of(_RESULTS, number))
+            return msgspec.msgpack.encode(_RESULTS[number % len(_RESULTS)])
         case "faults":
-            return msgspec.msgpack.encode({"fault": {"type": _one_of(_FAULTS, number), "message": _ESCAPES}})
+            fault = {"type": _FAULTS[number % len(_FAULTS)], "message": _ESCAPES}
+            return msgspec.msgpack.encode({"fault": fault})
         case "control":
             raise Refused(_ESCAPES)
     return reply
 
 
-def _one_of(ways: Sequence[T], number: int) -> T:
-    return ways[number % len(ways)]
-
-
-def _elsewhere(reply: Reply, number: int) -> Reply:
-    endpoints = dict.fromkeys(reply.get("endpoints", {}), _one_of(_ELSEWHERE, number))
-    return {**reply, "endpoints": endpoints}
-
-
-def _started_elsewhere(_: Reply, number: int) -> Reply:
-    return {"endpoint": _one_of(_ELSEWHERE, number)}
-
-
-def _unwanted(reply: Reply, _: int) -> Reply:
-    strangers = [f"stranger-{number}" for number in range(100)]
-    return {
-        **reply,
-        "endpoints": {**reply.get("endpoints", {}), **dict.fromkeys(strangers, ":1")},
-        "peers": [*reply.get("peers", []), *strangers],
-    }
-
-
-def _oversized(reply: Reply, number: int) -> Reply:
-    names = [f"stranger-{each}" for each in range(_MANY)]
-    ways: tuple[Reply, ...] = (
-        {"endpoints": dict.fromkeys(names, ":1")},
-        {"endpoints": dict.fromkeys(reply.get("endpoints", {}), f":{_LONG}")},
-        {"available": False, "reason": _LONG},
-        {"peers": names},
-        {"peers": [_LONG]},
-    )
-    return reply | _one_of(ways, number)
-
-
-def _started_oversized(_: Reply, number: int) -> Reply:
-    ways: tuple[Reply, ...] = ({"endpoint": f":{_LONG}"}, {"reason": _LONG})
-    return _one_of(ways, number)
-
-
-def _held_oversized(_: Reply, __: int) -> Reply:
-    return {"held": False, "reason": _LONG}
-
-
-def _leased(reply: Reply, number: int) -> Reply:
-    return {**reply, "lease_s": _one_of(_LEASES_S, number)}
-
-
-def _controlling(reply: Reply, number: int) -> Reply:
-    ways: tuple[Reply, ...] = (
-        {"available": False, "reason": _ESCAPES},
-        {"endpoints": dict.fromkeys(reply.get("endpoints", {}), f":1{_ESCAPES}")},
-        {_ESCAPES: _ESCAPES, "peers": [_ESCAPES]},
-    )
-    return reply | _one_of(ways, number)
-
-
-def _started_controlling(_: Reply, number: int) -> Reply:
-    ways: tuple[Reply, ...] = ({"reason": _ESCAPES}, {"endpoint": _ESCAPES})
-    return _one_of(ways, number)
-
-
-def _held_controlling(_: Reply, __: int) -> Reply:
-    return {"held": False, "reason": _ESCAPES}
-
-
-_OF_DAEMON: Mapping[tuple[Lie, str], Callable[[Reply, int], Reply]] = {
-    ("elsewhere", AVAILABILITY): _elsewhere,
-    ("elsewhere", START): _started_elsewhere,
-    ("unwanted", AVAILABILITY): _unwanted,
-    ("oversized", AVAILABILITY): _oversized,
-    ("oversized", START): _started_oversized,
-    ("oversized", PREPARE): _held_oversized,
-    ("oversized", HOLD): _held_oversized,
-    ("lease", AVAILABILITY): _leased,
-    ("control", AVAILABILITY): _controlling,
-    ("control", START): _started_controlling,
-    ("control", PREPARE): _held_controlling,
-    ("control", HOLD): _held_controlling,
-}
+def _availability_lies(lie: Lie, honest: Mapping[str, Any]) -> Sequence[dict[str, Any]]:
+    """What each way of the lie changes in an availability reply."""
+    endpoints = honest.get("endpoints", {})
+    strangers = [f"stranger-{number}" for number in range(_MANY)]
+    match lie:
+        case "elsewhere":
+            return [{"endpoints": dict.fromkeys(endpoints, address)} for address in _ELSEWHERE]
+        case "unwanted":
+            unwanted = dict.fromkeys(strangers[:100], ":1")
+            return [{"endpoints": endpoints | unwanted, "peers": [*honest.get("peers", []), *unwanted]}]
+        case "oversized":
+            return [
+                {"endpoints": dict.fromkeys(strangers, ":1")},
+                {"endpoints": dict.fromkeys(endpoints, f":{_LONG}")},
+                {"available": False, "reason": _LONG},
+                {"peers": strangers},
+                {"peers": [_LONG]},
+            ]
+        case "lease":
+            return [{"lease_s": lease_s} for lease_s in _LEASES_S]
+        case "control":
+            return [
+                {"available": False, "reason": _ESCAPES},
+                {"endpoints": dict.fromkeys(endpoints, f":1{_ESCAPES}")},
+                {_ESCAPES: _ESCAPES, "peers": [_ESCAPES]},
+            ]
+    return []

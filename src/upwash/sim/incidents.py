@@ -4,38 +4,36 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from upwash.config import FaultConfig
 from upwash.core.vehicle.control import Heartbeat
 from upwash.sim.energy import EnergyMeter
-from upwash.sim.vehicle import STABILIZE, ModelVehicle
+from upwash.sim.vehicle import STABILIZE, ModelVehicle, Observe
 from upwash.sim.vehicle_link import ModelVehicleLink
 
 _HEARTBEAT_S = 1.0
 
 
 class Incidents:
-    """Has each of them happen at its time.
+    """Has each incident happen at its time.
 
-    `given_back_unheard` is told when a pilot gives the vehicle back of whom the program has heard nothing, and
-    `jumped_unheard` when its position jumps and nothing is heard of that.
+    `observe` gets "given_back_unheard" when a pilot gives the vehicle back before any report of the takeover has
+    reached the program, and "jumped_unheard" when its position jumps within a silence of the link.
     """
 
     def __init__(
         self,
         incidents: Sequence[FaultConfig],
         vehicle: ModelVehicle,
-        hearing: ModelVehicleLink,
+        link: ModelVehicleLink,
         *,
-        given_back_unheard: Callable[[], None],
-        jumped_unheard: Callable[[], None],
+        observe: Observe,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._vehicle = vehicle
-        self._hearing = hearing
-        self._given_back_unheard = given_back_unheard
-        self._jumped_unheard = jumped_unheard
+        self._link = link
+        self._observe = observe
         for incident in incidents:
             self._loop.call_at(incident.from_s, self._happen, incident)
 
@@ -58,7 +56,7 @@ class Incidents:
                 vehicle.restart(back_after_s=lasts_s)
             case "impostor":
                 self._send_heartbeat(incident.to_s)
-        self._hearing.take_soon()
+        self._link.take_soon()
 
     def _jump_and_back(self, incident: FaultConfig, lasts_s: float) -> None:
         if self._vehicle.flies:
@@ -69,19 +67,19 @@ class Incidents:
 
     def _jump(self, east_m: float, north_m: float) -> None:
         before, after = self._vehicle.jump(east_m, north_m)
-        if self._hearing.is_silent:
-            self._jumped_unheard()
+        if self._link.is_silent:
+            self._observe("jumped_unheard")
         else:
-            self._hearing.take_jump(before, after)
+            self._link.take_jump(before, after)
 
     def _send_heartbeat(self, until_s: float) -> None:
-        self._hearing.take_heartbeat(Heartbeat(STABILIZE, armed=False), by_autopilot=False)
+        self._link.take_heartbeat(Heartbeat(STABILIZE, armed=False), by_autopilot=False)
         if self._loop.time() + _HEARTBEAT_S < until_s:
             self._loop.call_later(_HEARTBEAT_S, self._send_heartbeat, until_s)
 
     def _check_unheard(self) -> None:
-        if self._hearing.control.is_ours:
-            self._given_back_unheard()
+        if self._link.control.is_ours:
+            self._observe("given_back_unheard")
 
 
 class ModelBattery:
@@ -90,14 +88,14 @@ class ModelBattery:
     def __init__(
         self,
         vehicle: ModelVehicle,
-        hearing: ModelVehicleLink,
+        link: ModelVehicleLink,
         *,
         energy: EnergyMeter | None,
         endurance_s: float | None,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._vehicle = vehicle
-        self._hearing = hearing
+        self._link = link
         self._energy = energy
         self._endurance_s = endurance_s
         self._took_off_s: float | None = None
@@ -133,10 +131,10 @@ class ModelBattery:
             self._loop.call_later(energy.lasts_s(level_percent), self._watch, energy, level_percent)
             return
         if left_percent > 0:
-            self._hearing.say(f"Battery Failsafe: {left_percent:.0f} % is left")
+            self._link.say(f"Battery Failsafe: {left_percent:.0f} % is left")
             self._vehicle.fail_safe()
             self._watch(energy, 0.0)
         else:
-            self._hearing.say("Battery empty: the motors stop")
+            self._link.say("Battery empty: the motors stop")
             self._vehicle.fall()
-        self._hearing.take_soon()
+        self._link.take_soon()

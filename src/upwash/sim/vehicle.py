@@ -27,6 +27,11 @@ _CATCHES_ITSELF_WITHIN_S = 1.0  # a restart that takes longer leaves the motors 
 _LOWEST_M = 2.0  # above the ground, that a ground station sends it to
 _GRAVITY_M_S2 = 9.81
 _Way: TypeAlias = Callable[[Position], tuple[Phase, ...]]
+Observe: TypeAlias = Callable[..., None]  # the name of an event, and its facts by keyword
+
+
+def unobserved(_event: str, **_facts: object) -> None:
+    """No observer."""
 
 
 class Manner(Protocol):
@@ -58,9 +63,9 @@ class Manner(Protocol):
 class ModelVehicle:
     """Stands on the ground disarmed, or hovers where another program left it.
 
-    `commanded` is told the name of each command that reaches it, `taken` by whom it was taken over, and `moved` each
-    motion as it begins. `changed` is set, anew each time, when its motors start or stop, and when it begins to do
-    something by itself; whoever waits for a border is woken then, too. Altitudes count from the ground at its start.
+    `observe` gets each command ("commanded") and each takeover ("taken", `by`), and `moved` each motion as it begins.
+    `changed` is replaced and set when its motors start or stop, and when it begins to move by itself; waits for a
+    border end then, too. Altitudes count from the ground at its start.
     """
 
     def __init__(
@@ -70,8 +75,7 @@ class ModelVehicle:
         *,
         ground_speed_m_s: float,
         hovers_at: Position | None = None,
-        commanded: Callable[[str], None] = lambda _: None,
-        taken: Callable[[str], None] = lambda _: None,
+        observe: Observe = unobserved,
         moved: Callable[[Motion[Phase]], None] = lambda _: None,
     ) -> None:
         # What its heartbeat says; a new object whenever that changes.
@@ -92,8 +96,7 @@ class ModelVehicle:
         self.borders = Borders(self._motion)
         self._touchdown: asyncio.TimerHandle | None = None  # of a landing by itself or by a person
         self._way_down: _Way = manner.landing
-        self._commanded = commanded
-        self._taken = taken
+        self._observe = observe
         self._moved = moved
         self._moved(self._motion)
 
@@ -149,7 +152,7 @@ class ModelVehicle:
         target: Position | None = None,
     ) -> None:
         """Changes its mode, its motors, its target or none of them, by a command of the program."""
-        self._commanded(command)
+        self._observe("commanded", command=command)
         if mode is not None:
             self._report(mode=mode)
         if target is not None:
@@ -177,7 +180,7 @@ class ModelVehicle:
 
     def be_taken_by_pilot(self, *, back_after_s: float, before_back: Callable[[], None]) -> None:
         """A person flies it in another mode, later back in the program's if that is before the landing, and lands."""
-        self._taken("pilot")
+        self._observe("taken", by="pilot")
         self._report(armed=True)
         self._change_mode(LOITER)
         if back_after_s < _PILOT_LANDS_AFTER_S:
@@ -191,7 +194,7 @@ class ModelVehicle:
         """
         if not (self.flies and self.mode == GUIDED):
             return
-        self._taken("ground station")
+        self._observe("taken", by="ground station")
         here, (east_m, north_m, up_m) = self.position, shift
         altitude_m = max(_LOWEST_M, here.altitude_m + up_m)
         self.target = Position(here.east_m + east_m, here.north_m + north_m, altitude_m)
@@ -222,7 +225,7 @@ class ModelVehicle:
         One that is back soon catches itself in the air, in the mode that it had; later a pilot lands it. Others fall.
         """
         if self.armed:
-            self._taken("restarted autopilot")
+            self._observe("taken", by="restarted autopilot")
         self.is_booting = True
         if self.flies:
             self._come_down(_falling)
@@ -243,7 +246,7 @@ class ModelVehicle:
         """Its battery is empty, say: it lands where it is; while it stands disarmed there is nothing to do."""
         if not self.armed:
             return
-        self._taken("fail-safe")
+        self._observe("taken", by="fail-safe")
         self._report(failsafe="Battery Failsafe")
         self._land()
 
@@ -251,7 +254,7 @@ class ModelVehicle:
         """Its battery is empty: the motors stop in the air, and it falls straight down."""
         if not self.flies:
             return
-        self._taken("fail-safe")
+        self._observe("taken", by="fail-safe")
         self._report(failsafe="Battery empty")
         self._change_mode(LAND)
         self._come_down(_falling)
@@ -269,7 +272,7 @@ class ModelVehicle:
 
     def _be_landed_by_pilot(self) -> None:
         if self.armed:
-            self._taken("pilot")
+            self._observe("taken", by="pilot")
             self._land()
 
     def _land(self) -> None:

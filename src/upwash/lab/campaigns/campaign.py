@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
 
@@ -15,16 +15,14 @@ import msgspec
 from upwash.config import Document, drone_config
 from upwash.errors import MissionFailed, UsageError
 from upwash.lab import processes
-from upwash.lab.campaigns.file import CampaignFile, CampaignRow
+from upwash.lab.campaigns.file import ENERGY, CampaignFile, CampaignRow
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 from upwash.lab.outcome import fly
 from upwash.support.confidence import Mean, mean_of
 from upwash.support.loading import extra
 
-_CHUNK_RUNS = (
-    5  # so few that little is lost by an interruption, and enough that handing them out costs nothing
-)
-_CHUNK_S = 2.0  # likewise, where it is known what a run costs
+_CHUNK_RUNS = 5  # an interruption loses few, and handing them out costs nothing
+_CHUNK_S = 2.0  # likewise, once the cost of a run is known
 _MOST_CHUNK_RUNS = 100
 _SAMPLE_RUNS = 8
 _SAMPLE_S = 1.0
@@ -94,7 +92,7 @@ def run_campaign(
 
 
 def _measure(file: CampaignFile, sample: Sequence[Chunk], flown: Callable[[int], None]) -> Cost:
-    """Flies these, as many as there is time for, and enters them."""
+    """Flies the sample, or the part of it that there is time for."""
     took_s: list[float] = []
     for chunk in sample:
         began_s = time.process_time()
@@ -126,7 +124,7 @@ def fly_sweep(
 
 
 def in_processes(workers: int | None = None) -> Fly:
-    """Flies in so many processes of this machine; by default one for each core that may be used."""
+    """Flies in processes of this machine; by default one for each core that may be used."""
     return lambda chunks: processes.in_processes(fly_chunk, chunks, workers=workers)
 
 
@@ -180,7 +178,11 @@ def _fly(chunk: Chunk, seed: int) -> CampaignRow:
         flown = fly(config)
     except MissionFailed as error:  # this run's failure, not the others'
         return CampaignRow(chunk.values, seed, config.policy.name, failure=_one_line(str(error)))
-    totals, energy, fleet = flown.totals, flown.energy, flown.fleet
+    totals = asdict(flown.totals) | {"remote": sum(flown.totals.remote.values())}
+    if not config.mission.lighter:
+        del totals["lighter"]
+    energy = asdict(flown.energy) if flown.energy else {}
+    fleet = flown.fleet
     return CampaignRow(
         chunk.values,
         seed,
@@ -188,29 +190,15 @@ def _fly(chunk: Chunk, seed: int) -> CampaignRow:
         mission_time_s=flown.mission_time_s,
         completed=flown.completed,
         failure=_one_line(flown.failure),
-        calls=totals.calls,
-        local=totals.local,
-        remote=sum(totals.remote.values()),
-        waits=totals.waits,
-        waits_failed=totals.waits_failed,
-        switches=totals.switches,
-        fallbacks=totals.fallbacks,
-        service_delay_s=totals.service_delay_s,
-        went_on=totals.went_on,
-        turned_back=totals.turned_back,
-        hidden_s=totals.hidden_s,
         bound_s=flown.bound_s,
         bound_with_joins_s=flown.bound_with_joins_s,
-        energy_wh=energy.total_wh if energy else None,
-        flight_wh=energy.flight_wh if energy else None,
-        hover_wh=energy.hover_wh if energy else None,
-        computing_wh=energy.computing_wh if energy else None,
-        radio_wh=energy.radio_wh if energy else None,
+        energy_wh=energy.get("total_wh"),
         completed_drones=fleet.completed if fleet else None,
         worst_s=fleet.worst_s if fleet else None,
-        jain=fleet.jain if fleet else None,
-        bound_shared_s=fleet.bound_shared_s if fleet else None,
-        lighter=totals.lighter if config.mission.lighter else None,
+        jain=fleet.fairness if fleet else None,
+        bound_shared_s=fleet.bound.shared_s if fleet and fleet.bound else None,
+        **totals,
+        **{name: value for name, value in energy.items() if name in ENERGY},
     )
 
 

@@ -54,12 +54,12 @@ class CampaignRow(msgspec.Struct, frozen=True):
     lighter: int | None = None  # calls, where a mission is to be over in time
 
 
-_ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
+ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
 _FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
 _LIGHTER = ("lighter",)
 _GOING = ("went_on", "turned_back", "hidden_s")
 _COLUMNS = tuple(
-    name for name in CampaignRow.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET, *_LIGHTER, *_GOING)
+    name for name in CampaignRow.__struct_fields__[1:] if name not in (*ENERGY, *_FLEET, *_LIGHTER, *_GOING)
 )
 
 
@@ -82,7 +82,7 @@ class CampaignFile:
         self._parquet_file = parquet_file
         self.sweep = sweep
         documents = [each.document for each in sweep.combinations]
-        metered = _ENERGY if any("energy" in each for each in documents) else ()
+        metered = ENERGY if any("energy" in each for each in documents) else ()
         together = _FLEET if any("drone" in each for each in documents) else ()
         timed = _LIGHTER if any("lighter" in each["mission"] for each in documents) else ()
         goes = _GOING if any(_may_go(each) for each in documents) else ()
