@@ -32,6 +32,7 @@ AGILE = VehicleSettings(
     armable_after_s=0.0,
 )
 AT_ONCE = FlightSettings(patience=Patience(others_s=0.0))  # knows that no other vehicle is there
+HASTY = FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=Patience(others_s=0.0))
 PERFECT = Air(0.0, seed=1)
 _QUESTIONS = (
     mavlink.MAV_CMD_REQUEST_MESSAGE,
@@ -45,9 +46,6 @@ class Bench:
     """A stand-in vehicle, any number of programs that connect to it, and what they sent."""
 
     def __init__(self, settings: VehicleSettings | Px4Settings, air: Air = PERFECT) -> None:
-        self.firmware: Any = firmware(settings, now_s=asyncio.get_running_loop().time())
-        self.copter: Any = self.firmware.copter
-        self.vehicle = StandIn(self.firmware, settings.speedup)
         self.air = air
         self.said: list[str] = []
         self.deaf = False  # whether the vehicle hears no program
@@ -58,8 +56,23 @@ class Bench:
         self.heard: list[Any] = []  # what programs sent, with the time as `at_s`
         self.asked: Counter[int] = Counter()  # how often programs sent each command
         self._unasked = UNASKED_S if isinstance(settings, Px4Settings) else {}
+        self.switch_on(settings)
+
+    def switch_on(self, settings: VehicleSettings | Px4Settings) -> None:
+        """Starts the vehicle, on the ground at home."""
+        self.firmware: Any = firmware(settings, now_s=asyncio.get_running_loop().time())
+        self.copter: Any = self.firmware.copter
+        self.vehicle = StandIn(self.firmware, settings.speedup)
+        self._life = asyncio.create_task(self.vehicle.live())
         if not self._unasked:
             PeerConnection(self.vehicle, write=self._note)
+
+    async def switch_off(self) -> None:
+        """Ends the vehicle and its connections, in flight too."""
+        self._life.cancel()
+        await asyncio.gather(self._life, return_exceptions=True)
+        for connection in tuple(self.vehicle.connections):
+            connection.end()
 
     @property
     def now_s(self) -> float:
@@ -157,7 +170,7 @@ class Bench:
                 self.air.carry(data, to_vehicle)
 
         self.arrive, line.write = arrive, write
-        connection = self.connection = PeerConnection(self.vehicle, write=to_program)
+        connection = self.connection = PeerConnection(self.vehicle, write=to_program, hang_up=line.ended.set)
         for number in self._unasked:  # a flight has a hundred thousand of them
             never = mavlink.MAVLink_command_long_message(
                 1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1, *(0.0,) * 5
@@ -184,14 +197,10 @@ def _hear(connection: PeerConnection, message: Any) -> None:
 async def bench(settings: VehicleSettings | Px4Settings = AGILE, air: Air = PERFECT) -> AsyncIterator[Bench]:
     """A stand-in that is switched on."""
     made = Bench(settings, air)
-    life = asyncio.create_task(made.vehicle.live())
     try:
         yield made
     finally:
-        life.cancel()
-        await asyncio.gather(life, return_exceptions=True)
-        for connection in tuple(made.vehicle.connections):
-            connection.end()
+        await made.switch_off()
 
 
 @asynccontextmanager

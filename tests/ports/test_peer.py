@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.memory import AGILE
 from tests.ports.steps import take_off
-from tests.ports.test_autopilot import AGILE, FRAME, IMPATIENT
+from tests.ports.test_autopilot import FRAME, IMPATIENT
 from tests.system.attacks.flown import Router, free_port
 
 from upwash.core.geo import Position

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.memory import AGILE, HASTY, HOME
 from tests.ports.steps import claim_and_arm
-from tests.ports.test_autopilot import AGILE, FRAME, HASTY, HOME, connection
+from tests.ports.test_autopilot import FRAME, connection
 from tests.system.attacks.flown import Router, free_port
 
 from upwash.cli.main import main

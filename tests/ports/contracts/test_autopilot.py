@@ -7,22 +7,19 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import pytest
-from tests.ports.memory import driven
+from tests.ports.memory import AGILE, HASTY, HOME, driven
 from tests.ports.steps import take_off
 
-from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_m, ground_distance_m
+from upwash.core.geo import Circle, LocalFrame, Position, distance_m, ground_distance_m
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.ports import Autopilot
-from upwash.real.mavlink import FlightSettings, Patience, connect_autopilot
+from upwash.real.mavlink import FlightSettings
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.sim.vehicle import Manner, Plain
 from upwash.vehicle.ardupilot import airframe as arducopter
-from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.server import serve_vehicle
 
-HOME = GeoPosition(39.3666, 22.9507)
 SPEED_M_S = 60.0
 Flight = Callable[[Autopilot], Awaitable[None]]
 Fly = Callable[[Flight], None]
@@ -38,29 +35,8 @@ async def px4_autopilot() -> AsyncIterator[Autopilot]:
 
 @asynccontextmanager
 async def mavlink_autopilot() -> AsyncIterator[Autopilot]:
-    agile = VehicleSettings(
-        home=HOME,
-        acceleration_m_s2=300.0,
-        climb_m_s=100.0,
-        descent_m_s=100.0,
-        return_speed_m_s=100.0,
-        return_altitude_m=0.0,
-        armable_after_s=0.0,
-    )
-    vehicle = await serve_vehicle("udp:127.0.0.1:0", agile)
-    try:
-        autopilot = await connect_autopilot(
-            vehicle.address.replace("udp:", "udpout:"),
-            frame=LocalFrame(HOME),
-            ground_speed_m_s=SPEED_M_S,
-            settings=FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=Patience(others_s=0.0)),
-        )
-        try:
-            yield autopilot
-        finally:
-            await autopilot.close()
-    finally:
-        await vehicle.close()
+    async with driven(AGILE, HASTY, SPEED_M_S) as (_, autopilot):
+        yield autopilot
 
 
 def model(manner: Manner) -> Callable[[], AbstractAsyncContextManager[Autopilot]]:
@@ -81,11 +57,11 @@ PLAIN = Plain(acceleration_m_s2=300.0, takeoff_s=1.0, return_and_land_s=1.0)
 @pytest.fixture(params=["plain model", "arducopter model", "mavlink", "px4"])
 def fly(request: pytest.FixtureRequest) -> Fly:
     """Runs a flight with one of the twins."""
-    make, run = {
-        "plain model": (model(PLAIN), run_virtually),
-        "arducopter model": (model(arducopter), run_virtually),
-        "mavlink": (mavlink_autopilot, asyncio.run),
-        "px4": (px4_autopilot, run_virtually),
+    make = {
+        "plain model": model(PLAIN),
+        "arducopter model": model(arducopter),
+        "mavlink": mavlink_autopilot,
+        "px4": px4_autopilot,
     }[request.param]
 
     def flown(flight: Flight) -> None:
@@ -93,7 +69,7 @@ def fly(request: pytest.FixtureRequest) -> Fly:
             async with make() as autopilot:
                 await flight(autopilot)
 
-        run(with_autopilot())
+        run_virtually(with_autopilot())
 
     return flown
 
