@@ -7,8 +7,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Position
 from upwash.vehicle.ardupilot.copter import Copter
-from upwash.vehicle.ardupilot.fence import FenceItem
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body.fence import FenceItem
 from upwash.vehicle.body.firmware import Result
 
 STAY_IN = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION

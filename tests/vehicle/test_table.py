@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -324,10 +325,15 @@ def test_a_fence_is_taken_and_given_back() -> None:
     talk(scenario, FENCED)
 
 
-def test_a_fence_that_is_none_is_refused_in_words_and_leaves_none() -> None:
+@pytest.mark.parametrize(
+    "wrong",
+    [SQUARE[:2], [(INCLUSION, math.inf, 0, 0)], [(KEEP_OUT, math.nan, 0, 0)], [(KEEP_OUT, 5.0, 900_000, 0)]],
+    ids=["too few corners", "endless corners", "no radius", "beyond the pole"],
+)
+def test_a_fence_that_is_none_is_refused_in_words_and_leaves_none(wrong: list[FenceRow]) -> None:
     async def scenario(client: Client, _vehicle: StandIn) -> None:
         assert await upload_fence(client, SQUARE) == mavlink.MAV_MISSION_ACCEPTED
-        assert await upload_fence(client, SQUARE[:2]) == mavlink.MAV_MISSION_ERROR
+        assert await upload_fence(client, wrong) == mavlink.MAV_MISSION_ERROR
         await client.until(lambda: client.all("STATUSTEXT")[-1].text == "Fence validation failed")
         client.say(mavlink.MAVLink_mission_request_list_message(1, 1, 1))
         assert (await client.next("MISSION_COUNT")).count == 0

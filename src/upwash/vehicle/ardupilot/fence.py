@@ -6,16 +6,13 @@ of a take-off where FENCE_AUTOENABLE says that. Home is at the origin.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from enum import IntEnum
-
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.vehicle.ardupilot.boot import NOTICE, Text
 from upwash.vehicle.body.copter import HOME
+from upwash.vehicle.body.fence import FenceItem, UploadedFence
 from upwash.vehicle.body.parameters import ParameterTable
 
 _CEILING, _CIRCLE, _AREAS, _FLOOR = 1, 2, 4, 8  # FENCE_TYPE's bits
@@ -34,82 +31,13 @@ class Breach(IntEnum):
     BOUNDARY = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Area:
-    """A polygon, or a circle around its only corner; to be kept to, or out of."""
-
-    corners: tuple[Position, ...]
-    radius_m: float | None
-    inclusion: bool
-
-    def allows(self, position: Position) -> bool:
-        """Whether the vehicle may be there."""
-        return self._holds(position) is self.inclusion
-
-    def _holds(self, position: Position) -> bool:
-        if self.radius_m is not None:
-            return ground_distance_m(position, self.corners[0]) <= self.radius_m
-        inside = False
-        for one, other in itertools.pairwise((*self.corners, self.corners[0])):
-            if (one.north_m > position.north_m) is not (other.north_m > position.north_m):
-                share = (position.north_m - one.north_m) / (other.north_m - one.north_m)
-                if position.east_m < one.east_m + share * (other.east_m - one.east_m):
-                    inside = not inside
-        return inside
-
-
-_POLYGONS = {
-    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
-    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
-}
-_CIRCLES = {
-    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True,
-    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
-}
-_FEWEST_CORNERS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class FenceItem:
-    """One item of the fence as it was uploaded: a circle, or a corner of a polygon with `number` corners."""
-
-    command: int
-    number: float
-    place: Position
-    latitude_e7: int
-    longitude_e7: int
-
-
-def read_areas(items: Sequence[FenceItem]) -> tuple[Area, ...]:
-    """The areas that the items describe; ValueError where they describe none."""
-    return tuple(_areas(items))
-
-
-def _areas(items: Sequence[FenceItem]) -> Iterator[Area]:
-    left = list(items)
-    while left:
-        first = left[0]
-        if first.command in _CIRCLES and first.number > 0:
-            yield Area((first.place,), first.number, _CIRCLES[first.command])
-            left = left[1:]
-            continue
-        count = int(first.number)
-        corners = left[:count]
-        alike = all((item.command, item.number) == (first.command, first.number) for item in corners)
-        if first.command not in _POLYGONS or not _FEWEST_CORNERS <= count == len(corners) or not alike:
-            raise ValueError(f"Invalid vertex count ({count})")
-        yield Area(tuple(item.place for item in corners), None, _POLYGONS[first.command])
-        left = left[count:]
-
-
-class FenceWatch:
+class FenceWatch(UploadedFence):
     """The fence that it has, which kinds of it are switched on, and whether they are kept to."""
 
     def __init__(self, parameters: ParameterTable, now_s: float) -> None:
-        self.items: tuple[FenceItem, ...] = ()
+        super().__init__()
         self.breaches = 0  # so far
         self.breached_s = now_s  # the last time
-        self._areas: tuple[Area, ...] = ()
         self._parameters = parameters
         self._on = 0  # the kinds that are switched on
         self._switches = (0.0, 0.0)  # FENCE_ENABLE and FENCE_AUTOENABLE, read last
@@ -138,8 +66,7 @@ class FenceWatch:
 
     def set(self, items: tuple[FenceItem, ...]) -> None:
         """Takes the areas of a new fence; ValueError where the items describe none."""
-        self._areas = read_areas(items)
-        self.items = items
+        super().set(items)
         self._parameters.change("FENCE_TOTAL", len(items))
 
     def allows(self, target: Position) -> bool:
@@ -212,7 +139,7 @@ class FenceWatch:
 
     def _present(self) -> int:
         """The kinds that FENCE_TYPE selects, areas only where there are any."""
-        return int(self._parameters["FENCE_TYPE"]) & (_ALL if self._areas else _ALL & ~_AREAS)
+        return int(self._parameters["FENCE_TYPE"]) & (_ALL if self.areas else _ALL & ~_AREAS)
 
     def _switch_on(self, kinds: int) -> Sequence[Text]:
         new = kinds & self._present() & ~self._enabled()
@@ -246,9 +173,9 @@ class FenceWatch:
 
     def _in_areas(self, position: Position) -> bool:
         """Whether it keeps to its areas; FENCE_OPTIONS may join the areas to stay in."""
-        inclusions = [area.allows(position) for area in self._areas if area.inclusion]
+        inclusions = [area.allows(position) for area in self.areas if area.inclusion]
         enough = any if int(self._parameters["FENCE_OPTIONS"]) & _JOINS else all
-        outside = all(area.allows(position) for area in self._areas if not area.inclusion)
+        outside = all(area.allows(position) for area in self.areas if not area.inclusion)
         return outside and (not inclusions or enough(inclusions))
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.vehicle.ardupilot.boot import Text
+from upwash.vehicle.ardupilot.boot import WARNING, Text
 from upwash.vehicle.ardupilot.commands import change_mode, obey, place_of
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.dead_man import MAV_CMD_SCRIPTING, Scripting
-from upwash.vehicle.ardupilot.fence_transfer import FenceTransfer, fence_message
 from upwash.vehicle.ardupilot.telemetry import STREAM_GROUPS, CopterTelemetry
+from upwash.vehicle.body.fence import FenceTransfer, acknowledged
 from upwash.vehicle.body.firmware import (
     NOTHING,
     CommandReply,
@@ -41,7 +42,7 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
         self.files = Files()
         self._said_by_scripts: list[Text] = []
         self._scripting = Scripting(copter, self._said_by_scripts.append)
-        self._uploads: dict[tuple[int, int], FenceTransfer] = {}  # of fences, by who sends them
+        self._fence = CopterFenceTransfer(copter.frame, copter.fence)
         self._synchronises_s: float | None = None
         self._placed = False
 
@@ -108,59 +109,32 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
         target = place_of(self.copter, frame, place)
         return target is not None and self.copter.steer(now_s, target)
 
-    def _hear_mission_list_request(self, _now_s: float, message: Message) -> CommandReply:
-        items = len(self.copter.fence.items) if _is_about_fence(message) else 0
-        count = mavlink.MAVLink_mission_count_message(*sender_of(message), items, message.mission_type)
-        return CommandReply(to_sender=(count,))
-
-    def _hear_mission_item_request(self, _now_s: float, message: Message) -> CommandReply:
-        items = self.copter.fence.items if _is_about_fence(message) else ()
-        if message.seq < len(items):
-            return CommandReply(to_sender=(fence_message(items[message.seq], message.seq, message),))
-        return _acknowledged(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)
-
-    def _hear_mission_clearing(self, _now_s: float, message: Message) -> CommandReply:
-        if _is_about_fence(message):
-            self.copter.fence.set(())
-        return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
-
-    def _hear_mission_upload(self, _now_s: float, message: Message) -> CommandReply:
-        if not _is_about_fence(message):
-            return _acknowledged(message, mavlink.MAV_MISSION_UNSUPPORTED)
-        upload = self._uploads[sender_of(message)] = FenceTransfer(self.copter)
-        return _gone_on(upload, message, upload.begin(message.count))
-
-    def _hear_mission_item(self, now_s: float, message: Message) -> CommandReply:
+    def _hear_mission(self, now_s: float, message: Message) -> CommandReply:
         """A single item with `current` 2 is a target: older programs, DroneKit among them, steer so."""
-        if _is_about_fence(message):
-            upload = self._uploads.setdefault(sender_of(message), FenceTransfer(self.copter))
-            return _gone_on(upload, message, upload.take(message))
+        is_item = message.get_type() in ("MISSION_ITEM", "MISSION_ITEM_INT")
+        if not is_item or message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE:
+            return self._fence.hear(now_s, message)
         if message.current != 2 or message.command != mavlink.MAV_CMD_NAV_WAYPOINT:
-            return _acknowledged(message, mavlink.MAV_MISSION_UNSUPPORTED)
+            return acknowledged(message, mavlink.MAV_MISSION_UNSUPPORTED)
         scale = 1 if message.get_type() == "MISSION_ITEM_INT" else 1e7
         place = message.x * scale / 1e7, message.y * scale / 1e7, message.z
         steered = self._steer(now_s, message.frame, place)
-        return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED if steered else mavlink.MAV_MISSION_ERROR)
+        return acknowledged(message, mavlink.MAV_MISSION_ACCEPTED if steered else mavlink.MAV_MISSION_ERROR)
 
 
-def _is_about_fence(message: Message) -> bool:
-    return bool(message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE)
+class CopterFenceTransfer(FenceTransfer):
+    """As ArduCopter takes a fence: a wrong item is an error, and wrong items leave no fence."""
 
+    most_items = 500
+    request = mavlink.MAVLink_mission_request_message
+    unasked = out_of_turn = mavlink.MAV_MISSION_INVALID_SEQUENCE
 
-def _gone_on(upload: FenceTransfer, message: Message, result: int | None) -> CommandReply:
-    """Ends the upload with that result, or asks for what comes next."""
-    if result is not None:
-        acknowledged = _acknowledged(message, result)
-        return CommandReply(to_sender=acknowledged.to_sender, to_all=tuple(map(_text, upload.complaint)))
-    request = mavlink.MAVLink_mission_request_message(
-        *sender_of(message), upload.next_number, mavlink.MAV_MISSION_TYPE_FENCE
-    )
-    return CommandReply(to_sender=(request,))
-
-
-def _acknowledged(message: Message, result: int) -> CommandReply:
-    ack = mavlink.MAVLink_mission_ack_message(*sender_of(message), result, message.mission_type)
-    return CommandReply(to_sender=(ack,))
+    def refused(self, message: Message, error: ValueError) -> CommandReply:
+        """Clears the fence, and says why."""
+        self.fence.set(())
+        texts = Text(str(error), WARNING), Text("Fence validation failed", WARNING)
+        refusal = acknowledged(message, mavlink.MAV_MISSION_ERROR)
+        return replace(refusal, to_all=tuple(map(_text, texts)))
 
 
 def _text(text: Text) -> Message:
@@ -172,11 +146,16 @@ _LISTENERS: dict[str, Callable[[ArduCopterFirmware, float, Message], CommandRepl
     "FILE_TRANSFER_PROTOCOL": ArduCopterFirmware._hear_file_request,
     "SET_MODE": ArduCopterFirmware._hear_mode,
     "SET_POSITION_TARGET_GLOBAL_INT": ArduCopterFirmware._hear_target,
-    "MISSION_REQUEST_LIST": ArduCopterFirmware._hear_mission_list_request,
-    "MISSION_REQUEST": ArduCopterFirmware._hear_mission_item_request,
-    "MISSION_REQUEST_INT": ArduCopterFirmware._hear_mission_item_request,
-    "MISSION_CLEAR_ALL": ArduCopterFirmware._hear_mission_clearing,
-    "MISSION_COUNT": ArduCopterFirmware._hear_mission_upload,
-    "MISSION_ITEM": ArduCopterFirmware._hear_mission_item,
-    "MISSION_ITEM_INT": ArduCopterFirmware._hear_mission_item,
+    **dict.fromkeys(
+        (
+            "MISSION_REQUEST_LIST",
+            "MISSION_REQUEST",
+            "MISSION_REQUEST_INT",
+            "MISSION_CLEAR_ALL",
+            "MISSION_COUNT",
+            "MISSION_ITEM",
+            "MISSION_ITEM_INT",
+        ),
+        ArduCopterFirmware._hear_mission,
+    ),
 }

@@ -78,7 +78,7 @@ class CopterFlight(Multicopter):
             step_s = min(_TURN_STEP_S, now_s - self._turned_s)
             self._turned_s += step_s
             velocity = self.velocity(self._turned_s)
-            fast = math.hypot(velocity.east_m_s, velocity.north_m_s) > _TURNS_ABOVE_M_S
+            fast = velocity.ground_m_s > _TURNS_ABOVE_M_S
             course_deg = math.degrees(math.atan2(velocity.east_m_s, velocity.north_m_s)) if fast else None
             wanted_deg = course_deg if self._told_deg is None else self._told_deg
             if wanted_deg is not None and self.mode is CopterMode.GUIDED:

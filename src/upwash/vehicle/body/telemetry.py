@@ -136,7 +136,7 @@ class Telemetry(ABC, Generic[AnyCopter]):
             "lat": degrees_e7(geo.latitude_deg),
             "lon": degrees_e7(geo.longitude_deg),
             "alt": self.above_sea_mm(place),
-            "vel": round(math.hypot(velocity.east_m_s, velocity.north_m_s) * 100),
+            "vel": round(velocity.ground_m_s * 100),
         }
         return made(mavlink.MAVLink_gps_raw_int_message, **fields | self.receiver(now_s))
 
@@ -206,10 +206,9 @@ class Telemetry(ABC, Generic[AnyCopter]):
     def vfr_hud(self, now_s: float) -> Message:
         """VFR_HUD: speeds, heading and height, as a pilot reads them."""
         velocity = self.copter.velocity(now_s)
-        ground_m_s = math.hypot(velocity.east_m_s, velocity.north_m_s)
         return mavlink.MAVLink_vfr_hud_message(
-            ground_m_s,
-            ground_m_s,
+            velocity.ground_m_s,
+            velocity.ground_m_s,
             round(self.copter.heading_deg(now_s)) % 360,
             self.throttle_percent if self.copter.flying(now_s) else 0,
             self.above_sea_mm(self.copter.position(now_s)) / 1e3,

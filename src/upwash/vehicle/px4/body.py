@@ -89,11 +89,6 @@ class Body:
         return Velocity(self.east_m_s, self.north_m_s, self.up_m_s)
 
     @property
-    def ground_speed_m_s(self) -> float:
-        """How fast it moves over the ground."""
-        return math.hypot(self.east_m_s, self.north_m_s)
-
-    @property
     def told_to_stand(self) -> bool:
         """Whether it has been braked for long enough: what is left of its speed is to be taken back."""
         return self._told == [0.0, 0.0]

@@ -1,4 +1,4 @@
-"""The commands that the stand-in PX4 knows, and what it answers to each."""
+"""The commands that the stand-in PX4 knows, and its answer to each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from upwash.vehicle.px4.vehicle import FORCED, Quadrotor
 
 _IGNORED_E7 = 2**31 - 1  # of a coordinate in COMMAND_INT: not given
 _NAN_E7 = 0x7FF80000  # a NaN that was sent as an integer by mistake
-_ACCEPTED = (Result.ACCEPTED,)
 _UNKNOWN = frozenset(
     {
         mavlink.MAV_CMD_VIDEO_START_CAPTURE,
@@ -35,12 +34,16 @@ _MODES = {(mode.main, mode.sub): mode for mode in Mode}
 
 
 def obey(copter: Quadrotor, now_s: float, message: Message) -> tuple[Result, ...]:
-    """What the copter answers, having done what it was told if it could."""
+    """The answers of the copter, which has done what it was told if it could."""
     handler = _HANDLERS.get(message.command)
     if handler is None:
         return (Result.UNSUPPORTED,)
     command = _read(message)
-    return handler(copter, now_s, command) if command else (Result.DENIED,)
+    if command is None:
+        return (Result.DENIED,)
+    result = handler(copter, now_s, command)
+    # The first of two answers says that the command has arrived.
+    return (Result.ACCEPTED, result) if message.command == mavlink.MAV_CMD_DO_SET_MODE else (result,)
 
 
 def set_mode(copter: Quadrotor, now_s: float, *, base_mode: float, main: float, sub: float) -> Result:
@@ -69,50 +72,39 @@ def _read(message: Message) -> VehicleCommand | None:
     return command
 
 
-def _arm_or_disarm(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
+def _arm_or_disarm(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
     wish, magic = command.parameters[:2]
     if wish == 1:
-        return (copter.arm(now_s, forced=magic == FORCED),)
+        return copter.arm(now_s, forced=magic == FORCED)
     if wish == 0:
-        return (copter.disarm(now_s, forced=magic == FORCED),)
-    return (Result.UNSUPPORTED,)
+        return copter.disarm(now_s, forced=magic == FORCED)
+    return Result.UNSUPPORTED
 
 
-def _take_off(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
-    above_sea_m = command.place[2]
-    return (copter.take_off(now_s, above_sea_m - copter.settings.home_altitude_m),)
+def _take_off(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
+    return copter.take_off(now_s, command.place[2] - copter.settings.home_altitude_m)
 
 
 def _enter(mode: Mode) -> Handler:
-    return lambda copter, now_s, _order: (copter.set_mode(now_s, mode),)
+    return lambda copter, now_s, _command: copter.set_mode(now_s, mode)
 
 
-def _do_set_mode(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
-    """Two answers: one that the command has arrived, and one that tells what came of it."""
+def _do_set_mode(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
     base_mode, main, sub, _ = command.parameters
-    return Result.ACCEPTED, set_mode(copter, now_s, base_mode=base_mode, main=main, sub=sub)
+    return set_mode(copter, now_s, base_mode=base_mode, main=main, sub=sub)
 
 
-def _change_speed(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
-    return (copter.change_speed(now_s, command.parameters[1]),)
-
-
-def _use_payload(_copter: Quadrotor, _now_s: float, _command: VehicleCommand) -> tuple[Result, ...]:
-    """It carries one of everything."""
-    return _ACCEPTED
-
-
-def _reposition(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
+def _reposition(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
     speed_m_s, flags, _, yaw_deg = command.parameters
     if flags != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
-        return (Result.UNSUPPORTED,)
+        return Result.UNSUPPORTED
     latitude_deg, longitude_deg, above_sea_m = command.place
     if math.isinf(above_sea_m):
-        return (Result.DENIED,)
+        return Result.DENIED
     east_north_m = None
     if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
         if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
-            return (Result.DENIED,)
+            return Result.DENIED
         place = copter.frame.position(GeoPosition(latitude_deg, longitude_deg))
         east_north_m = place.east_m, place.north_m
     wish = Reposition(
@@ -121,19 +113,19 @@ def _reposition(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tup
         speed_m_s=speed_m_s,
         yaw_deg=yaw_deg if math.isfinite(yaw_deg) else None,
     )
-    return (copter.reposition(now_s, wish),)
+    return copter.reposition(now_s, wish)
 
 
-def _run_checks(copter: Quadrotor, now_s: float, _order: VehicleCommand) -> tuple[Result, ...]:
+def _run_checks(copter: Quadrotor, now_s: float, _command: VehicleCommand) -> Result:
     copter.advance(now_s)
-    return (Result.TEMPORARILY_REJECTED,) if copter.armed else _ACCEPTED
+    return Result.TEMPORARILY_REJECTED if copter.armed else Result.ACCEPTED
 
 
 def _byte(number: float) -> int:
     return int(number) if math.isfinite(number) and 0 <= number <= 255 else 0
 
 
-Handler: TypeAlias = Callable[[Quadrotor, float, VehicleCommand], tuple[Result, ...]]
+Handler: TypeAlias = Callable[[Quadrotor, float, VehicleCommand], Result]
 
 _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
@@ -142,8 +134,11 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_NAV_LAND: _enter(Mode.LAND),
     mavlink.MAV_CMD_NAV_LOITER_UNLIM: _enter(Mode.LOITER),
     mavlink.MAV_CMD_DO_SET_MODE: _do_set_mode,
-    mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: lambda copter, now_s, command: copter.change_speed(
+        now_s, command.parameters[1]
+    ),
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_checks,
-    **dict.fromkeys(PAYLOAD_COMMANDS.keys() - _UNKNOWN, _use_payload),
+    # It carries one payload of each kind.
+    **dict.fromkeys(PAYLOAD_COMMANDS.keys() - _UNKNOWN, lambda *_: Result.ACCEPTED),
 }

@@ -1,34 +1,30 @@
-"""The events of the stand-in: what happened, numbered, for whoever listens and for whoever missed one."""
+"""The events of the stand-in: what happened, numbered, for listeners and for those who missed one."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Protocol
+from collections.abc import Callable
+from typing import TypeAlias
 
 from upwash.mavlink.px4 import EVENTS, EventMessage
+
+Tell: TypeAlias = Callable[..., None]  # notes an event by its name in PX4, with its arguments
 
 _IDS = {kind.name: number for number, kind in EVENTS.items()}
 _FIRST_SEQUENCE = 65_526
 _KEPT = 40
 
 
-class Tell(Protocol):
-    """Notes an event that happens now."""
-
-    def __call__(self, name: str, *arguments: float) -> None:
-        """By its name in PX4."""
-
-
 class Events:
-    """What happened, in the order in which it did."""
+    """The events in the order in which they happened."""
 
     def __init__(self) -> None:
         self._kept: deque[EventMessage] = deque(maxlen=_KEPT)
         self._unsaid: list[EventMessage] = []
         self._next = _FIRST_SEQUENCE
 
-    def happened(self, name: str, uptime_s: float, *arguments: float, log_levels: int | None = None) -> None:
-        """Notes an event by its name in PX4."""
+    def note(self, name: str, uptime_s: float, *arguments: float, log_levels: int | None = None) -> None:
+        """Keeps an event by its name in PX4."""
         number = _IDS[name]
         kind = EVENTS[number]
         event = EventMessage(
@@ -45,7 +41,7 @@ class Events:
         self._unsaid.append(event)
 
     def said(self) -> list[EventMessage]:
-        """Those that were not said yet, which they are now."""
+        """The events since it was last asked."""
         unsaid, self._unsaid = self._unsaid, []
         return unsaid
 
@@ -55,5 +51,5 @@ class Events:
 
     @property
     def oldest(self) -> int:
-        """The number of the oldest that is still known."""
+        """The number of the oldest event that is still known."""
         return int(self._kept[0].sequence) if self._kept else self._next

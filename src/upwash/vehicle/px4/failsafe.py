@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum, auto
 
 from upwash.mavlink.px4 import Mode
+from upwash.vehicle.px4.events import Tell
 
 
 class Cause(Enum):
@@ -47,6 +48,28 @@ MODES_OF_ACTIONS = {
     Action.DESCEND: Mode.LAND,
 }
 """The mode that each is flown in."""
+
+
+FENCE_ACTIONS = {1: Action.WARN, 2: Action.HOLD, 3: Action.RTL, 4: Action.TERMINATE, 5: Action.LAND}
+OFFBOARD_ACTIONS = {
+    0: Action.POSCTL,
+    1: Action.ALTCTL,
+    2: Action.STABILIZED,
+    3: Action.RTL,
+    4: Action.LAND,
+    5: Action.HOLD,
+    6: Action.TERMINATE,
+    7: Action.DISARM,
+}
+LINK_ACTIONS = {1: Action.HOLD, 2: Action.RTL, 3: Action.LAND, 5: Action.TERMINATE, 6: Action.DISARM}
+"""The actions by the numbers in GF_ACTION, in COM_OBL_RC_ACT, and in NAV_DLL_ACT and NAV_RCL_ACT."""
+
+_NAMED_CAUSES = {
+    Cause.MANUAL_CONTROL: 1,
+    Cause.GROUND_STATION: 2,
+    Cause.CRITICAL_BATTERY: 4,
+    Cause.EMERGENCY_BATTERY: 5,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,3 +163,26 @@ class Failsafe:
         """Forgets everything, as at disarming."""
         self._known.clear()
         self.action, self._announced = None, None
+
+
+def announce(
+    change: FailsafeChange, intended: Mode, breaches: list[str], *, delay_s: float, tell: Tell
+) -> None:
+    """Tells what a fail-safe begins, after a delay in Hold where it waits."""
+    if change.action is Action.WARN:
+        if change.cause is Cause.LOW_BATTERY:
+            tell("commander_failsafe_enter_low_bat")
+        return
+    if change.cause is Cause.GEOFENCE:
+        for name in breaches:
+            tell(name, 2**32 - 1, 20)
+    named = _NAMED_CAUSES.get(change.cause)
+    cause = (named,) if named else ()
+    if change.waits:
+        event = "commander_failsafe_enter_hold" if named else "commander_failsafe_enter_generic_hold"
+        tell(event, intended, change.action, round(delay_s), *cause)
+    elif change.action is Action.DESCEND:
+        tell("commander_failsafe_enter_autopilot_disengaged", intended, change.action)
+    else:
+        event = "commander_failsafe_enter" if named else "commander_failsafe_enter_generic"
+        tell(event, intended, change.action, *cause)

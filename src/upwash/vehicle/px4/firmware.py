@@ -7,26 +7,27 @@ from collections.abc import Callable, Iterable, Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import Position, Velocity
+from upwash.core.geo import Position
 from upwash.mavlink.px4 import (
     AVAILABLE_MODES,
     CURRENT_MODE,
     CUSTOM_MODE_FLAG,
-    EventMessage,
     ResponseEventErrorMessage,
     event_text,
 )
 from upwash.mavlink.version import Version
 from upwash.vehicle.body.copter import is_sensible
+from upwash.vehicle.body.fence import FenceTransfer, acknowledged
 from upwash.vehicle.body.firmware import (
     NOTHING,
     CommandReply,
     Message,
     StandInFirmware,
     position_in_frame,
+    sender_of,
 )
 from upwash.vehicle.px4.commands import obey, set_mode
-from upwash.vehicle.px4.fence_transfer import FenceTransfer
+from upwash.vehicle.px4.flight import turned
 from upwash.vehicle.px4.inputs import Setpoint, Sticks
 from upwash.vehicle.px4.navigator import LOWEST_M
 from upwash.vehicle.px4.telemetry import UNASKED_S, UNMODELLED, Px4Telemetry, available_modes
@@ -60,9 +61,9 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
             del known[AVAILABLE_MODES], known[CURRENT_MODE]
         super().__init__(copter, known | dict.fromkeys(UNMODELLED, lambda _now_s: None))
         self._beats_s: float | None = None
-        self._checked: tuple[str, ...] | None = None
+        self._checked: tuple[object, bool] | None = None
         self._checks_s = -math.inf
-        self._fence = FenceTransfer(copter)
+        self._fence = Px4FenceTransfer(copter.frame, copter.fence)
 
     def live(self, now_s: float) -> Iterator[Message]:
         """That it is alive, and what happened."""
@@ -107,7 +108,7 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
             for limited, event in lowered:
                 most = self.copter.parameters[name]
                 if self.copter.parameters[limited] > most and self.copter.parameters.change(limited, most):
-                    self.copter.events.happened(event, self.copter.uptime_s(now_s), most)
+                    self.copter.happened(event, most)
                     yield from self._parameter(limited)
         yield from self._said()
 
@@ -127,53 +128,53 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
                 yield mavlink.MAVLink_statustext_message(event.severity, f"{text}\t".encode()[:50])
 
     def _check(self, now_s: float) -> None:
-        """Tells what its checks object to when that changes, and not too often."""
-        copter = self.copter
-        if not copter.checked(now_s) or now_s < self._checks_s + _CHECKS_AT_MOST_EVERY_S:
+        """Tells the objections of its checks when they change, and not too often."""
+        if not self.copter.checked(now_s) or now_s < self._checks_s + _CHECKS_AT_MOST_EVERY_S:
             return
-        if (*self._objections(now_s), str(copter.gps.placed)) != self._checked:
+        if (self._objections(now_s), self.copter.gps.placed) != self._checked:
             self._tell_checks(now_s)
 
     def _tell_checks(self, now_s: float) -> None:
         copter, objections = self.copter, self._objections(now_s)
-        self._checked, self._checks_s = (*objections, str(copter.gps.placed)), now_s
-        uptime_s, happened = copter.uptime_s(now_s), copter.events.happened
-        well = copter.gps.placed
-        happened("commander_arming_check_summary", uptime_s, *(_SUMMARY_WELL if well else _SUMMARY_ILL))
-        for name in objections:
-            modes, component = _CHECKS.get(name, (_ALL_MODES, 20))
-            serious = name == "check_rc_dl_no_dllink" and self.copter.parameters["NAV_DLL_ACT"]
-            happened(name, uptime_s, modes, component, log_levels=0x33 if serious else None)
-        happened("commander_health_summary", uptime_s, *(_HEALTH_WELL if copter.gps.has_fix else _HEALTH_ILL))
+        self._checked, self._checks_s = (objections, copter.gps.placed), now_s
+        summary = _SUMMARY_WELL if copter.gps.placed else _SUMMARY_ILL
+        copter.happened("commander_arming_check_summary", *summary)
+        for name, (modes, component) in objections.items():
+            serious = name == "check_rc_dl_no_dllink" and copter.parameters["NAV_DLL_ACT"]
+            copter.happened(name, modes, component, log_levels=0x33 if serious else None)
+        copter.happened("commander_health_summary", *(_HEALTH_WELL if copter.gps.has_fix else _HEALTH_ILL))
 
-    def _objections(self, now_s: float) -> tuple[str, ...]:
-        copter = self.copter
-        names = {
-            "check_estimator_gps_fix_too_low": not copter.gps.has_fix and not copter.gps.placed,
-            "check_modes_local_pos": not copter.gps.placed,
-            "check_modes_global_pos": not copter.gps.placed,
-            "check_modes_mission": True,
-            "check_modes_offboard_signal": not copter.hears_setpoints(now_s) or not copter.gps.placed,
-            "check_modes_home_position": not copter.gps.ever_had_fix,
-            "check_modes_manual_control": not copter.inputs.hears_sticks(now_s),
-            "check_rc_dl_no_dllink": not copter.inputs.hears_ground_station(now_s),
-            "check_battery_low": copter.battery_level(now_s) == 2,
-            "check_battery_critical": copter.battery_level(now_s) == 3,
-            "check_battery_emergency": copter.battery_level(now_s) == 4,
-        }
-        breaches = () if copter.armed else copter.breaches()  # in flight the fail-safe tells them
-        return (*(name for name, objects in names.items() if objects), *breaches)
+    def _objections(self, now_s: float) -> dict[str, tuple[int, int]]:
+        """The failed checks; for each the modes that it concerns and its health component, as recorded."""
+        gps, inputs, level = self.copter.gps, self.copter.inputs, self.copter.battery_level(now_s)
+        checks = (
+            ("check_estimator_gps_fix_too_low", not gps.has_fix and not gps.placed, 8257660, 3),
+            ("check_modes_local_pos", not gps.placed, 8257660, 17),
+            ("check_modes_global_pos", not gps.placed, 56, 24),
+            ("check_modes_mission", True, 8, 20),
+            ("check_modes_offboard_signal", not self.copter.hears_setpoints(now_s), 16384, 20),
+            ("check_modes_home_position", not gps.ever_had_fix, 32, 20),
+            ("check_modes_manual_control", not inputs.hears_sticks(now_s), _ALL_MODES, 7),
+            ("check_rc_dl_no_dllink", not inputs.hears_ground_station(now_s), _ALL_MODES, 12),
+            ("check_battery_low", level == 2, _ALL_MODES, 11),
+            ("check_battery_critical", level == 3, _ALL_MODES, 11),
+            ("check_battery_emergency", level == 4, _ALL_MODES, 11),
+        )
+        objections = {name: (modes, component) for name, fails, modes, component in checks if fails}
+        breaches = () if self.copter.armed else self.copter.breaches()  # in flight the fail-safe tells them
+        return objections | dict.fromkeys(breaches, (_ALL_MODES, 20))
 
     def _hear_event_request(self, _now_s: float, message: Message) -> CommandReply:
         events, missed = self.copter.events, message.first_sequence
-        event: EventMessage | None = events.numbered(missed)
+        event = events.numbered(missed)
         if event is not None:
             return CommandReply(to_sender=(event,))
+        system, component = sender_of(message)
         gone = ResponseEventErrorMessage(
             sequence=missed,
             sequence_oldest_available=events.oldest,
-            target_system=message.get_srcSystem(),
-            target_component=message.get_srcComponent(),
+            target_system=system,
+            target_component=component,
             reason=0,
         )
         return CommandReply(to_sender=(gone,))
@@ -190,26 +191,15 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
     def _hear_mode(self, now_s: float, message: Message) -> CommandReply:
         number = message.custom_mode
         if message.base_mode & CUSTOM_MODE_FLAG:
-            set_mode(
-                self.copter,
-                now_s,
-                base_mode=message.base_mode,
-                main=number >> 16 & 0xFF,
-                sub=number >> 24,
-            )
+            main, sub = number >> 16 & 0xFF, number >> 24
+            set_mode(self.copter, now_s, base_mode=message.base_mode, main=main, sub=sub)
         return NOTHING
 
     def _hear_sticks(self, now_s: float, message: Message) -> CommandReply:
-        if message.target in (0, 1) and all(
-            abs(axis) <= _STICK_FULL for axis in (message.x, message.y, message.r)
-        ):
-            sticks = Sticks(
-                message.x / _STICK_FULL,
-                message.y / _STICK_FULL,
-                message.r / _STICK_FULL,
-                min(max(message.z, 0.0), _STICK_FULL),
-            )
-            self.copter.move_sticks(now_s, sticks)
+        axes = [axis / _STICK_FULL for axis in (message.x, message.y, message.r)]
+        if message.target in (0, 1) and all(abs(axis) <= 1 for axis in axes):
+            throttle = min(max(message.z, 0.0), _STICK_FULL)
+            self.copter.move_sticks(now_s, Sticks(axes[0], axes[1], axes[2], throttle))
         return NOTHING
 
     def _hear_local_setpoint(self, now_s: float, message: Message) -> CommandReply:
@@ -229,15 +219,10 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
             self._follow(now_s, message, message.type_mask, place, 0.0)
         return NOTHING
 
-    def _follow(self, now_s: float, message: Message, mask: int, place: Position, turned: float) -> None:
+    def _follow(self, now_s: float, message: Message, mask: int, place: Position, heading: float) -> None:
         velocity = None
         if not mask & _NO_VELOCITY:
-            ahead, right = message.vx, message.vy
-            velocity = Velocity(
-                ahead * math.sin(turned) + right * math.cos(turned),
-                ahead * math.cos(turned) - right * math.sin(turned),
-                -message.vz,
-            )
+            velocity = turned(message.vx, message.vy, -message.vz, heading)
         setpoint = Setpoint(
             east_north_m=None if mask & _NO_EAST_NORTH else (place.east_m, place.north_m),
             altitude_m=None if mask & _NO_ALTITUDE else place.altitude_m,
@@ -246,6 +231,19 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         )
         if _makes_sense(setpoint):
             self.copter.follow(now_s, setpoint)
+
+
+class Px4FenceTransfer(FenceTransfer):
+    """As PX4 takes a fence: wrong items change nothing, and what does not come is asked for again."""
+
+    most_items = 100
+    request = mavlink.MAVLink_mission_request_int_message
+    asks_again_s = 0.25
+    unasked, out_of_turn = mavlink.MAV_MISSION_ERROR, None
+
+    def refused(self, message: Message, _error: ValueError) -> CommandReply:
+        """Keeps the fence that it has."""
+        return acknowledged(message, mavlink.MAV_MISSION_INVALID)
 
 
 def _makes_sense(setpoint: Setpoint) -> bool:
@@ -261,21 +259,6 @@ def _makes_sense(setpoint: Setpoint) -> bool:
     there = Position(*(place or (0.0, 0.0)), setpoint.altitude_m or 0.0)
     return is_sensible(there, lowest_m=LOWEST_M)
 
-
-_CHECKS = {
-    "check_estimator_gps_fix_too_low": (8257660, 3),
-    "check_modes_local_pos": (8257660, 17),
-    "check_modes_global_pos": (56, 24),
-    "check_modes_mission": (8, 20),
-    "check_modes_offboard_signal": (16384, 20),
-    "check_modes_home_position": (32, 20),
-    "check_modes_manual_control": (_ALL_MODES, 7),
-    "check_rc_dl_no_dllink": (_ALL_MODES, 12),
-    "check_battery_low": (_ALL_MODES, 11),
-    "check_battery_critical": (_ALL_MODES, 11),
-    "check_battery_emergency": (_ALL_MODES, 11),
-}
-"""The modes that a check concerns, and its health component, as recorded."""
 
 _LISTENERS: dict[str, Callable[[Px4Firmware, float, Message], CommandReply]] = {
     "HEARTBEAT": Px4Firmware._hear_heartbeat,

@@ -10,7 +10,7 @@ from upwash.core.geo import Velocity
 from upwash.vehicle.body.parameters import ParameterTable
 
 THROTTLE_MIDDLE = 500
-DEADZONE = 0.1
+_DEADZONE = 0.1
 _HEARTBEATS_LATE_S = 1.9  # that long after COM_DL_LOSS_T, or COM_OBC_LOSS_T, a peer counts as lost
 _COMPANION_LATE_S = 1.5
 _FEWEST_SATELLITES = 4
@@ -37,16 +37,16 @@ class Sticks:
     turn: float = 0.0
     throttle: float = THROTTLE_MIDDLE
 
-    def moved(self, threshold: float) -> bool:
+    def moved(self, threshold: float = _DEADZONE) -> bool:
         """Whether somebody has hold of them."""
         return max(abs(self.forward), abs(self.right), abs(self.turn)) > threshold
 
 
 def past_deadzone(share: float) -> float:
     """How far a stick is beyond where it may rest, as a share of what is left."""
-    if abs(share) <= DEADZONE:
+    if abs(share) <= _DEADZONE:
         return 0.0
-    return math.copysign(min(1.0, (abs(share) - DEADZONE) / (1 - DEADZONE)), share)
+    return math.copysign(min(1.0, (abs(share) - _DEADZONE) / (1 - _DEADZONE)), share)
 
 
 class Px4Inputs:

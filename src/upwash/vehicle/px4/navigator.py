@@ -13,12 +13,12 @@ from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.airframe import ALTITUDE_REACHED_M, REACTION_S
 from upwash.vehicle.px4.body import CLIMB_M_S, CLIMBING_M_S2, Body, Steering, landing_sink_m_s
 from upwash.vehicle.px4.events import Tell
-from upwash.vehicle.px4.steering import within_limits
 
 LEAST_LIFT_M = 0.3
 LOWEST_M, _HIGHEST_M = -200.0, 1_000.0
 _LANDS_WITHIN_M = 2.0
 _TURNS_BEYOND_M = 2.0
+_SLOWEST_M_S, _FASTEST_M_S = 0.1, 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,3 +185,8 @@ class Navigator:
         """Down to the ground."""
         sink_m_s = landing_sink_m_s(self._body.altitude_m)
         return replace(self._holding_at(-math.inf, now_s), sink_m_s=sink_m_s, turns_to_deg=None)
+
+
+def within_limits(speed_m_s: float, parameters: ParameterTable) -> float:
+    """The speed over the ground, no higher than the vehicle flies at all."""
+    return min(max(speed_m_s, _SLOWEST_M_S), max(parameters["MPC_XY_VEL_MAX"], _SLOWEST_M_S), _FASTEST_M_S)

@@ -7,59 +7,50 @@ what time it is, and it catches up. Nothing here needs a clock, a socket or a ti
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
-from upwash.core.geo import Position, Velocity
+from upwash.core.geo import Position, Velocity, ground_distance_m
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.body.copter import FaultKind, LandedState, Multicopter, is_sensible
+from upwash.vehicle.body.copter import HOME, FaultKind, LandedState, is_sensible
+from upwash.vehicle.body.fence import UploadedFence
 from upwash.vehicle.body.firmware import Result
-from upwash.vehicle.body.parameters import ParameterTable
-from upwash.vehicle.px4.body import STEP_S, Body
-from upwash.vehicle.px4.dangers import Situation, announce, dangers
-from upwash.vehicle.px4.events import Events
-from upwash.vehicle.px4.failsafe import MODES_OF_ACTIONS, Action, Cause, Danger, Failsafe
-from upwash.vehicle.px4.fence import Fence, breaches
-from upwash.vehicle.px4.flight import Px4Flight
-from upwash.vehicle.px4.ground import DISARMED_BY_COMMAND, Ground
-from upwash.vehicle.px4.inputs import Gps, Px4Inputs, Setpoint, Sticks
-from upwash.vehicle.px4.navigator import LOWEST_M, Navigator, Reposition
+from upwash.vehicle.px4.body import STEP_S
+from upwash.vehicle.px4.failsafe import (
+    FENCE_ACTIONS,
+    LINK_ACTIONS,
+    MODES_OF_ACTIONS,
+    OFFBOARD_ACTIONS,
+    Action,
+    Cause,
+    Danger,
+    Failsafe,
+    announce,
+)
+from upwash.vehicle.px4.flight import DISARMED_BY_COMMAND, MANUAL, Px4Flight
+from upwash.vehicle.px4.inputs import Gps, Setpoint, Sticks
+from upwash.vehicle.px4.navigator import LOWEST_M, Reposition
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.px4.steering import MANUAL
 
 _HOME_MOVES_M = 0.3  # at arming: the height of home was an estimate until then
 FORCED = 21196  # PX4's magic number, to arm and to disarm
 
 _AUTO = (Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND)
 _BOOT_S, _FIRST_CHECKS_S = 1.0, 2.0
+_BLIND_MODES = (Mode.MANUAL, Mode.ALTCTL, Mode.ACRO, Mode.STABILIZED)  # they need no place
+_EXCEPTION_BITS = {Mode.MISSION: 1, Mode.LOITER: 2, Mode.OFFBOARD: 4}  # of COM_RCL_EXCEPT
 _NOT_TO_ARM_IN = (Mode.RTL, Mode.LAND, Mode.MISSION)
 
 
-class Quadrotor(Multicopter):
+class Quadrotor(Px4Flight):
     """A multicopter between two steps."""
 
-    at_most_percent_in_fault, empty_v, full_v = 6.0, 14.4, 16.2
-
     def __init__(self, settings: Px4Settings, *, now_s: float) -> None:
-        super().__init__(settings, ParameterTable("px4", int_bytes=True), now_s=now_s)
-        self.events = Events()
-        self.fence = Fence()
-        self.inputs = Px4Inputs(self.parameters)
+        super().__init__(settings, now_s=now_s)
+        self.fence = UploadedFence()
         self.gps = Gps(booted_s=now_s, settles_s=settings.armable_after_s)
-        self.mode = Mode.LOITER
         self.intended = Mode.LOITER
         self._after_disarming = Mode.LOITER
         self._failsafe = Failsafe()
-        self._body = Body()
-        self._ground = Ground(self._body, self.parameters, self._happened)
-        self._navigator = Navigator(
-            self.parameters,
-            self._body,
-            self._happened,
-            home_altitude_m=settings.home_altitude_m,
-            now_s=now_s,
-        )
-        self._flight = Px4Flight(self.parameters, self.inputs, self._body, self._ground, self._navigator)
-        self._time_s = now_s
-        self._armed_s: float | None = None
         self._ever_armed = False
 
     # --- what it reports ------------------------------------------------------------------------------------
@@ -92,9 +83,9 @@ class Quadrotor(Multicopter):
     def target(self, now_s: float) -> Position | None:
         """The place it flies to by itself or in OFFBOARD, if any."""
         self.advance(now_s)
-        if not self.armed or self._ground.grounded:
+        if not self.armed or self._grounded:
             return None
-        return self._flight.target(self.mode)
+        return self._target_in(self.mode)
 
     def booting(self, now_s: float) -> bool:
         """Whether it does not speak yet."""
@@ -104,15 +95,10 @@ class Quadrotor(Multicopter):
         """Whether its first checks have run."""
         return self.uptime_s(now_s) >= min(_FIRST_CHECKS_S, self.settings.armable_after_s)
 
-    @property
-    def armed(self) -> bool:
-        """Whether its motors run."""
-        return self._armed_s is not None
-
     def flying(self, now_s: float) -> bool:
         """Whether it is off the ground."""
         self.advance(now_s)
-        return not self._ground.grounded
+        return not self._grounded
 
     @property
     def fails_safe(self) -> bool:
@@ -148,14 +134,23 @@ class Quadrotor(Multicopter):
 
     def breaches(self) -> list[str]:
         """The events that tell which of its fences it is outside of."""
-        if not (self.parameters["GF_ACTION"] and self.gps.placed):
+        return self._breaches_at(self._body.position) if self.gps.placed else []
+
+    def _breaches_at(self, place: Position) -> list[str]:
+        if not self.parameters["GF_ACTION"]:
             return []
-        return breaches(self.parameters, self.fence, self._body.position)
+        farthest_m, highest_m = self.parameters["GF_MAX_HOR_DIST"], self.parameters["GF_MAX_VER_DIST"]
+        outside = {
+            "check_gf_violation_max_hor_dist": 0 < farthest_m < ground_distance_m(place, HOME),
+            "check_gf_violation_max_alt": 0 < highest_m < place.altitude_m,
+            "check_gf_violation_custom_gf": not all(area.allows(place) for area in self.fence.areas),
+        }
+        return [name for name, is_outside in outside.items() if is_outside]
 
     def landed_state(self, now_s: float) -> LandedState:
         """On the ground, in the air, or on the way between."""
-        if self._ground.grounded:
-            shown = self._ground.shows_takeoff(now_s)
+        if self._grounded:
+            shown = self._shows_takeoff(now_s)
             return LandedState.TAKEOFF if shown else LandedState.ON_GROUND
         if self.mode is Mode.TAKEOFF:
             return LandedState.TAKEOFF
@@ -170,15 +165,13 @@ class Quadrotor(Multicopter):
         if self.armed:
             return Result.ACCEPTED
         if not forced and not self.armable(now_s):
-            self._happened("commander_arm_denied_resolve_failures")
+            self.happened("commander_arm_denied_resolve_failures")
             return Result.TEMPORARILY_REJECTED
-        self._armed_s = now_s
-        self.start_draining(now_s)
+        self._start_motors(now_s)
         self._ever_armed = True
-        self._ground.arm()
         self._navigator.takeoff_altitude_m = None
         self.inputs.arm(now_s)
-        self._happened("commander_armed_by", DISARMED_BY_COMMAND)
+        self.happened("commander_armed_by", DISARMED_BY_COMMAND)
         return Result.ACCEPTED
 
     def disarm(self, now_s: float, *, forced: bool = False) -> Result:
@@ -186,10 +179,10 @@ class Quadrotor(Multicopter):
         self.advance(now_s)
         if not self.armed:
             return Result.ACCEPTED
-        if not self._ground.grounded:
+        if not self._grounded:
             if not forced:
                 return Result.TEMPORARILY_REJECTED
-            self._ground.falls = True
+            self._falls = True
         self._disarm(DISARMED_BY_COMMAND)
         return Result.ACCEPTED
 
@@ -198,8 +191,8 @@ class Quadrotor(Multicopter):
         self.advance(now_s)
         if not self._intend(mode, force=mode is Mode.LAND):
             return Result.TEMPORARILY_REJECTED
-        if mode is Mode.TAKEOFF and self.armed and not self._ground.lifting:
-            self._flight.take_off_to(self._body.altitude_m + self.parameters["MIS_TAKEOFF_ALT"], self._time_s)
+        if mode is Mode.TAKEOFF and self.armed and self._lifting_s is None:
+            self._take_off_to(self._body.altitude_m + self.parameters["MIS_TAKEOFF_ALT"])
         self._choose_mode()
         return Result.ACCEPTED
 
@@ -214,7 +207,7 @@ class Quadrotor(Multicopter):
         if math.isnan(altitude_m):
             altitude_m = self._body.altitude_m + self.parameters["MIS_TAKEOFF_ALT"]
         if self.armed:
-            self._flight.take_off_to(altitude_m, self._time_s)
+            self._take_off_to(altitude_m)
         self._choose_mode()
         return Result.ACCEPTED
 
@@ -231,10 +224,10 @@ class Quadrotor(Multicopter):
         if not self._intend(Mode.LOITER):
             return Result.TEMPORARILY_REJECTED
         self._choose_mode()
-        if not self.armed or self._ground.grounded:
+        if not self.armed or self._grounded:
             return Result.ACCEPTED
-        if not self._may_be_at(target):
-            self._happened("navigator_reposition_outside_geofence")
+        if self._breaches_at(target):
+            self.happened("navigator_reposition_outside_geofence")
             return Result.ACCEPTED
         self._navigator.reposition(wish, now_s, was_holding=was_mode is Mode.LOITER)
         return Result.ACCEPTED
@@ -249,8 +242,7 @@ class Quadrotor(Multicopter):
     def follow(self, now_s: float, setpoint: Setpoint) -> None:
         """Takes a setpoint for OFFBOARD; in any other mode it only shows that somebody streams them."""
         self.advance(now_s)
-        self._flight.follow(now_s, setpoint)
-        self.inputs.take_setpoint(now_s)
+        self._take_setpoint(now_s, setpoint)
 
     def move_sticks(self, now_s: float, sticks: Sticks) -> None:
         """Takes a pilot's sticks; where they take over, the mode becomes POSCTL."""
@@ -270,20 +262,20 @@ class Quadrotor(Multicopter):
             return
         was_safe = not self.fails_safe
         if self._intend(Mode.POSCTL) and was_safe:
-            self._happened("commander_rc_override")
+            self.happened("commander_rc_override")
         self._choose_mode()
 
     def hear_ground_station(self, now_s: float) -> None:
         """A ground station is alive."""
         self.advance(now_s)
         if self.inputs.take_ground_station(now_s):
-            self._happened("commander_dl_regained")
+            self.happened("commander_dl_regained")
 
     def hear_companion(self, now_s: float) -> None:
         """A companion computer is alive."""
         self.advance(now_s)
         if self.inputs.take_companion(now_s):
-            self._happened("commander_onboard_ctrl_regained")
+            self.happened("commander_onboard_ctrl_regained")
 
     # --- what it is meant to do, and what it does -----------------------------------------------------------
 
@@ -291,7 +283,7 @@ class Quadrotor(Multicopter):
         if self.armed and not force and not self._can_run(mode, self._time_s):
             return False
         if self.armed and self._failsafe.overrule():
-            self._happened("failsafe_rc_override")
+            self.happened("failsafe_rc_override")
         self.intended = mode
         if mode not in _NOT_TO_ARM_IN:
             self._after_disarming = mode
@@ -312,78 +304,74 @@ class Quadrotor(Multicopter):
         if mode is not self.mode:
             before, self.mode = self.mode, mode
             if mode is not Mode.TAKEOFF:
-                self._ground.stay()
+                self._lifting_s = None
             self._navigator.enter(mode, before=before, armed=self.armed)
 
     def _disarm(self, reason: int) -> None:
-        self.stop_draining(self._time_s)
-        self._armed_s = None
-        self._ground.disarm()
+        self._stop_motors()
         self._failsafe.clear()
-        self._happened("commander_disarmed_by", reason)
+        self.happened("commander_disarmed_by", reason)
         self.intended = self._after_disarming
         self._choose_mode()
 
     # --- a step ---------------------------------------------------------------------------------------------
 
     def _live(self) -> None:
-        self._flight.receive(self._time_s)
+        self._receive_setpoints()
         self._look_for_gps()
         for event in self.inputs.lost(self._time_s - STEP_S, self._time_s):
-            self._happened(event)
+            self.happened(event)
         if self.armed:
             delay_s = self.parameters["COM_FAIL_ACT_T"]
-            for change in self._failsafe.watch(self._dangers(), self._time_s, delay_s=delay_s):
-                announce(
-                    change,
-                    intended=self.intended,
-                    breaches=self.breaches(),
-                    delay_s=delay_s,
-                    tell=self._happened,
-                )
+            dangers = dict((*self._lost_links(), *self._dangers()))
+            for change in self._failsafe.watch(dangers, self._time_s, delay_s=delay_s):
+                breaches = self.breaches()
+                announce(change, self.intended, breaches, delay_s=delay_s, tell=self.happened)
             if self._failsafe.action in (Action.DISARM, Action.TERMINATE):
-                self._ground.falls = not self._ground.grounded
+                self._falls = not self._grounded
                 self._disarm(DISARMED_BY_COMMAND)
         self._choose_mode()
         self._fly()
-        self._watch_the_ground()
 
     def _look_for_gps(self) -> None:
         now_s = self._time_s
         blind = self.suffers(FaultKind.GPS, now_s) or self.booting(now_s)
         self.gps.look(0 if blind else self.parameters["SIM_GPS_USED"], now_s)
 
-    def _dangers(self) -> dict[Cause, Danger]:
-        situation = Situation(
-            now_s=self._time_s,
-            intended=self.intended,
-            grounded=self._ground.grounded,
-            placed=self.gps.placed,
-            breached=bool(self.breaches()),
-            battery_level=self.battery_level(self._time_s),
-        )
-        return dangers(situation, self.inputs, self.parameters)
+    def _dangers(self) -> Iterator[tuple[Cause, Danger]]:
+        """The present dangers, and the actions that its parameters want for them."""
+        level, choice = self.battery_level(self._time_s), round(self.parameters["COM_LOW_BAT_ACT"])
+        if level >= 2:
+            yield Cause.LOW_BATTERY, Danger(Action.WARN)
+        if level >= 3 and choice in (2, 3):
+            yield Cause.CRITICAL_BATTERY, Danger(Action.LAND if choice == 2 else Action.RTL)
+        if level >= 4 and choice in (2, 3):
+            yield Cause.EMERGENCY_BATTERY, Danger(Action.LAND)
+        action = FENCE_ACTIONS.get(round(self.parameters["GF_ACTION"]))
+        if action and self.breaches():
+            yield Cause.GEOFENCE, Danger(action, sticks=True)
+        if not self.gps.placed and self.intended not in _BLIND_MODES and not self._grounded:
+            yield Cause.POSITION, Danger(Action.DESCEND, at_once=True)
 
-    def _happened(self, name: str, *arguments: float) -> None:
-        self.events.happened(name, self.uptime_s(self._time_s), *arguments)
-
-    # --- the fence ------------------------------------------------------------------------------------------
-
-    def _may_be_at(self, place: Position) -> bool:
-        return not self.parameters["GF_ACTION"] or not breaches(self.parameters, self.fence, place)
-
-    # --- how it moves ---------------------------------------------------------------------------------------
+    def _lost_links(self) -> Iterator[tuple[Cause, Danger]]:
+        now_s, inputs = self._time_s, self.inputs
+        if self.intended is Mode.OFFBOARD and self.gps.placed and not inputs.hears_setpoints(now_s):
+            action = OFFBOARD_ACTIONS.get(round(self.parameters["COM_OBL_RC_ACT"]), Action.WARN)
+            yield Cause.OFFBOARD, Danger(action, at_once=True)
+        wanted = LINK_ACTIONS.get(round(self.parameters["NAV_DLL_ACT"]))
+        if wanted and inputs.ground_station_at_arming and not inputs.hears_ground_station(now_s):
+            yield Cause.GROUND_STATION, Danger(wanted)
+        wanted = LINK_ACTIONS.get(round(self.parameters["NAV_RCL_ACT"]))
+        forgiving = round(self.parameters["COM_RCL_EXCEPT"]) & _EXCEPTION_BITS.get(self.intended, 0)
+        if wanted and inputs.sticks_at_arming and not inputs.hears_sticks(now_s) and not forgiving:
+            yield Cause.MANUAL_CONTROL, Danger(wanted)
 
     def _fly(self) -> None:
         mode = self.mode
-        if self.armed and self._flight.ends_takeoff(mode):
+        if self._ends_takeoff(mode):
             self.intended = self._after_disarming = Mode.LOITER
             self._choose_mode()
-        self._flight.step(self._time_s, mode, armed=self.armed, blindly=self.descends_blindly)
-
-    def _watch_the_ground(self) -> None:
-        if self._armed_s is not None and self._ground.grounded:
-            reason = self._ground.why_disarm(self._time_s, self._armed_s)
-            if reason is not None:
-                self._disarm(reason)
-        self._ground.look_for_it(self._time_s, armed=self.armed)
+        self._step(mode, blindly=self.descends_blindly)
+        if (reason := self._why_disarm()) is not None:
+            self._disarm(reason)
+        self._look_for_ground()
