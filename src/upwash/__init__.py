@@ -91,44 +91,26 @@ if TYPE_CHECKING:
     from upwash.lab.campaigns.comparison import ComparedPolicy, compare
     from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 else:
-    _MODULES = {
-        "Attitude": "upwash.core.vehicle.telemetry",
-        "Bound": "upwash.core.planning.bound",
-        "CallResult": "upwash.eventlog.results",
-        "ComparedPolicy": "upwash.lab.campaigns.comparison",
-        "Demand": "upwash.drone.pending",
-        "Drone": "upwash.drone.api",
-        "EnergyTotals": "upwash.eventlog.results",
-        "EarthPosition": "upwash.core.geo",
-        "Event": "upwash.eventlog.schema",
-        "FleetBound": "upwash.core.planning.bound",
-        "FleetSimulation": "upwash.lab.simulation",
-        "GpsFix": "upwash.core.vehicle.telemetry",
-        "Payload": "upwash.drone.payload",
-        "Pending": "upwash.drone.pending",
-        "Photographer": "upwash.drone.payload",
-        "Position": "upwash.core.geo",
-        "RunResult": "upwash.eventlog.results",
-        "Simulation": "upwash.lab.simulation",
-        "Telemetry": "upwash.core.vehicle.telemetry",
-        "Totals": "upwash.eventlog.results",
-        "User": "upwash.drone.api",
-        "Vehicle": "upwash.drone.api",
-        "Velocity": "upwash.core.geo",
-        "Waypoint": "upwash.core.geo",
-        "compare": "upwash.lab.campaigns.comparison",
-        "read_log": "upwash.eventlog.log:read",
-        "read_result": "upwash.eventlog.results",
-        "simulate": "upwash.lab.simulation",
-        "simulate_fleet": "upwash.lab.simulation",
+    _NAMES = {
+        "upwash.core.geo": ("EarthPosition", "Position", "Velocity", "Waypoint"),
+        "upwash.core.planning.bound": ("Bound", "FleetBound"),
+        "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),
+        "upwash.drone.api": ("Drone", "User", "Vehicle"),
+        "upwash.drone.payload": ("Payload", "Photographer"),
+        "upwash.drone.pending": ("Demand", "Pending"),
+        "upwash.eventlog.log": ("read_log",),
+        "upwash.eventlog.results": ("CallResult", "EnergyTotals", "RunResult", "Totals", "read_result"),
+        "upwash.eventlog.schema": ("Event",),
+        "upwash.lab.campaigns.comparison": ("ComparedPolicy", "compare"),
+        "upwash.lab.simulation": ("FleetSimulation", "Simulation", "simulate", "simulate_fleet"),
     }
 
     def __getattr__(name: str) -> object:
-        """Imports what a service's process never needs when it is first asked for."""
-        if name not in _MODULES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module, _, called = _MODULES[name].partition(":")
-        return getattr(import_module(module), called or name)
+        """Import names on first use that a service's process never needs."""
+        for module, names in _NAMES.items():
+            if name in names:
+                return getattr(import_module(module), "read" if name == "read_log" else name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
         """For completion in a notebook."""

@@ -8,6 +8,7 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from textwrap import dedent
@@ -134,12 +135,12 @@ def test_what_a_type_checker_sees_is_what_is_imported_when_it_is_asked_for() -> 
     tree = ast.parse((ROOT / "src" / "upwash" / "__init__.py").read_text())
     (guarded,) = [node for node in tree.body if isinstance(node, ast.If)]
     seen = {
-        each.asname or each.name: f"{node.module}:{each.name}" if each.asname else str(node.module)
+        alias.asname or alias.name: getattr(import_module(str(node.module)), alias.name)
         for node in guarded.body
         if isinstance(node, ast.ImportFrom)
-        for each in node.names
+        for alias in node.names
     }
-    assert seen == vars(upwash)["_MODULES"]
+    assert seen == {name: getattr(upwash, name) for name in seen}
 
 
 def test_importing_it_brings_only_what_a_services_process_needs() -> None:

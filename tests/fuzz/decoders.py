@@ -36,7 +36,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.results import read_result
 from upwash.mavlink.ftp import Opcode, Packet, read_packet
 from upwash.mavlink.signing import Signing
-from upwash.plans.reading import read_plan
+from upwash.plans import read_plan
 from upwash.real.instances.control import Called, Printed, Ready, ServiceEnded, from_instance, line
 from upwash.real.instances.foreign import Answer, ForeignProgram
 from upwash.real.link.direct import frame

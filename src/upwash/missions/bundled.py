@@ -6,9 +6,9 @@ import functools
 import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import cast
 
-from upwash.config import SettingsTable, convert
+from upwash.config import ImageConfig, ServiceConfig, convert
 from upwash.drone.api import Mission
 from upwash.errors import UsageError
 from upwash.ports import Program
@@ -42,24 +42,7 @@ def load_mission(program: str, *, mode: str) -> Mission:
     return cast(Mission, mission)
 
 
-class ConfiguredService(Protocol):
-    """A service as a drone's or a daemon's configuration has it."""
-
-    @property
-    def name(self) -> str:
-        """As its class is declared."""
-
-    @property
-    def program(self) -> str | None:
-        """The path of its class, if it is not the bundled one of that name."""
-
-    @property
-    def settings(self) -> SettingsTable | None:
-        """What its constructor gets."""
-
-    @property
-    def command(self) -> tuple[str, ...]:
-        """A program in another language that computes its calls; empty where its class does."""
+ConfiguredService = ServiceConfig | ImageConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +59,10 @@ class LoadedService:
 
 def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedService]:
     """The services of a configuration, by name; raises UsageError for one that does not fit its class."""
-    return {each.name: load_configured(each, f"service[{index}]") for index, each in enumerate(configured)}
+    return {
+        service.name: load_configured(service, f"service[{index}]")
+        for index, service in enumerate(configured)
+    }
 
 
 def load_specs(configured: Sequence[ConfiguredService]) -> dict[str, ServiceSpec]:

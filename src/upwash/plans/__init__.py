@@ -1,8 +1,53 @@
-"""Plans made with a ground station, as values: QGroundControl's `.plan` and `QGC WPL 110` text."""
+"""Plans made with a ground station, as values: QGroundControl's `.plan` and `QGC WPL 110` text.
+
+A plan is never flown otherwise than it says without a word. Each item of a file is flown, left out or changed with a
+notice, or refused: ConfigError names the file, the item, and what to do.
+
+    qgroundcontrol, waypoint_list    a file's text -> items, home and fences
+    items                            the commands: which are flown, left out, refused
+    course                           the items, one after the other -> a plan
+    foreign                          what a file is that is no plan
+
+Ugly is that autopilots understand items differently. `course` takes them as ArduCopter flies them, and for a waypoint
+list, which mostly comes from Mission Planner, fills gaps as ArduCopter does (`as_arducopter`).
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from upwash.errors import ConfigError
+from upwash.plans.foreign import WANTED, kind_of_bytes, kind_of_text
+from upwash.plans.items import PlanRefusal
 from upwash.plans.plan import Ending, Plan, PlannedCircle, PlannedPolygon, PlannedWaypoint
-from upwash.plans.reading import read_plan
+from upwash.plans.waypoint_list import HEADER, parse_waypoint_list
+from upwash.support.input_files import read_named_file, text_of
 
 __all__ = ["Ending", "Plan", "PlannedCircle", "PlannedPolygon", "PlannedWaypoint", "read_plan"]
+
+_MOST_BYTES = 10_000_000
+
+
+def read_plan(file: Path) -> Plan:
+    """The plan in the file; raises ConfigError with the item's number for anything that is not understood."""
+    try:
+        return _parsed(read_named_file(file, most_bytes=_MOST_BYTES))
+    except PlanRefusal as refusal:
+        raise ConfigError(str(file), refusal.where, refusal.problem) from None
+
+
+def _parsed(content: bytes) -> Plan:
+    if kind := kind_of_bytes(content):
+        raise PlanRefusal("", f"no plan, it is {kind}; {WANTED}")
+    try:
+        text = text_of(content)
+    except UnicodeDecodeError as error:
+        raise PlanRefusal("", f"not UTF-8 text (byte {error.start}); {WANTED}") from None
+    if text.startswith(HEADER):
+        return parse_waypoint_list(text)
+    if text.lstrip().startswith(("{", "[")):
+        from upwash.plans.qgroundcontrol import parse_plan  # its parser is only needed here
+
+        return parse_plan(text)
+    kind = kind_of_text(text)
+    raise PlanRefusal("", f"no plan{f', it is {kind}' if kind else ''}; {WANTED}")

@@ -10,21 +10,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from upwash.core.geo import GeoPosition
-from upwash.plans.commands import FENCE_ENABLE, LEFT_OUT, SET_HOME, Command, why_refused
 from upwash.plans.items import (
     ABOVE_HOME,
     ABOVE_SEA_LEVEL,
     ABOVE_TERRAIN,
     FASTEST_M_S,
+    FENCE_ENABLE,
     HIGHEST_M,
-    Home,
+    LEFT_OUT,
+    SET_HOME,
+    Command,
     Item,
-    Refusal,
+    PlannedHome,
+    PlanRefusal,
     distance_m,
     home_at,
+    why_refused,
 )
-from upwash.plans.notices import Notices
-from upwash.plans.plan import Ending, Plan, PlannedCircle, PlannedPolygon, PlannedWaypoint
+from upwash.plans.plan import Ending, Plan, PlannedCircle, PlannedPolygon, PlannedWaypoint, PlanNotices
 
 _SAME_PLACE_M = 1.0
 _ASSUMED_LOWEST_M = 20.0  # above home, of what counts from the sea where home's altitude is unknown
@@ -42,21 +45,21 @@ _OF_A_WAYPOINT = (
 
 
 def make_plan(
-    home: Home | None,
+    home: PlannedHome | None,
     items: Sequence[Item],
-    notices: Notices,
+    notices: PlanNotices,
     *,
     fences: tuple[PlannedPolygon | PlannedCircle, ...] = (),
     ground_speed_m_s: float | None = None,
     as_arducopter: bool = False,
 ) -> Plan:
-    """The plan that the items make; raises Refusal for the first item that can be neither flown nor left out.
+    """The plan that the items make; raises PlanRefusal for the first item that can be neither flown nor left out.
 
     With `as_arducopter` a waypoint's altitude of 0, or its place of 0 and 0, is that of the waypoint before, and a
     landing may have any altitude.
     """
     home = _home_of(home, items, notices)
-    course = Course(home, _reference_above_sea_m(home, items), notices, as_arducopter=as_arducopter)
+    course = PlannedCourse(home, _reference_above_sea_m(home, items), notices, as_arducopter=as_arducopter)
     for item in items:
         course.take(item)
     course.finish()
@@ -75,7 +78,7 @@ def make_plan(
     )
 
 
-def _home_of(home: Home | None, items: Sequence[Item], notices: Notices) -> Home | None:
+def _home_of(home: PlannedHome | None, items: Sequence[Item], notices: PlanNotices) -> PlannedHome | None:
     """The home that the file names; instead of no home, or of a home far away, the place of the take-off.
 
     Ground stations write the home of the vehicle that they last saw, and that may have been a simulated one.
@@ -96,8 +99,8 @@ def _home_of(home: Home | None, items: Sequence[Item], notices: Notices) -> Home
     return home_at("", place.latitude_deg, place.longitude_deg)
 
 
-def _reference_above_sea_m(home: Home | None, items: Sequence[Item]) -> float:
-    """Home's altitude above the sea.
+def _reference_above_sea_m(home: PlannedHome | None, items: Sequence[Item]) -> float:
+    """Home's altitude above the sea, in metres.
 
     An unknown altitude is assumed: the lowest altitude above the sea then lies as high above home as the take-off
     does, or 20 m high without a take-off above home.
@@ -106,14 +109,8 @@ def _reference_above_sea_m(home: Home | None, items: Sequence[Item]) -> float:
         return home.altitude_m
     heights = [(item, item.value(7) or 0.0) for item in items if item.command in _CLIMBING]
     from_sea_m = [height_m for item, height_m in heights if item.frame in ABOVE_SEA_LEVEL and height_m]
-    climb_m = next(
-        (
-            height_m
-            for item, height_m in heights
-            if item.command == Command.TAKEOFF and item.frame in ABOVE_HOME
-        ),
-        _ASSUMED_LOWEST_M,
-    )
+    takeoffs = [(item, height_m) for item, height_m in heights if item.command == Command.TAKEOFF]
+    climb_m = next((height_m for item, height_m in takeoffs if item.frame in ABOVE_HOME), _ASSUMED_LOWEST_M)
     return min(filter(math.isfinite, from_sea_m), default=climb_m) - climb_m
 
 
@@ -125,14 +122,14 @@ class Height:
     above_sea_m: float | None = None
 
 
-class Course:
+class PlannedCourse:
     """The flight that the items make, taken in one after the other."""
 
     def __init__(
         self,
-        home: Home | None,
+        home: PlannedHome | None,
         reference_above_sea_m: float,
-        notices: Notices,
+        notices: PlanNotices,
         *,
         as_arducopter: bool,
     ) -> None:
@@ -177,14 +174,15 @@ class Course:
     def finish(self) -> None:
         """Nothing comes any more."""
         if not self.waypoints:
-            raise Refusal("", "no waypoint in it: add at least one")
+            raise PlanRefusal("", "no waypoint in it: add at least one")
         if self._unused_speed is not None:
             self._unused_speed.refuse("has no waypoint after it, and a return has its own speed: remove it")
         if self.above_sea_level is not None and (self._home is None or self._home.altitude_m is None):
+            lowest_m = min(waypoint.place.altitude_m for waypoint in self.waypoints)
             self._notices.add(
                 "its altitude counts from the sea, and the plan does not know that of home: before the flight home "
                 f"is assumed to lie {self.reference_above_sea_m:g} m high, and the lowest altitude "
-                f"{_lowest_m(self.waypoints):g} m above it; the flight goes by what the vehicle says of its home",
+                f"{lowest_m:g} m above it; the flight goes by what the vehicle says of its home",
                 self.above_sea_level,
             )
 
@@ -239,15 +237,9 @@ class Course:
             self._fly_to(item, place, height, hold_s)
 
     def _fly_to(self, item: Item, place: GeoPosition, height: Height, hold_s: float = 0.0) -> None:
-        self.waypoints.append(
-            PlannedWaypoint(
-                item.number,
-                replace(place, altitude_m=height.altitude_m),
-                self._ground_speed_m_s,
-                height.above_sea_m,
-                hold_s,
-            )
-        )
+        place = replace(place, altitude_m=height.altitude_m)
+        speed_m_s, above_sea_m = self._ground_speed_m_s, height.above_sea_m
+        self.waypoints.append(PlannedWaypoint(item.number, place, speed_m_s, above_sea_m, hold_s))
         self._unused_speed = None
 
     def _hover(self, hold_s: float) -> None:
@@ -348,14 +340,14 @@ class Course:
     def _height(self, item: Item) -> Height:
         height = self._height_as_written(item)
         if not 0 < height.altitude_m <= HIGHEST_M:
-            above = "" if height.above_sea_m is None else self._above_sea(height.above_sea_m)
+            above = ""
+            if height.above_sea_m is not None:
+                home_m = self.reference_above_sea_m
+                above = f" ({height.above_sea_m:g} m above the sea, and home at {home_m:g} m)"
             item.refuse(
                 f"lies {height.altitude_m:g} m above home{above}: expected more than 0 and up to {HIGHEST_M:g} m"
             )
         return height
-
-    def _above_sea(self, altitude_m: float) -> str:
-        return f" ({altitude_m:g} m above the sea, and home at {self.reference_above_sea_m:g} m)"
 
     def _height_as_written(self, item: Item) -> Height:
         altitude_m = item.number_of(7, "altitude")
@@ -373,7 +365,3 @@ class Course:
                 f"has frame {item.frame}, which is not understood: give its altitude above home or sea level"
             )
         return Height(altitude_m)
-
-
-def _lowest_m(waypoints: Sequence[PlannedWaypoint]) -> float:
-    return min((each.place.altitude_m for each in waypoints), default=0.0)

@@ -1,4 +1,4 @@
-"""What a plan says, whatever format it came in; altitudes are metres above home."""
+"""A plan, whatever its format, and the notices of what is flown differently; altitudes are metres above home."""
 
 from __future__ import annotations
 
@@ -7,9 +7,43 @@ from typing import Literal
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame
 from upwash.core.vehicle.geofence import Fence, Polygon
-from upwash.plans.notices import Notice
 
 Ending = Literal["return", "land"]
+
+_MOST_STRETCHES = 6  # that a person reads
+
+
+@dataclass(frozen=True, slots=True)
+class PlanNotice:
+    """What is done about items, by the numbers that the ground station shows, and why; no items: the whole plan."""
+
+    items: tuple[int, ...]
+    what: str
+
+    def __str__(self) -> str:
+        if not self.items:
+            return self.what
+        from upwash.eventlog.narration import spans  # only needed for notices
+
+        which = spans(self.items)
+        if which.count(",") >= _MOST_STRETCHES:
+            which = f"{self.items[0]} to {self.items[-1]} ({len(self.items)} of them)"
+        return f"{'item' if len(self.items) == 1 else 'items'} {which}: {self.what}"
+
+
+class PlanNotices:
+    """Collects notices, in the order of their first items; the same words about several items are one notice."""
+
+    def __init__(self) -> None:
+        self._items: dict[str, list[int]] = {}
+
+    def add(self, what: str, *items: int) -> None:
+        """Add the words about the items."""
+        self._items.setdefault(what, []).extend(items)
+
+    def all(self) -> tuple[PlanNotice, ...]:
+        """The notices so far."""
+        return tuple(PlanNotice(tuple(items), what) for what, items in self._items.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,4 +108,4 @@ class Plan:
     above_sea_level: int | None = None  # the first item whose altitude counts from the sea
     home_above_sea_m: float | None = None
     reference_above_sea_m: float = 0.0
-    notices: tuple[Notice, ...] = ()
+    notices: tuple[PlanNotice, ...] = ()

@@ -10,9 +10,8 @@ import msgspec
 
 from upwash.plans.course import make_plan
 from upwash.plans.foreign import WANTED, kind_of_document
-from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Item, Refusal, checked_place, home_at
-from upwash.plans.notices import Notices
-from upwash.plans.plan import Plan, PlannedCircle, PlannedPolygon
+from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Item, PlanRefusal, checked_place, home_at
+from upwash.plans.plan import Plan, PlannedCircle, PlannedPolygon, PlanNotices
 from upwash.support.text import printable
 
 T = TypeVar("T")
@@ -95,29 +94,31 @@ class _SimpleItem(msgspec.Struct, rename="camel"):
 
 
 def parse_plan(text: str) -> Plan:
-    """The plan in the text of a `.plan` file; raises Refusal."""
+    """The plan in the text of a `.plan` file; raises PlanRefusal."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise Refusal("", f"not valid JSON: {error}") from None
+        raise PlanRefusal("", f"not valid JSON: {error}") from None
     if kind := kind_of_document(found):
-        raise Refusal("", f"no plan, it is {kind}; {WANTED}")
+        raise PlanRefusal("", f"no plan, it is {kind}; {WANTED}")
     document = _converted("", found, _Document)
     _check_kind(document)
     mission = document.mission
     if len(mission.items) > MOST_ITEMS:
-        raise Refusal("mission.items", f"{len(mission.items)} items: at most {MOST_ITEMS} can be flown")
-    notices = Notices()
+        raise PlanRefusal("mission.items", f"{len(mission.items)} items: at most {MOST_ITEMS} can be flown")
+    notices = PlanNotices()
     items = list(_items(mission.items, notices))
     if not items and (document.geo_fence.polygons or document.geo_fence.circles):
-        raise Refusal(
+        raise PlanRefusal(
             "",
             "has a geofence and no waypoint in it: add waypoints in QGroundControl, or name the mission's plan",
         )
     home = home_at("plannedHomePosition", *(mission.planned_home_position or (None, None)))
     speed_m_s = mission.hover_speed
     if speed_m_s is not None and not 0 < speed_m_s <= FASTEST_M_S:
-        raise Refusal("hoverSpeed", f"expected above 0 and up to {FASTEST_M_S:g} m/s, found {speed_m_s:g}")
+        raise PlanRefusal(
+            "hoverSpeed", f"expected above 0 and up to {FASTEST_M_S:g} m/s, found {speed_m_s:g}"
+        )
     return make_plan(
         home,
         items,
@@ -130,27 +131,27 @@ def parse_plan(text: str) -> Plan:
 def _check_kind(document: _Document) -> None:
     mission, fence = document.mission, document.geo_fence
     if document.file_type != "Plan":
-        raise Refusal("fileType", f'expected "Plan", found "{_name_of(document.file_type)}": {WANTED}')
+        raise PlanRefusal("fileType", f'expected "Plan", found "{_name_of(document.file_type)}": {WANTED}')
     for where, version, known in [
         ("version", document.version, 1),
         ("mission.version", mission.version, 2),
     ]:
         if version != known:
-            raise Refusal(where, f"expected {known}, found {version}: {_SAVED_ANEW}")
+            raise PlanRefusal(where, f"expected {known}, found {version}: {_SAVED_ANEW}")
     if fence.version != 2 and (fence.version != 1 or fence.polygons or fence.circles):
-        raise Refusal("geoFence.version", f"expected 2, found {fence.version}: {_SAVED_ANEW}")
+        raise PlanRefusal("geoFence.version", f"expected 2, found {fence.version}: {_SAVED_ANEW}")
     if mission.vehicle_type not in _MULTICOPTERS:
-        raise Refusal(
+        raise PlanRefusal(
             "mission.vehicleType",
             f"{mission.vehicle_type} is no multicopter: plan the flight for one (vehicle type 2)",
         )
     if document.rally_points.points:
-        raise Refusal("rallyPoints", "a vehicle would return there instead of home: remove them")
+        raise PlanRefusal("rallyPoints", "a vehicle would return there instead of home: remove them")
     if fence.breach_return is not None:
-        raise Refusal("geoFence.breachReturn", "is not understood: remove the breach return point")
+        raise PlanRefusal("geoFence.breachReturn", "is not understood: remove the breach return point")
 
 
-def _items(tables: list[dict[str, Any]], notices: Notices) -> Iterator[Item]:
+def _items(tables: list[dict[str, Any]], notices: PlanNotices) -> Iterator[Item]:
     """The plan's single commands, those of patterns among them, numbered as QGroundControl numbers them."""
     number = 0
     for table in tables:
@@ -161,7 +162,7 @@ def _items(tables: list[dict[str, Any]], notices: Notices) -> Iterator[Item]:
         for each in inner:
             number += 1
             if number > MOST_ITEMS:
-                raise Refusal(
+                raise PlanRefusal(
                     "mission.items", f"more than {MOST_ITEMS} items, those of patterns counted: fly less"
                 )
             yield _item(number, each)
@@ -173,19 +174,21 @@ def _singly(number: int, table: dict[str, Any]) -> tuple[list[dict[str, Any]], s
     if kind == "SimpleItem":
         return [table], ""
     if kind != "ComplexItem":
-        raise Refusal(where, f"{_name_of(kind or 'an item without a type')} is not understood: {_SAVED_ANEW}")
+        raise PlanRefusal(
+            where, f"{_name_of(kind or 'an item without a type')} is not understood: {_SAVED_ANEW}"
+        )
     pattern = _converted(where, table, _Pattern)
     inner = pattern.transect.items if pattern.transect else []
     name = _name_of(pattern.complex_item_type)
     if not inner:
-        raise Refusal(where, f"ComplexItem ({name}) has no single waypoints in the file: {_SINGLY}")
+        raise PlanRefusal(where, f"ComplexItem ({name}) has no single waypoints in the file: {_SINGLY}")
     return inner, name
 
 
 def _item(number: int, table: dict[str, Any]) -> Item:
     where = f"item {number}"
     if table.get("type") != "SimpleItem":
-        raise Refusal(where, f'has type "{_name_of(table.get("type"))}" within a pattern: {_SINGLY}')
+        raise PlanRefusal(where, f'has type "{_name_of(table.get("type"))}" within a pattern: {_SINGLY}')
     item = _converted(where, table, _SimpleItem)
     return Item(number, item.command, item.frame, tuple(item.params), item.auto_continue)
 
@@ -195,17 +198,17 @@ def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
     if fence.polygon:
         polygons.append(_PolygonFence(polygon=fence.polygon, inclusion=True))
     if sum(len(each.polygon) for each in polygons) + len(fence.circles) > _MOST_CORNERS:
-        raise Refusal("geoFence", f"more than {_MOST_CORNERS} corners: draw it with fewer")
+        raise PlanRefusal("geoFence", f"more than {_MOST_CORNERS} corners: draw it with fewer")
     for number, polygon in enumerate(polygons, start=1):
         name = _name(polygon, "polygon", number)
         if len(polygon.polygon) < 3:
-            raise Refusal(name, f"{len(polygon.polygon)} corners: a polygon has at least 3")
+            raise PlanRefusal(name, f"{len(polygon.polygon)} corners: a polygon has at least 3")
         corners = tuple(checked_place(name, *corner) for corner in polygon.polygon)
         yield PlannedPolygon(name, polygon.inclusion, corners)
     for number, each in enumerate(fence.circles, start=1):
         name = _name(each, "circle", number)
         if not 0 < each.circle.radius <= _LARGEST_RADIUS_M:
-            raise Refusal(name, f"radius {each.circle.radius:g} m: expected above 0, up to 100 km")
+            raise PlanRefusal(name, f"radius {each.circle.radius:g} m: expected above 0, up to 100 km")
         yield PlannedCircle(
             name, each.inclusion, checked_place(name, *each.circle.center), each.circle.radius
         )
@@ -214,7 +217,7 @@ def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
 def _name(fence: _PolygonFence | _CircleFence, shape: str, number: int) -> str:
     name = f"{'inclusion' if fence.inclusion else 'exclusion'} {shape} {number}"
     if fence.version != 1:
-        raise Refusal(name, f"version {fence.version} is not understood: {_SAVED_ANEW}")
+        raise PlanRefusal(name, f"version {fence.version} is not understood: {_SAVED_ANEW}")
     return name
 
 
@@ -222,7 +225,7 @@ def _converted(where: str, value: object, kind: type[T]) -> T:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        raise Refusal(where, f"{error}: {_SAVED_ANEW}") from None
+        raise PlanRefusal(where, f"{error}: {_SAVED_ANEW}") from None
 
 
 def _name_of(found: object) -> str:

@@ -5,12 +5,19 @@ from __future__ import annotations
 import io
 import itertools
 
-from upwash.plans.commands import SET_HOME, Command
 from upwash.plans.course import make_plan
 from upwash.plans.foreign import WANTED
-from upwash.plans.items import ABOVE_SEA_LEVEL, MOST_ITEMS, Home, Item, Refusal, home_at
-from upwash.plans.notices import Notices
-from upwash.plans.plan import Plan
+from upwash.plans.items import (
+    ABOVE_SEA_LEVEL,
+    MOST_ITEMS,
+    SET_HOME,
+    Command,
+    Item,
+    PlannedHome,
+    PlanRefusal,
+    home_at,
+)
+from upwash.plans.plan import Plan, PlanNotices
 
 HEADER = "QGC WPL"
 _VERSION = "110"
@@ -21,18 +28,18 @@ _NO_COMMAND = 0  # as some ground stations write home
 
 
 def parse_waypoint_list(text: str) -> Plan:
-    """The plan in the text of a waypoint list; raises Refusal."""
+    """The plan in the text of a waypoint list; raises PlanRefusal."""
     lines = io.StringIO(text, newline=None)  # read one by one: a file may hold millions
     header = next(lines)
     if header.split() != [*HEADER.split(), _VERSION]:
-        raise Refusal("line 1", f'expected "{HEADER} {_VERSION}", found "{header.strip()[:40]}"')
+        raise PlanRefusal("line 1", f'expected "{HEADER} {_VERSION}", found "{header.strip()[:40]}"')
     found = ((number, line.split()) for number, line in enumerate(lines, start=2) if line.strip())
     rows = list(itertools.islice(found, MOST_ITEMS + 2))  # home, the items, and one too many
     if len(rows) > MOST_ITEMS + 1:
-        raise Refusal("", f"more than {MOST_ITEMS} items: at most {MOST_ITEMS} can be flown, so fly less")
+        raise PlanRefusal("", f"more than {MOST_ITEMS} items: at most {MOST_ITEMS} can be flown, so fly less")
     if not rows:
-        raise Refusal("", "no item in it: item 0 is home, and waypoints follow it")
-    notices = Notices()
+        raise PlanRefusal("", "no item in it: item 0 is home, and waypoints follow it")
+    notices = PlanNotices()
     numbers = _numbers(rows, notices)
     waits = all(fields[-1] == "0" for _, fields in rows)
     if waits:
@@ -43,26 +50,26 @@ def parse_waypoint_list(text: str) -> Plan:
     return make_plan(home, others, notices, as_arducopter=True)
 
 
-def _numbers(rows: list[tuple[int, list[str]]], notices: Notices) -> list[int]:
+def _numbers(rows: list[tuple[int, list[str]]], notices: PlanNotices) -> list[int]:
     """The items' numbers, with a notice of a gap; refuses numbers that do not ascend, as the list may be mixed up."""
     numbers = [_whole(line, fields[0]) for line, fields in rows]
     wrong = next((expected for expected, number in enumerate(numbers) if number != expected), None)
     if wrong is not None:
         if any(after <= before for before, after in itertools.pairwise(numbers)):
-            raise Refusal(f"line {rows[wrong][0]}", f"expected item {wrong}, found item {numbers[wrong]}")
+            raise PlanRefusal(f"line {rows[wrong][0]}", f"expected item {wrong}, found item {numbers[wrong]}")
         notices.add(f"its numbers leave item {wrong} out: the items in the file are flown in their order")
     return numbers
 
 
 def _item(line: int, fields: list[str], number: int, waits: bool) -> Item:
     if len(fields) != _COLUMNS:
-        raise Refusal(f"line {line}", f"expected {_COLUMNS} numbers, found {len(fields)}")
+        raise PlanRefusal(f"line {line}", f"expected {_COLUMNS} numbers, found {len(fields)}")
     current, frame, command = (_whole(line, field) for field in fields[1:4])
     if current not in (0, 1) or (current == 1 and number > 1):
-        raise Refusal(f"item {number}", "is marked as current: a flight begins with the first item")
+        raise PlanRefusal(f"item {number}", "is marked as current: a flight begins with the first item")
     goes_on = _whole(line, fields[11])
     if goes_on not in (0, 1):
-        raise Refusal(f"item {number}", f"expected 0 or 1 as its autocontinue, found {goes_on}")
+        raise PlanRefusal(f"item {number}", f"expected 0 or 1 as its autocontinue, found {goes_on}")
     parameters = tuple(_real(line, field) for field in fields[4:11])
     return Item(number, command, frame, parameters, goes_on == 1 or waits)
 
@@ -70,10 +77,10 @@ def _item(line: int, fields: list[str], number: int, waits: bool) -> Item:
 def _require_mission(items: list[Item]) -> None:
     for commands, what in ((_OF_A_FENCE, "a geofence"), (_OF_RALLY_POINTS, "rally points")):
         if any(item.command in commands for item in items[:2]):
-            raise Refusal("", f"no plan, it is a list of {what}; {WANTED}")
+            raise PlanRefusal("", f"no plan, it is a list of {what}; {WANTED}")
 
 
-def _home(items: list[Item], notices: Notices) -> tuple[Home | None, list[Item]]:
+def _home(items: list[Item], notices: PlanNotices) -> tuple[PlannedHome | None, list[Item]]:
     """The plan's home, and the items that are flown: all of them where the first one cannot be home."""
     first, *others = items
     is_a_place = first.command in (Command.WAYPOINT, SET_HOME, _NO_COMMAND)
@@ -100,7 +107,7 @@ def _whole(line: int, field: str) -> int:
     """A whole number, which some programs write with decimals."""
     digits = field.removesuffix("." + "0" * (len(field) - field.find(".") - 1)) if "." in field else field
     if not (digits.isascii() and digits.isdecimal() and len(digits) <= 9):
-        raise Refusal(f"line {line}", f'expected a whole number, found "{field[:40]}"')
+        raise PlanRefusal(f"line {line}", f'expected a whole number, found "{field[:40]}"')
     return int(digits)
 
 
@@ -108,4 +115,4 @@ def _real(line: int, field: str) -> float:
     try:
         return float(field)
     except ValueError:
-        raise Refusal(f"line {line}", f'expected a number, found "{field[:40]}"') from None
+        raise PlanRefusal(f"line {line}", f'expected a number, found "{field[:40]}"') from None

@@ -15,6 +15,8 @@ import stat
 import tomllib
 from pathlib import Path
 
+from upwash.errors import ConfigError
+
 _CHUNK_BYTES = 2**16
 _PIPE_PATIENCE_MS = 500
 _MOST_PARTS = 32  # of a dotted key
@@ -44,6 +46,17 @@ def read_file(file: Path, *, most_bytes: int) -> bytes:
     finally:
         os.close(descriptor)
     return bytes(content)
+
+
+def read_named_file(file: Path, *, most_bytes: int) -> bytes:
+    """The same of a file that a user names; raises ConfigError, which says what to do."""
+    try:
+        return read_file(file, most_bytes=most_bytes)
+    except FileNotFoundError:
+        raise ConfigError(str(file), "", "no such file: check the path") from None
+    except (OSError, ValueError) as error:
+        problem = f"cannot be read ({why_unreadable(error)}): name a readable file"
+        raise ConfigError(str(file), "", problem) from None
 
 
 def why_unreadable(error: OSError | ValueError) -> str:
