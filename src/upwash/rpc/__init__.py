@@ -1,8 +1,9 @@
 """How a call is declared, encoded, bounded and addressed.
 
-Laws. A call's arguments and its result are built and checked by the type hints of its method, at both ends. A message
-is bounded before it is decoded: its values and texts are counted by their headers. Nothing that arrives chooses what
-is imported, executed or written to a log unescaped. Both ends tolerate fields of replies that they do not know.
+Laws. A call's arguments and its result are built and checked by the type hints of its method, at both ends. A
+message is bounded before it is decoded: its values and texts are counted by their headers. Nothing that arrives
+chooses what is imported, executed or written to a log unescaped. Both ends tolerate fields of replies that they do
+not know.
 
 - service.py      @service and @once, stubs, and each method's request and reply
 - operations.py   which methods of a class are operations
@@ -11,6 +12,6 @@ is imported, executed or written to a log unescaped. Both ends tolerate fields o
 - arrays.py       numpy's arrays in messages
 - protocol.py     messages between drones and daemons
 
-Ugly: an exception travels by the path of its class, and is made again without its constructor, as that may want other
-arguments than those that an exception keeps.
+Ugly: an exception travels by the path of its class, and is made again without its constructor, as that may want
+other arguments than those that an exception keeps.
 """

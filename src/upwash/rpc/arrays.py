@@ -55,7 +55,7 @@ def require_arrays(hint: Any, what: str, seen: set[Any] | None = None) -> None:
         seen.add(hint)
         try:
             inner += typing.get_type_hints(hint).values()
-        except (NameError, TypeError):  # `require_plain` judges such a class
+        except (NameError, TypeError):  # `require_plain` judges this class
             return
     for part in inner:
         require_arrays(part, what, seen)

@@ -1,9 +1,9 @@
 """Messages between drones and edge daemons, and their paths.
 
-Each message is one MessagePack map; each exchange is one request and one reply on a gRPC path, so that a client
-or a server in another language needs nothing but gRPC and MessagePack. The certificate names the drone, not the
-message. Every field has its bounds where it is declared, every text is escaped as it arrives, and a message that
-breaks a bound is refused.
+Each message is one MessagePack map; each exchange is one request and one reply on a gRPC path, so that a client or a
+server in another language needs nothing but gRPC and MessagePack. The certificate names the drone, not the message.
+Every field has its bounds where it is declared, every text is escaped as it arrives, and a message that breaks a
+bound is refused.
 """
 
 from __future__ import annotations
@@ -164,8 +164,8 @@ class CertificateStatus(msgspec.Struct, frozen=True):
 class StatusReply(msgspec.Struct, frozen=True):
     """The daemon's servers, its last refusals, its certificates, and how long it has run.
 
-    `at_door` are connections that were refused before any request; `limits` hold for each instance of a
-    service. Replies of earlier daemons have neither.
+    `at_door` are connections that were refused before any request; `limits` hold for each instance of a service.
+    Replies of earlier daemons have neither.
     """
 
     up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]

@@ -5,9 +5,9 @@
         def __init__(self, threads: int = 2) -> None: ...                 # paid once per instance: the cold start
         def process_photo(self, photo: bytes, mode: Mode) -> list[Detection]: ...
 
-Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from
-parameter name to value, a reply a map with either `value` or `fault`. Services keep no state between calls, and a
-call may run twice: on a server and, where that gives no usable answer, on the drone. A method can forbid that:
+Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from parameter
+name to value, a reply a map with either `value` or `fault`. Services keep no state between calls, and a call may run
+twice: on a server and, where that gives no usable answer, on the drone. A method can forbid that:
 
         @once
         def drop_parcel(self) -> None: ...                                # on the drone alone, never again
@@ -121,7 +121,7 @@ class Method:
                 f"{self.service}.{self.name}(): what it returned is not what its type hint says: {error}"
             ) from error
         if decoded.value is UNSET and decoded.fault is UNSET:
-            raise GarbledReply(f"{self.service}.{self.name}(): the reply carries neither a value nor a fault")
+            raise GarbledReply(f"{self.service}.{self.name}(): the reply carries no value and no fault")
         return decoded
 
     def raised(self, decoded: Any) -> str:
@@ -137,7 +137,7 @@ class Method:
         return decoded.value
 
     def fault_reply(self, error: BaseException) -> bytes:
-        """The reply of a call in which the service raised this exception."""
+        """The reply of a call that raised this exception."""
         cls = type(error)
         type_path = f"{cls.__module__}:{cls.__qualname__}"
         try:
@@ -195,9 +195,9 @@ def service(
     """Declares a class as a service, called `name` (by default the class's name in lower case).
 
     Its public methods are its operations; each value of the parameter that `profile_by` names has its own estimates.
-    An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be
-    safe for threads. Raises DeclarationError where a parameter, its default or a result cannot be
-    sent, and for public attributes that are no plain methods and no data.
+    An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be safe
+    for threads. Raises DeclarationError where a parameter, its default or a result cannot be sent, and for public
+    attributes that are no plain methods and no data.
     """
 
     if declared is not None and not isinstance(declared, type):
@@ -213,9 +213,9 @@ def service(
 
 
 def once(method: Callable[P, R], /) -> Callable[P, R]:
-    """Declares a method of a service as one whose calls run on the drone alone, and never a second time.
+    """Declares that calls of a service's method run on the drone alone, and never a second time.
 
-    For methods that act on the world: neither a server nor a repetition after a failure ever sees such calls.
+    For methods that act on the world: no call goes to a server, or is repeated after a failure.
     """
     if not inspect.isfunction(method):
         raise DeclarationError(
@@ -243,7 +243,7 @@ def load_service(program: str) -> type:
 
 
 def make_stub(cls: type[T], invoke: Invoke) -> T:
-    """An object with the service's methods, each of which sends its call through `invoke`."""
+    """An object with the service's methods, which send their calls through `invoke`."""
     spec = spec_of(cls)
     methods = {method.name: _stub_method(spec.name, method, invoke) for method in spec.methods.values()}
     return cast(T, type(f"{cls.__name__}Stub", (), methods)())
@@ -373,7 +373,7 @@ def carries_fault(reply: bytes) -> bool:
 
 
 def _plain_args(error: BaseException) -> list[Any] | None:
-    """The arguments that make the exception again, if they can be sent."""
+    """The arguments that make the exception again; None where they cannot be sent."""
     try:
         args = error.__reduce__()[1]
     except Exception:  # noqa: BLE001 - its own code may raise any

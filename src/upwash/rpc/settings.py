@@ -6,8 +6,8 @@
 Settings are checked by the type hints, and travel as the plain values of JSON. A relative path counts from the
 configuration's file, so an absolute one travels.
 
-A parameter whose type is a service is another service that this one uses. It is made in the same instance, from a
-table of its own settings, so its calls never leave that computer:
+A parameter whose type is a service stands for another service in the same instance, made from a table of its own
+settings, so its calls never leave that computer:
 
     class Inspection:
         def __init__(self, detector: Detector) -> None: ...               # [service.settings.detector]

@@ -169,7 +169,7 @@ _LAYOUTS = tuple(_layout(head) for head in range(256))
 def too_much(message: bytes, most_values: int) -> str:
     """Which bound the message exceeds, "" for none; a message that is cut short is left to the decoder."""
     at, left, text_bytes = 0, 1, 0
-    outer: list[int] = []  # how many values are left in each list and map around this one
+    outer: list[int] = []  # how many values are left in each outer list and map
     for _ in range(most_values):
         if at >= len(message):
             return ""

@@ -1,7 +1,7 @@
 """Cameras: the files of a folder, video devices and streams.
 
-Laws. A photo is a JPEG that was captured after it was asked for. A source that fails is a CameraError that names it
-and the remedy, and is tried again. A driver that hangs holds up neither the flight nor the end of the program.
+Laws. A photo is a JPEG that was captured after its request. A source that fails is a CameraError that names it and
+the remedy, and is tried again. A driver that hangs does not hold up the flight or the end of the program.
 
 - camera.py   a folder of JPEG files, shot in name order
 - video.py    a device, stream, pipeline or video file, through OpenCV; a thread reads every frame

@@ -26,14 +26,14 @@ _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 47, 4  # of prctl(2)
 
 
 class SystemClock:
-    """This computer's clock; a test has another one."""
+    """This computer's clock; tests replace it."""
 
     def now_s(self) -> float:
         """Seconds since 1970, as every process here sees them, and as TLS judges by."""
         return time.time()
 
     def is_kept(self) -> bool:
-        """Whether the kernel knows that something keeps the clock in time, such as NTP."""
+        """Whether the kernel knows of a program that keeps the clock in time, such as NTP."""
         status = _adjtimex_status()
         return status is not None and not status & _STA_UNSYNC
 
@@ -50,8 +50,8 @@ def agree_on_time(
 ) -> None:
     """Sets the clock where it is wrong by the GPS; raises CredentialsError for certificates that are not valid then.
 
-    A clock that something keeps in time, or that this process may not set, is left as it is. No clock is set to a
-    time at which the certificates are not valid: a forged time cannot make others valid.
+    A clock that NTP or another program keeps in time, or that this process may not set, is left as it is. No clock
+    is set to a time outside the certificates' validity: a forged time cannot make others valid.
     """
     if gps_unix_s is None or not _EARLIEST_UNIX_S <= gps_unix_s <= _LATEST_UNIX_S:
         remedy = _remedy()
@@ -68,7 +68,7 @@ def problem_by(clock: SystemClock, credentials: Credentials) -> str:
 
 
 def keep_right_from_services() -> None:
-    """Lets the processes that this one starts inherit no capability, so that no service can set the clock."""
+    """Lets child processes inherit no capability, so that no service can set the clock."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
 

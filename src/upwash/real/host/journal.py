@@ -29,7 +29,7 @@ Watcher = Callable[[Event], None]
 
 
 class Unwritten:
-    """The lines, in their order, for which a file has had no room, and `why`; "" where it lacks nothing.
+    """The lines that a file has had no room for, in their order, and `why`; "" where it lacks nothing.
 
     Lines that do not fit into memory either are only counted, as `lost`.
     """
@@ -60,9 +60,9 @@ class Unwritten:
 class FileJournal:
     """Appends each event as one line in one write, so that a crash leaves no torn line behind.
 
-    `t` counts seconds of the event loop's clock from the first event, which also has the time of day. With
-    `resumes` a log that another process began is continued, its time too. One process at a time writes to a log.
-    What the disk has no room for is held in `unwritten`, in its order, until there is room.
+    `t` counts seconds of the event loop's clock from the first event, which also has the time of day. With `resumes`
+    a log that another process began is continued, its time too. One process at a time writes to a log. What the disk
+    has no room for is held in `unwritten`, in its order, until there is room.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class FileJournal:
         self._show(opening)
 
     def record(self, event: Event) -> None:
-        """Adds one event; it is in the file when this returns, if that has room.
+        """Adds one event; returns once the file has it, or has no room.
 
         A disk that fills up in flight does not end it: what is missing is written as soon as there is room.
         """
@@ -174,7 +174,7 @@ class FileJournal:
 
 
 class _LineFile:
-    """Lines that one process at a time appends to a file; raises OSError, or UsageError where another one does."""
+    """Lines that only this process appends to a file; raises OSError, or UsageError where another process does."""
 
     def __init__(self, path: Path, *, cuts_torn_line: bool) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)

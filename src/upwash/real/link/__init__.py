@@ -2,7 +2,8 @@
 
 Laws. A peer is a stranger until its certificate is checked; strangers are bounded in connections, handshakes, bytes
 and time. A known caller is bounded in connections, requests and frames. A request is bounded in size, in number and
-by its deadline, and cancelling it ends it at the other end. Neither gRPC nor a service ever holds the daemon's key.
+by its deadline, and cancelling it ends it at the other end. The daemon's key stays in the door: gRPC and services
+never hold it.
 
 - link.py, way.py     a drone's end of gRPC, and what is measured of the way to a server
 - listener.py         the server's end of gRPC
@@ -14,7 +15,7 @@ by its deadline, and cancelling it ends it at the other end. Neither gRPC nor a 
 - streams.py          connections of bytes, and sockets that listen
 - hand_over.py        gives the listening socket to the next daemon
 
-Ugly: gRPC for Python tells neither who is at the other end of a connection nor when a handshake is done, and does not
-end a request whose peer reads nothing. So TLS ends in the door, callers are known by the address of a unix socket,
-and deadlines are kept by the link.
+Ugly: gRPC for Python does not show the peer's certificate or the end of a handshake, and does not end a request
+whose peer reads nothing. So TLS ends in the door, callers are known by the address of a unix socket, and the link
+keeps deadlines itself.
 """

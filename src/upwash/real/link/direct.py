@@ -1,7 +1,7 @@
 """Calls between a program and an instance that it started, over a socket pair.
 
-The pair needs no address and no file, and nobody else can call. Messages are frames of MessagePack with a length of 4
-bytes before them, the highest first. The instance's end is not believed: a service shares its process.
+The pair needs no address and no file, and no other program can call. Messages are frames of MessagePack with a
+length of 4 bytes before them, the highest first. The instance's end is not believed: a service shares its process.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A peer without a certificate of the authority, or with a revoked one, gets no further than here, and takes one of a
 bounded number of connections. The bytes of a known caller are handed on, with its name, while it keeps within the
-limits. Neither gRPC nor a service holds the daemon's key. See docs/decisions/door.md.
+limits. The daemon's key stays here. See docs/decisions/door.md.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ class Door:
         """From the first byte of a connection to its last."""
         try:
             async with asyncio.timeout(self._limits.silence_s):
-                await readable(connection)  # a silent peer takes nobody's turn
+                await readable(connection)  # a silent peer takes no turn
             await self._pace_of(site).wait()  # a handshake costs more than all else that a stranger may do
             outer = await self._shake_hands(connection, site)
         except (OSError, asyncio.CancelledError) as error:

@@ -1,13 +1,13 @@
-"""A daemon has the next one take its place, so that its program can be changed while drones fly.
+"""A new daemon replaces the old one, so that its program can be changed while drones fly.
 
-    the old daemon                                   the new one, its child
-    starts it, with the listening socket             reads the configuration, takes up the leases
-    and with who is served                           starts the same services, accepts connections, says so
-    accepts no more connections, hangs up            is asked to renew every lease, and answers with its own endpoints
-    serves whom it served, until their leases end
+    the old daemon                                   the new daemon, its child
+    starts it, with the listening socket and         reads the configuration, takes up the leases,
+    the drones that are served                       starts the same services, accepts connections, reports it
+    accepts no more connections, hangs up            renews every lease, with its own endpoints
+    serves its drones until their leases end
 
-Both accept for a moment, and none is refused: a connection waits in the socket until one of them takes it. Where the
-new one does not come up, the old one goes on as if nothing had been.
+For a moment both accept connections, and none is refused: each waits in the socket until a daemon takes it. If the
+new daemon does not come up, the old one goes on.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ _log = logging.getLogger("upwash.serving")
 
 
 class Served(Struct, frozen=True):
-    """Whom one server serves, by name and certificate, and the services that run there."""
+    """The drones that a server serves, by name and certificate, and the services that run there."""
 
     drones: Sequence[tuple[str, str]]
     services: Sequence[str]
 
 
 class Used(Struct, frozen=True):
-    """What drones and teams have used of one server."""
+    """What drones and teams have used of a server."""
 
     drones: Sequence[DroneUsage]
     teams: Sequence[TeamUsage]
 
 
 class HandedOver(Struct, frozen=True):
-    """What the new daemon is given: its files are numbers of open ones."""
+    """What the new daemon gets; the files are numbers of open ones."""
 
     listen: str
     socket_file: int
     ready_file: int
     servers: Mapping[str, Served]
-    usage_file: int = -1  # which an earlier daemon does not give
+    usage_file: int = -1  # earlier versions give none
 
     def usage(self) -> Mapping[str, Used]:
-        """What has been used of each server; nothing where that cannot be known. Only once."""
+        """What has been used of each server, nothing where it cannot be read; can be called once."""
         if self.usage_file < 0:
             return {}
         try:
@@ -69,12 +69,12 @@ class HandedOver(Struct, frozen=True):
             return {}
 
     def listening(self) -> socket.socket:
-        """The socket at which drones connect."""
+        """The socket that drones connect to."""
         return socket.socket(fileno=self.socket_file)
 
     def ready(self) -> None:
-        """Tells the old daemon that it may go."""
-        with contextlib.suppress(OSError):  # it has gone already: then nobody is left to be told
+        """Reports to the old daemon that it may end."""
+        with contextlib.suppress(OSError):  # it has ended already
             os.write(self.ready_file, _READY)
         with contextlib.suppress(OSError):
             os.close(self.ready_file)
@@ -84,9 +84,9 @@ _usage = msgspec.json.Decoder(dict[str, Used])
 
 
 def handed_over(environment: MutableMapping[str, str]) -> HandedOver | None:
-    """What this daemon is given, where it was started to take another one's place."""
-    told = environment.pop(_VARIABLE, "")
-    return msgspec.json.decode(told, type=HandedOver) if told else None
+    """What the daemon before gave to this one; None where there was none."""
+    given = environment.pop(_VARIABLE, "")
+    return msgspec.json.decode(given, type=HandedOver) if given else None
 
 
 async def hand_over(
@@ -98,14 +98,13 @@ async def hand_over(
     environment: Mapping[str, str],
     timeout_s: float,
 ) -> int:
-    """Starts this program anew, as it is on the disk now, with that environment.
+    """Starts this program as it is on the disk now, with that environment; returns its process once it is ready.
 
-    Returns its process once it is ready; raises UpwashError where it ends before, or takes longer. After any error
-    nothing of it is left.
+    Raises UpwashError where it ends before, or is not ready in time. After an error it does not run any more.
     """
     ready, theirs = socket.socketpair()
     with ready:
-        # In a file: a variable of the environment has 128 KiB at most.
+        # In a file: an environment variable has 128 KiB at most.
         with theirs, open(os.memfd_create("usage"), "wb", buffering=0) as used:  # noqa: ASYNC230, PTH123 - in memory
             used.write(msgspec.json.encode(usage))
             given = HandedOver(listen, listening.fileno(), theirs.fileno(), servers, used.fileno())

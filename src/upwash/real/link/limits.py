@@ -65,7 +65,7 @@ class ConnectionLimits(Generic[C]):
         return len(self._groups)
 
     def add(self, connection: C, group: str) -> C | None:
-        """Counts the connection; returns the one that it displaces, which is not counted any more."""
+        """Counts the connection; returns a connection that must go for it, and is not counted any more."""
         self._groups[connection] = group
         self._sizes[group] += 1
         if self._sizes[group] > self._per_group:
@@ -91,7 +91,7 @@ class ConnectionLimits(Generic[C]):
 class RateLimit:
     """Lets `per_s` callers pass in a second, twice as many after a rest, in the order of their arrival.
 
-    Without the order, callers that try again at once could keep out one that waits.
+    Without the order, callers that try again at once could keep out a caller that waits.
     """
 
     def __init__(self, per_s: float) -> None:

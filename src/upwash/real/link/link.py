@@ -1,8 +1,8 @@
 """Links over gRPC: the drone's end.
 
-The options are those that were measured on WiFi-like links. Without the keep-alive and reconnect settings a
-channel needs almost as long to recover from a black-out as the black-out lasted; without a pool of its own a new
-channel would share a dead connection with an old one. See docs/decisions/grpc.md.
+The options are those that were measured on WiFi-like links. Without the keep-alive and reconnect settings a channel
+needs almost as long to recover from a black-out as the black-out lasted; without a pool of its own a new channel
+would share a dead connection with an old one. See docs/decisions/grpc.md.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _TROUBLES = {  # the same of any connection that failed; the first that fits
     "before receiving SETTINGS": _SILENT,
     "Endpoint closing": _SILENT,
     "tcp handshaker shutdown": _UNHEARD,
-    "connect() timed out": _UNHEARD,  # gRPC has two timers: the other one fits above
+    "connect() timed out": _UNHEARD,  # gRPC has two timers, see above
     "lookup failed": "no computer of that name is known",
     "No such file or directory": "no such socket: nobody serves there",
     "Socket closed": _HUNG_UP,

@@ -42,8 +42,8 @@ WhoIs = Callable[[str], Client]  # at the other end of gRPC's peer
 class Listener:
     """Answers requests at one address, each in a thread of the listener's.
 
-    `who_is` knows callers by their connections, which a door has announced; without it callers name themselves.
-    A caller that takes long to send its body keeps only itself waiting.
+    `who_is` knows callers by their connections, which a door has announced; without it callers name themselves. A
+    caller that takes long to send its body keeps only itself waiting.
     """
 
     def __init__(self, listen: str, requests: Requests, *, who_is: WhoIs | None = None) -> None:
@@ -96,7 +96,7 @@ def _is_in_use(listen: str) -> bool:
 
 
 def cannot_listen(listen: str) -> UsageError:
-    """The error of an address at which nothing can listen, with the remedy."""
+    """The error where the address cannot be listened at, with the remedy."""
     return UsageError(
         f"cannot listen on {listen}: the address is in use or not this machine's; "
         "stop the other program or choose another address"
@@ -111,7 +111,7 @@ class HealthCheck(grpc.GenericRpcHandler):  # type: ignore[misc]
         self._serving = serving
 
     def service(self, handler_call_details: Any) -> Any:
-        """The handler of that one request."""
+        """The handler of a health check."""
         if handler_call_details.method != HEALTH_CHECK:
             return None
         return grpc.unary_unary_rpc_method_handler(self._answer)

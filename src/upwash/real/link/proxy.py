@@ -155,10 +155,10 @@ async def _announced(caller: StreamEnd) -> Client:
         async with asyncio.timeout(_FIRST_LINE_S):
             return _client.decode(await caller.line())
     except (ValueError, msgspec.MsgspecError):
-        raise ConnectionAbortedError("the first line announces nobody") from None
+        raise ConnectionAbortedError("the first line names no client") from None
 
 
-# --- a connection that one process makes and another uses ---------------------------------------------------
+# --- connections from an instance ---------------------------------------------------------------------------
 
 
 class GivenSocket(socket.socket):
@@ -205,7 +205,7 @@ async def take(over: socket.socket) -> GivenSocket:
         given = GivenSocket(fileno=files[0])
     except OSError:
         os.close(files[0])
-        raise ConnectionAbortedError("an instance gave something that is no socket") from None
+        raise ConnectionAbortedError("what an instance gave is no socket") from None
     if (given.family, given.type) != (socket.AF_UNIX, socket.SOCK_STREAM):
         given.close()
         raise ConnectionAbortedError("an instance gave a socket of another kind")

@@ -37,7 +37,7 @@ _LOSES_LARGE = (
 
 @dataclass(frozen=True, slots=True)
 class _Tried:
-    """One try of TLS: when TCP was connected, whether bytes came back, and when TLS was done, if it was."""
+    """One try of TLS: when TCP was connected, whether bytes came back, and when TLS was done, or None."""
 
     connect_s: float
     heard: bool

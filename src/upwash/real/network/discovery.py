@@ -1,7 +1,7 @@
 """Servers of the networks that this computer is in, by multicast DNS: RFC 6762, and service discovery, RFC 6763.
 
-Any computer in the network may announce any server. So an address is found, and no more: what answers there must show
-the certificate of that server.
+Any computer in the network may announce any server. So an address is found, and no more: what answers there must
+show the certificate of that server.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ async def announcing(names: Collection[str], host: str, port: int) -> AsyncItera
                 port=port,
                 server=f"{name}.upwash.local.",
             )
-            # The daemon that this one replaces announces the same for a moment.
+            # The daemon before announces the same for a moment.
             await (await network.async_register_service(info, cooperating_responders=True))
         yield
 
 
 async def find(server: str, *, within_s: float, interface: str | None = None) -> str:
-    """The address at which the server is announced; raises Unreachable where it is not within that time."""
+    """The address that the server is announced at; raises Unreachable where it is not within that time."""
     info = AsyncServiceInfo(_KIND, f"{server}.{_KIND}")
     async with _opened(interface) as network:
         await info.async_request(network.zeroconf, 1000 * within_s)
     address = _address_of(info)
     if address is None:
         raise Unreachable(
-            f"{server}: nobody in this network announced it within {within_s:g} s: "
+            f"{server}: it was not announced in this network within {within_s:g} s: "
             "see that its daemon has announce = true"
         )
     return address
@@ -61,7 +61,7 @@ async def _opened(interface: str | None) -> AsyncIterator[AsyncZeroconf]:
     try:
         network = AsyncZeroconf(interfaces=interfaces, ip_version=IPVersion.V4Only)
     except OSError as error:
-        raise Unreachable(f"no network in which servers are announced: {error.strerror}") from error
+        raise Unreachable(f"servers cannot be announced in any network: {error.strerror}") from error
     try:
         yield network
     finally:

@@ -29,7 +29,7 @@ from upwash.support.waiting import never
 
 _LEAVE_S = 15.0  # scripts of NetworkManager's dispatcher run first; the mission computes on meanwhile
 _ADDRESS_AGAIN_S = 0.02  # a connection may count as activated a moment before its address is there
-_SCAN_AGAIN_S = 10.0  # a network that was seen lately is joined within half a second, another one in four
+_SCAN_AGAIN_S = 10.0  # a network of the last scan is joined within half a second, others in four
 
 _DEVICE_REASONS = {
     5: "no address: nothing answered by DHCP",
@@ -85,8 +85,8 @@ class ManagedNetwork:
         self._journal = journal
         self._manager: NetworkManager | None = None
         self._activation: _Activation | None = None
-        self._is_untidy = True  # something may be active that no leave() knows of
-        self._joined: set[str] = set()  # the networks joined so far, whose secrets are right
+        self._is_untidy = True  # connections may be active that no leave() knows
+        self._joined: set[str] = set()  # networks that were joined: their secrets are right
         self._scanning: asyncio.Task[None] | None = None
 
     async def open(self) -> None:

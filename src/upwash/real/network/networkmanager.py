@@ -223,7 +223,7 @@ class NetworkManager:
         return await _existing((await self._properties(_ROOT, _NAME))["ActiveConnections"], self.connection)
 
     async def connection(self, path: str) -> NetworkConnection:
-        """One that is active; raises ObjectGoneError where it is no longer."""
+        """An active connection; raises ObjectGoneError where it is active no longer."""
         about = await self._properties(path, _ACTIVE)
         addresses: list[str] = []
         for version in ("4", "6"):
@@ -312,7 +312,7 @@ class NetworkManager:
                 self._on_signal(ManagerGone())
 
     def _lose(self, _: Exception) -> None:
-        self._bus.disconnect()  # so that it is connected anew
+        self._bus.disconnect()  # so that the next call connects again
         self._on_signal(ManagerGone())
 
     async def _await_end(self) -> None:

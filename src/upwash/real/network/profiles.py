@@ -48,7 +48,7 @@ def find_profile(network: str, profiles: Iterable[Profile]) -> Profile:
 
 
 def find_device(profile: Profile, interfaces: Sequence[str], devices: Iterable[Device]) -> Device | None:
-    """The first of the interfaces that the profile can be activated on; None for one that makes its own.
+    """The first of the interfaces that the profile can be activated on; None for a profile that makes its own.
 
     Raises NetworkError where none is there.
     """

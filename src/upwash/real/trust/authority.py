@@ -1,4 +1,4 @@
-"""The authority that an operator keeps: it signs the certificates by which parties know each other, and revokes them.
+"""The authority that an operator keeps: it signs the certificates of all parties, and revokes them.
 
 It signs one certificate for each daemon, good for all servers that the daemon acts as, and one for each drone and
 each operator. Drones and operators hold only client certificates, so a stolen drone cannot pose as a server. A
@@ -78,10 +78,10 @@ def make_keys(
 ) -> list[Path]:
     """Makes a key and a certificate for each entry and returns the files written, the authority's if new.
 
-    Certificates last two years by default, and no longer than their authority's own.
-    An entry of `servers` holds the names of all servers that one daemon acts as; its files are called after
-    the first. The folder's authority signs, and is made if there is none. Raises UsageError, with nothing
-    written, for a name that cannot be used or a file that is already there.
+    Certificates last two years by default, and no longer than their authority's own. An entry of `servers` has the
+    names of all servers of a daemon; its files are called after the first. The folder's authority signs, and is made
+    if there is none. Raises UsageError, with nothing written, for a name that cannot be used or a file that is
+    already there.
     """
     if not all(servers):
         raise UsageError("a server without a name: give each at least one")
@@ -104,8 +104,8 @@ def make_keys(
 def renew_authority(folder: Path) -> list[Path]:
     """Makes the folder another authority, which signs from now on, and returns the files written.
 
-    authority.pem has both certificates then, so that its readers trust what either signed; the former's key is
-    kept under a name of its own. Raises UsageError where there is no authority to follow.
+    authority.pem has both certificates then, so that its readers trust what either signed; the former's key is kept
+    under a name of its own. Raises UsageError where there is no authority to follow.
     """
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     former, former_key = read_public(certificate_file), read_secret(key_file)
@@ -137,8 +137,8 @@ def drop_former_authorities(folder: Path) -> Path:
 def revoke(folder: Path, names: Sequence[str]) -> Path:
     """Adds certificates to the folder's list of revoked ones and returns its file.
 
-    A certificate is named by its holder, if it is in the folder, or by its SHA-256 fingerprint. Raises UsageError,
-    with nothing written, for another name.
+    A name is the holder of a certificate in the folder, or a SHA-256 fingerprint. Raises UsageError, with nothing
+    written, for another name.
     """
     file = folder / _REVOKED_FILE
     known = read_revoked(file) if file.exists() else frozenset()

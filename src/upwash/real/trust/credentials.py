@@ -32,7 +32,7 @@ _PURPOSES = {"serving": ExtendedKeyUsageOID.SERVER_AUTH, "calling": ExtendedKeyU
 
 @dataclass(frozen=True, slots=True)
 class Lifetime:
-    """The time in which the certificate of that holder is valid."""
+    """The validity of a holder's certificate."""
 
     holder: str
     starts: datetime
@@ -51,7 +51,7 @@ class Lifetime:
 
 @dataclass(frozen=True)
 class Credentials:
-    """The PEM texts with which one party shows who it is and checks who others are.
+    """PEM texts: what a party shows of itself, and what it checks others by.
 
     `authority` may hold the certificates of several authorities: those of any of them are trusted.
     """
@@ -132,7 +132,7 @@ def read_credentials(authority: Path, certificate: Path, key: Path, *, valid_now
     if issuer is None:
         raise CredentialsError(
             f"{certificate}: not issued by {authority}: give the authority that signed it, "
-            "or a certificate made under this one"
+            "or a certificate made under this authority"
         )
     if valid_now:
         refuse_outdated(authority, issuer)
@@ -200,7 +200,7 @@ def _common_names(certificate: Certificate) -> list[str]:
 
 
 def _issuer_among(authorities: Sequence[Certificate], holder: Certificate) -> Certificate | None:
-    """The authority that issued the holder's certificate; of several the one that is valid for longest."""
+    """The authority that issued the holder's certificate; of several the last to expire."""
     found = []
     for authority in authorities:
         with contextlib.suppress(InvalidSignature, ValueError, TypeError):

@@ -23,7 +23,7 @@ def read_secret(file: Path) -> bytes:
     content, status = _read(file)
     problem = exposure(stat.S_IMODE(status.st_mode), owner=status.st_uid)
     if problem:
-        mode = 600 if status.st_uid == os.geteuid() else 640  # with which this program can still read it
+        mode = 600 if status.st_uid == os.geteuid() else 640  # this program can still read it then
         raise CredentialsError(f"{file}: {problem}: {command('chmod', mode, file)}")
     return content
 
