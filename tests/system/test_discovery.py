@@ -47,7 +47,7 @@ def test_what_is_announced_is_found_until_it_is_announced_no_more() -> None:
         async with announcing(["s1", "s2"], HERE, 7070):
             assert await look("s1") == "127.0.0.1:7070"
             assert await look("s2") == "127.0.0.1:7070"
-        with pytest.raises(Unreachable, match=r"s1: nobody in this network announced it within 1 s"):
+        with pytest.raises(Unreachable, match=r"s1: it was not announced in this network within 1 s"):
             await find("s1", within_s=1.0, interface=HERE)
 
     asyncio.run(use())
