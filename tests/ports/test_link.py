@@ -178,6 +178,7 @@ def test_the_handler_learns_how_much_time_is_left() -> None:
 
 ASK_BY_NAME = """
 import asyncio, sys
+from upwash.real.link.link import GrpcDialer
 async def ask(address):
     link = GrpcDialer("heron", None, max_message_bytes=100_000).dial(address, server="s1")
     print((await link.request("/upwash.test/echo", b"photo", timeout_s=4.0)).decode())
@@ -470,21 +471,6 @@ def test_who_is_refused_and_what_for_is_logged_in_print(caplog: pytest.LogCaptur
     assert all(each.isprintable() for each in caplog.messages)
 
 
-def test_more_requests_than_the_listener_takes_are_refused_at_once() -> None:
-    async def ask(handler: Stuck, address: str) -> None:
-        async with linked(address) as link:
-            asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
-            await entering(handler)
-            with pytest.raises(Refused):
-                await link.request(PATH, b"quick", timeout_s=5.0)
-            handler.let_go.set()
-            await asking
-
-    handler = Stuck()
-    with listening(handler, concurrently=1) as address:
-        asyncio.run(ask(handler, address))
-
-
 # --- who is who ---------------------------------------------------------------------------------------------
 
 
@@ -519,43 +505,34 @@ def test_a_request_that_does_not_end_holds_up_no_other() -> None:
             let_go.set()
 
 
-def test_no_drone_has_more_requests_under_way_than_its_share(caplog: pytest.LogCaptureFixture) -> None:
-    handler = Stuck()
-
-    async def crowd(address: str) -> None:
-        async with linked(address) as heron, linked(address, drone="stork") as stork:
-            waiting = asyncio.create_task(heron.request(PATH, b"photo", timeout_s=10.0))
-            assert await entering(handler)
-            with pytest.raises(Refused, match="this drone has 1 requests under way already"):
-                await heron.request(PATH, b"quick", timeout_s=5.0)
-            assert await stork.request(PATH, b"quick", timeout_s=5.0) == b"quick"
-            handler.let_go.set()
-            assert await waiting == b"photo"
-            assert await heron.request(PATH, b"quick", timeout_s=5.0) == b"quick"
-
-    with listening(handler, each=1) as address:
-        asyncio.run(crowd(address))
-    assert "refused /upwash.test/echo to heron: this drone has 1" in caplog.text
-
-
-def test_requests_beyond_what_the_server_takes_are_refused_in_the_log(
-    caplog: pytest.LogCaptureFixture,
+@pytest.mark.parametrize(
+    ("concurrently", "each", "refused", "why"),
+    [
+        (16, 1, "heron", "this drone has 1 requests under way already"),
+        (1, 16, "stork", "1 requests are under way already"),
+    ],
+)
+def test_requests_beyond_a_drones_share_or_the_servers_bound_are_refused_at_once_and_in_the_log(
+    caplog: pytest.LogCaptureFixture, concurrently: int, each: int, refused: str, why: str
 ) -> None:
     handler = Stuck()
 
-    async def crowd(address: str) -> None:
+    async def ask(address: str) -> None:
         async with linked(address) as heron, linked(address, drone="stork") as stork:
             waiting = asyncio.create_task(heron.request(PATH, b"photo", timeout_s=10.0))
             assert await entering(handler)
-            with pytest.raises(Refused, match="1 requests are under way already"):
-                await stork.request(PATH, b"quick", timeout_s=5.0)
+            if refused == "heron":
+                assert await stork.request(PATH, b"quick", timeout_s=5.0) == b"quick"
+            with pytest.raises(Refused, match=why):
+                await (heron if refused == "heron" else stork).request(PATH, b"quick", timeout_s=5.0)
             handler.let_go.set()
             assert await waiting == b"photo"
-            assert await stork.request(PATH, b"quick", timeout_s=5.0) == b"quick"
+            for link in (heron, stork):
+                assert await link.request(PATH, b"quick", timeout_s=5.0) == b"quick"
 
-    with listening(handler, concurrently=1) as address:
-        asyncio.run(crowd(address))
-    assert "refused /upwash.test/echo to stork: 1 requests are under way already" in caplog.text
+    with listening(handler, concurrently=concurrently, each=each) as address:
+        asyncio.run(ask(address))
+    assert f"refused /upwash.test/echo to {refused}: {why}" in caplog.text
 
 
 def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.LogCaptureFixture) -> None:

@@ -140,14 +140,6 @@ def test_a_carrier_that_goes_is_noticed_at_once(field: Field) -> None:
     play(scene)
 
 
-def test_a_network_without_a_profile_cannot_be_joined(field: Field) -> None:
-    async def scene(network: ManagedNetwork, _: MemoryJournal) -> None:
-        with pytest.raises(NetworkError, match="no connection profile s3-net is on this drone"):
-            await network.join("s3-net", timeout_s=JOIN_S)
-
-    play(scene)
-
-
 def test_two_radios_are_used_at_once_and_do_not_disturb_each_other(field: Field) -> None:
     async def scene() -> None:
         journal = MemoryJournal()
