@@ -13,7 +13,7 @@ import pytest
 from upwash.cli.main import command_line
 from upwash.real.network.networkmanager import Device, DeviceKind, NetworkConnection, NetworkState
 from upwash.real.network.profiles import interface_trouble, modified
-from upwash.support.commands import command
+from upwash.support.text import command
 
 SOURCE = Path(__file__).parents[2] / "src" / "upwash"
 FILLED_IN = "1"  # for what a message fills in: fits a name, a file and a number

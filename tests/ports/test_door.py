@@ -37,7 +37,7 @@ from upwash.real.trust.authority import keys_in, make_keys
 from upwash.real.trust.credentials import Credentials, Trust, fingerprint, read_credentials
 from upwash.real.trust.secrets import load_secret
 from upwash.sim.loop import run_virtually
-from upwash.support.waiting import never
+from upwash.support.background import never
 
 ReadCredentials = Callable[[str], Credentials]
 PATH = "/upwash.test/name"

@@ -9,8 +9,7 @@ import pytest
 
 from upwash.errors import Unreachable
 from upwash.sim.loop import end_run, run_virtually
-from upwash.support.background import begin, start
-from upwash.support.waiting import never
+from upwash.support.background import begin, never, start
 
 
 async def fail(error: Exception) -> NoReturn:

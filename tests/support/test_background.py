@@ -12,8 +12,7 @@ import pytest
 
 import upwash
 from upwash.sim.loop import run_virtually
-from upwash.support.background import begin, beside, end, kept_up, start, thread
-from upwash.support.waiting import first, never
+from upwash.support.background import begin, beside, end, first, kept_up, never, start, thread
 
 
 async def fail(*, after_turns: int = 0) -> NoReturn:

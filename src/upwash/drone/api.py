@@ -22,9 +22,8 @@ from upwash.eventlog.schema import SEVERITIES
 from upwash.plans import Ending
 from upwash.ports import Autopilot, Journal, Notifier, VehicleLimits
 from upwash.rpc.service import Method, make_stub, spec_of
-from upwash.support.background import begin
+from upwash.support.background import begin, first
 from upwash.support.text import printable
-from upwash.support.waiting import first
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -12,7 +12,7 @@ from upwash.core.vehicle.way_home import UNKNOWN, WayDown
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
-from upwash.support.waiting import first
+from upwash.support.background import first
 
 _Action = SafeEnd | Literal["disarm"]
 _ENDED: Mapping[_Action, type[schema.Landed | schema.LeftHovering | schema.Disarmed]] = {

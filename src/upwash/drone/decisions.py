@@ -24,7 +24,7 @@ from upwash.core.selection.selection import Selection
 from upwash.errors import AutopilotLost
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
-from upwash.support.waiting import first
+from upwash.support.background import first
 
 _NAMES: Mapping[type[Decision], Literal["local", "remote", "wait"]] = {
     Local: "local",

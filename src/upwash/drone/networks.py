@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from upwash.core.geo import Position, Reach
 from upwash.errors import NetworkError
-from upwash.support.waiting import never
+from upwash.support.background import never
 
 
 @dataclass(frozen=True, slots=True)

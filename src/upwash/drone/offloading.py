@@ -28,8 +28,7 @@ from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Dialer, Journal, Network
 from upwash.rpc.service import Method
-from upwash.support.background import end, start
-from upwash.support.waiting import first
+from upwash.support.background import end, first, start
 
 
 class Offloading:

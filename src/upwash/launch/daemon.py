@@ -33,9 +33,8 @@ from upwash.real.link.proxy import GrpcSocket
 from upwash.real.link.requests import Caller, Requests
 from upwash.real.link.streams import listening_socket
 from upwash.server.daemon import EdgeServer, Observer
-from upwash.support.background import beside
+from upwash.support.background import beside, first, never
 from upwash.support.loading import extra
-from upwash.support.waiting import first, never
 
 if TYPE_CHECKING:
     from upwash.metrics.daemon import DaemonMetrics

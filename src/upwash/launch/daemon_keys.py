@@ -13,7 +13,7 @@ from upwash.ports import Link
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.credentials import Credentials, Trust, at_second, read_credentials, read_revoked
 from upwash.rpc.protocol import CertificateStatus
-from upwash.support.commands import command
+from upwash.support.text import command
 
 _log = logging.getLogger("upwash.serving")
 

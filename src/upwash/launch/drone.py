@@ -17,8 +17,8 @@ from upwash.real.link.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import read_signing
 from upwash.real.trust.credentials import Credentials, read_credentials
-from upwash.support.commands import command
 from upwash.support.loading import extra
+from upwash.support.text import command
 
 _DEFAULTS = FlightSettings()
 _ASKED_WITHIN_S = 10.0  # by a command that does not fly

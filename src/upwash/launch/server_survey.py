@@ -32,7 +32,7 @@ from upwash.real.network import SurveyFinding
 from upwash.rpc.service import ServiceSpec
 from upwash.sim.journal import MemoryJournal
 from upwash.support.background import beside
-from upwash.support.commands import command
+from upwash.support.text import command
 
 _OTHER_PORTS = (
     "the daemon answers, and the port of this service does not: calls go to the ports of instance_ports in the "

@@ -20,9 +20,8 @@ from prometheus_client.exposition import choose_encoder
 from upwash.config import is_on_this_machine
 from upwash.core.admission.limits import Allowance
 from upwash.errors import UsageError
+from upwash.support.addresses import listening_at, names_this_machine
 from upwash.support.background import only_logged, thread
-from upwash.support.http_host import names_this_machine
-from upwash.support.listening import listening_at
 from upwash.support.text import printable
 
 _PATHS = ("/metrics", "/")

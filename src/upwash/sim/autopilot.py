@@ -19,7 +19,7 @@ from upwash.sim.energy import EnergyMeter
 from upwash.sim.incidents import Incidents, ModelBattery
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle, Observe, unobserved
 from upwash.sim.vehicle_link import ModelVehicleLink
-from upwash.support.waiting import first
+from upwash.support.background import first
 from upwash.vehicle.ardupilot.airframe import TURN_DEG_S
 from upwash.vehicle.body.kinematics import Phase, duration_s, stretched
 

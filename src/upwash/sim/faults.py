@@ -79,7 +79,7 @@ from upwash.rpc.protocol import (
     resolve,
 )
 from upwash.sim.link import Handler
-from upwash.support.waiting import never
+from upwash.support.background import never
 
 _FLAP_S = 5.0
 _LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is waited for, too

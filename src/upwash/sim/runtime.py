@@ -23,7 +23,7 @@ from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
 from upwash.rpc.service import Method, ServiceSpec, carries_fault
 from upwash.rpc.wire import Encoding
 from upwash.sim.faults import Plugboard
-from upwash.support.waiting import never
+from upwash.support.background import never
 
 _FIRST_PORT = 40_000
 _NEGLIGIBLE_S = 1e-9  # by which the loop runs its timers early

@@ -1,10 +1,11 @@
 """Background work: tasks and threads that run beside their owner, and never fail in silence.
 
-    beside(work)               for a block: work that fails cancels the block, which raises the failure
-    start(work, failed=...)    for an object: a failure is logged with its trace, then passed to `failed`
-    thread(work, failed=...)   the same in a thread
-    kept_up(work)              for work that must not end: it is run again after a failure
-    begin(work)                for a result: whoever awaits the task gets its failure
+    beside(work)               for a block: work that fails cancels the block, which raises the failure.
+    start(work, failed=...)    for an object: a failure is logged with its trace, then passed to `failed`.
+    thread(work, failed=...)   the same in a thread.
+    kept_up(work)              for work that must not end: it runs again after a failure.
+    begin(work)                for a result: awaiting the task raises its failure.
+    first(work, ...)           for the first result of several.
 
 An owner ends its tasks with `end`. Nothing else in upwash makes a thread, or a task outside an `asyncio.TaskGroup`.
 """
@@ -25,7 +26,7 @@ _log = logging.getLogger("upwash.background")
 
 
 def only_logged(_: Exception) -> None:
-    """What the failure of work leads to that its owner can do without."""
+    """The consequence of a failure of work that its owner does not need."""
 
 
 @contextlib.asynccontextmanager
@@ -110,3 +111,20 @@ def thread(work: Callable[[], object], *, name: str, failed: Failed) -> threadin
 
 def _report(name: str, failure: BaseException) -> None:
     _log.error("%s failed: %s: %s", name, type(failure).__name__, failure, exc_info=failure)
+
+
+async def never() -> NoReturn:
+    """Wait until cancelled."""
+    await asyncio.get_running_loop().create_future()
+    raise AssertionError("an unsettled future has ended")
+
+
+async def first(*waits: Coroutine[Any, Any, T]) -> T:
+    """The result of the first of them, or its failure; the others are cancelled and have ended by then."""
+    tasks = [begin(wait) for wait in waits]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        winner = next(task for task in tasks if task.done())
+    finally:
+        await end(*tasks)
+    return winner.result()

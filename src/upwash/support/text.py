@@ -1,42 +1,45 @@
-"""Text from elsewhere, made fit for logs and terminals."""
+"""Text for logs, terminals and messages."""
 
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 
 LONGEST_TEXT = 1000
 
 
 def escaped(text: str) -> str:
-    """The text on one line, with whatever is not printed written as an escape.
+    """The text on one line, with an escape for each character that is not printed.
 
-    That is every control character, line ends, what turns the direction of writing, and half of a pair of code
-    units: none of them can move a cursor, forge a line of a log or hide what stands there.
+    Escaped are control characters, line ends, marks that turn the direction of writing, and half pairs of code units:
+    none can move a cursor, forge a line of a log or hide what stands there.
     """
     if text.isprintable():
         return text
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text
+    )
 
 
 def escaped_lines(text: str) -> str:
-    """The same, with the ends of lines left as they are."""
+    """The text escaped, its line ends kept."""
     return "\n".join(map(escaped, text.split("\n")))
 
 
 def printable(text: str, most: int = LONGEST_TEXT) -> str:
-    """The text escaped, of that many characters at most; what is cut off leaves a mark."""
+    """The text escaped, at most `most` characters; a mark stands for the rest."""
     shown = escaped(text[: most + 1])
     return shown if len(shown) <= most else f"{shown[: most - 1]}…"
 
 
 def words_of(text: str) -> str:
-    """The words of the text on one line, with blanks for the rest: of what a service prints, colours say nothing."""
-    return "".join(each if each.isprintable() else " " for each in text).strip()
+    """The printed characters of the text on one line, with blanks for all others, such as colours."""
+    return "".join(letter if letter.isprintable() else " " for letter in text).strip()
 
 
 def signal_name(number: int) -> str:
-    """The name of a signal, such as SIGKILL; its number where it has none, as most real-time signals."""
+    """The name of a signal, such as SIGKILL, or its number if it has no name."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -44,8 +47,13 @@ def signal_name(number: int) -> str:
 
 
 def json_line(line: bytes) -> bytes:
-    """The same JSON with whatever is not printed written as JSON's own escapes: it reads as the same value."""
+    """The same JSON value with JSON's escape for each character that is not printed."""
     text = line.decode()
     if text.isprintable():
         return line
-    return "".join(each if each.isprintable() else json.dumps(each)[1:-1] for each in text).encode()
+    return "".join(letter if letter.isprintable() else json.dumps(letter)[1:-1] for letter in text).encode()
+
+
+def command(*words: object) -> str:
+    """The command line of these words, quoted for the shell, between backticks."""
+    return f"`{shlex.join(map(str, words))}`"

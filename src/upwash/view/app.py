@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from upwash.report.palette import stylesheet
 from upwash.report.photos import PhotoShelf
-from upwash.support.http_host import names_this_machine
+from upwash.support.addresses import names_this_machine
 from upwash.view.feed import Feed
 
 _LISTENS_AT = "127.0.0.1"

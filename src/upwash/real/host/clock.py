@@ -16,7 +16,7 @@ from upwash.errors import CredentialsError
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.real.trust.credentials import Credentials, at_second
-from upwash.support.commands import command
+from upwash.support.text import command
 
 _WRONG_S = 60.0  # TLS compares seconds, but certificates last years; a GPS without leap seconds is 18 s off
 _EARLIEST_UNIX_S = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # before: a receiver that lost count of weeks

@@ -16,7 +16,7 @@ import msgspec
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import Answered, InstanceSpec, Program, ignored
 from upwash.real.instances.instance_control import ControlledInstance
-from upwash.support.commands import command
+from upwash.support.text import command
 
 _log = logging.getLogger("upwash.containers")
 

@@ -23,9 +23,8 @@ from upwash.real.instances.output import Output
 from upwash.real.link.door import Entrance, Lead
 from upwash.real.link.proxy import Connect
 from upwash.real.link.streams import hang_up
-from upwash.support.background import start
+from upwash.support.background import first, start
 from upwash.support.text import words_of
-from upwash.support.waiting import first
 
 _log = logging.getLogger("upwash.instance")
 

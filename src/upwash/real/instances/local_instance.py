@@ -22,8 +22,7 @@ from upwash.real.link.direct import Calls, direct_pair
 from upwash.real.link.door import Lead
 from upwash.real.link.proxy import announcing_at
 from upwash.real.link.streams import connected_pair, endpoint_of, hang_up, listening_socket
-from upwash.support.background import end, only_logged, start
-from upwash.support.waiting import first
+from upwash.support.background import end, first, only_logged, start
 
 STOP_GRACE_S = 2.0
 _numbers = itertools.count()  # of pairs, in their names

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from upwash.support.listening import listening_at
+from upwash.support.addresses import listening_at
 
 _WAITING_BYTES = 2**15  # for a peer that does not read, beside what the system holds
 _ROOM_BYTES = 2**16

@@ -24,8 +24,7 @@ from upwash.real.network.networkmanager import (
     connect_networkmanager,
 )
 from upwash.real.network.profiles import find_device, find_profile, interface_trouble, is_left_over
-from upwash.support.background import end, only_logged, start
-from upwash.support.waiting import never
+from upwash.support.background import end, never, only_logged, start
 
 _LEAVE_S = 15.0  # scripts of NetworkManager's dispatcher run first; the mission computes on meanwhile
 _ADDRESS_AGAIN_S = 0.02  # a connection may count as activated a moment before its address is there

@@ -16,7 +16,7 @@ from upwash.real.network.networkmanager import (
     Profile,
     connect_networkmanager,
 )
-from upwash.support.commands import command
+from upwash.support.text import command
 
 _FITS: dict[str, tuple[int, ...]] = {
     "802-3-ethernet": (DeviceKind.ETHERNET, DeviceKind.VETH),

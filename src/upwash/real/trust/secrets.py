@@ -9,8 +9,8 @@ import stat
 from pathlib import Path
 
 from upwash.errors import CredentialsError
-from upwash.support.commands import command
 from upwash.support.input_files import text_of
+from upwash.support.text import command
 
 _MOST_BYTES = 2**20
 _MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)

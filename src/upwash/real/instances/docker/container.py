@@ -24,8 +24,7 @@ from upwash.real.instances.docker.engine import DockerEngine, last_line
 from upwash.real.instances.docker.inside import COMMAND, HANDOFF
 from upwash.real.instances.local_instance import STOP_GRACE_S, Handed
 from upwash.real.instances.runtime import exit_code
-from upwash.support.background import begin
-from upwash.support.waiting import first
+from upwash.support.background import begin, first
 
 _log = logging.getLogger("upwash.docker")
 

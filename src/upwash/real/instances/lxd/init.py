@@ -23,10 +23,9 @@ from upwash.real.instances.lxd.credentials import (
     notice_silence,
 )
 from upwash.real.instances.output import chunks_of, last_of
-from upwash.support.background import start
+from upwash.support.background import first, start
 from upwash.support.lines import lines_of
 from upwash.support.loading import module_command
-from upwash.support.waiting import first
 
 # In the environment of process 1:
 CREDENTIALS = "UPWASH_LEASH"  # as containers of earlier versions have it

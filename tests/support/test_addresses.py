@@ -1,10 +1,12 @@
-"""Who asks over HTTP must mean this machine."""
+"""Addresses of this machine: sockets that listen there, and requests that mean this machine."""
 
 from __future__ import annotations
 
+import socket
+
 import pytest
 
-from upwash.support.http_host import names_this_machine
+from upwash.support.addresses import listening_at, names_this_machine
 
 
 @pytest.mark.parametrize(
@@ -37,3 +39,16 @@ def test_an_address_of_this_machine_is_its_own(host: str, listens_at: str, reach
 )  # fmt: skip
 def test_any_other_name_is_another_machines(host: str) -> None:
     assert not names_this_machine(host, known_as=["127.0.0.1"], reached_at="127.0.0.1")
+
+
+@pytest.mark.parametrize("everywhere", ["*:0", ":0", "[::]:0"])
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+def test_no_host_or_a_star_is_every_address_of_this_computer(everywhere: str, host: str) -> None:
+    with listening_at(everywhere) as listening:
+        socket.create_connection((host, listening.getsockname()[1]), timeout=5.0).close()
+
+
+@pytest.mark.parametrize(("one", "other"), [("127.0.0.1", "::1"), ("[::1]", "127.0.0.1")])
+def test_one_address_is_no_other(one: str, other: str) -> None:
+    with listening_at(f"{one}:0") as listening, pytest.raises(ConnectionRefusedError):
+        socket.create_connection((other, listening.getsockname()[1]), timeout=5.0)
