@@ -13,16 +13,18 @@ From the bytes up: `link` opens connections, `receiver` decides which bytes are 
 `numbering` which are news, and `gate` which numbers are possible. `telemetry` keeps the last reports, `streams` has
 them sent often enough, `tracker` makes a position of them. `observed` ties these together as a vehicle that answers
 questions, and `vehicle` adds commands. `parameters`, `ftp`, `fence`, `needs`, `way_home` and `dead_man` each read or
-set one thing in it. `autopilot` makes the verbs; `arducopter` and `px4` (with `px4_firmware` and `setpoints`) differ.
+set one thing in it. `reports` answers a mission's questions, and `autopilot` adds its verbs. The firmwares differ in
+`arducopter` and `px4` (with `px4_firmware` and `setpoints`).
 
 What is ugly: MAVLink answers belong to no request, so an answer may be that of an earlier attempt, and most verbs
 rely on reports instead. An absent parameter and a lost question look alike. PX4 tells its fail-safes by events whose
 texts stand in a table made from its source. Vehicles with one system id are told apart only by their clocks.
 """
 
-from upwash.real.mavlink.autopilot import FlightSettings, MavlinkAutopilot
+from upwash.real.mavlink.autopilot import MavlinkAutopilot
 from upwash.real.mavlink.connect import connect_autopilot
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.observed import Patience
+from upwash.real.mavlink.reports import FlightSettings
 
 __all__ = ["FlightSettings", "MavlinkAutopilot", "MavlinkLink", "Patience", "connect_autopilot"]

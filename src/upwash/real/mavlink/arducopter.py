@@ -222,14 +222,9 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         place, reposition = self._tracker.above_sea(position), mavlink.MAV_CMD_DO_REPOSITION
         target, latch = self._frame.position(place), self.vehicle.latch
         try:
-            await self.vehicle.command_at(
-                step,
-                reposition,
-                place,
-                frame=mavlink.MAV_FRAME_GLOBAL,
-                parameters=(-1.0, 0.0, 0.0, math.nan),
-                expect=lambda: latch.expect_target(target),
-            )
+            parameters = (-1.0, 0.0, 0.0, math.nan)
+            command = self.vehicle.command_int(reposition, place, mavlink.MAV_FRAME_GLOBAL, *parameters)
+            await self.vehicle.accept(step, command, lambda: latch.expect_target(target))
             latch.settle_target(obeyed=True)
         except AutopilotRefused as error:
             latch.settle_target(obeyed=False)

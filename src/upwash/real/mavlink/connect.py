@@ -7,11 +7,12 @@ from collections.abc import Callable
 from upwash.core.geo import LocalFrame
 from upwash.mavlink.signing import Signing
 from upwash.real.mavlink.arducopter import ARDUCOPTER, ArduCopterAutopilot
-from upwash.real.mavlink.autopilot import FlightSettings, MavlinkAutopilot, check_speed
+from upwash.real.mavlink.autopilot import MavlinkAutopilot
 from upwash.real.mavlink.link import Opener
 from upwash.real.mavlink.needs import ask_version
 from upwash.real.mavlink.px4 import Px4Autopilot
 from upwash.real.mavlink.px4_firmware import PX4
+from upwash.real.mavlink.reports import FlightSettings, check_speed
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _DRIVERS: dict[str, type[MavlinkAutopilot]] = {ARDUCOPTER.name: ArduCopterAutopilot, PX4.name: Px4Autopilot}

@@ -151,7 +151,7 @@ class LuaDeadMan:
 
     async def _restart_scripts(self, version: int) -> None:
         vehicle, nowhere, frame = self._vehicle, GeoPosition(0.0, 0.0), mavlink.MAV_FRAME_GLOBAL
-        await vehicle.command_at(_STEP, _SCRIPTING, nowhere, frame=frame, parameters=(_STOP_AND_RESTART,))
+        await vehicle.accept(_STEP, vehicle.command_int(_SCRIPTING, nowhere, frame, _STOP_AND_RESTART))
         deadline_s = vehicle.now_s + _SCRIPTS_START_WITHIN_S
         while await self._running_version() != version:
             if vehicle.now_s > deadline_s:

@@ -24,14 +24,21 @@ _log = logging.getLogger("upwash.mavlink")
 
 
 class Troubles:
-    """Counts each trouble, and calls `tell` at its first, tenth, hundredth time and so on."""
+    """Calls `tell` with troubles of the link, which may repeat without end."""
 
-    def __init__(self, tell: Callable[[LinkTrouble], None]) -> None:
+    def __init__(self, tell: Callable[[LinkTrouble], None] = lambda _: None) -> None:
         self._tell = tell
+        self._told: set[LinkTroubleName] = set()
         self._times: Counter[tuple[LinkTroubleName, str]] = Counter()
 
+    def once(self, about: LinkTroubleName, why: str) -> None:
+        """Tells the first trouble of its kind."""
+        if about not in self._told:
+            self._told.add(about)
+            self._tell(LinkTrouble(about=about, why=why))
+
     def count(self, about: LinkTroubleName, what: str, why: str) -> bool:
-        """Counts the trouble with `what`; whether `tell` was called."""
+        """Tells the first, tenth, hundredth trouble with `what` and so on; whether it told this one."""
         self._times[about, what] += 1
         times = self._times[about, what]
         tells = str(times).rstrip("0") == "1"

@@ -20,9 +20,10 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotError, AutopilotNotHeard
-from upwash.eventlog.schema import LinkTrouble, LinkTroubleName
+from upwash.eventlog.schema import LinkTrouble
 from upwash.mavlink.names import name_of
 from upwash.mavlink.signing import Refusal
+from upwash.real.mavlink.gate import Troubles
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.numbering import Twins
 from upwash.real.mavlink.receiver import Message, from_autopilot
@@ -99,8 +100,7 @@ class Identity:
         self.vehicle: AutopilotInfo | None = None
         self.system = system
         self._firmwares = {firmware.autopilot: firmware for firmware in firmwares}
-        self._tell = tell
-        self._told: set[LinkTroubleName] = set()
+        self._troubles = Troubles(tell)
         self._heard: dict[int, AutopilotInfo] = {}  # by system
         self._twins = Twins()
 
@@ -133,13 +133,14 @@ class Identity:
         sender = self._described(message)
         self._heard[sender.system] = sender
         if self._others():
-            self._tell_once("another-vehicle", f"{self._others()[0]} is on the link too: it is ignored")
+            self._troubles.once("another-vehicle", f"{self._others()[0]} is on the link too: it is ignored")
 
     def believes(self, message: Message, now_s: float) -> bool:
         """Whether a message with the followed ids is the vehicle's own."""
         if message.get_type() == "HEARTBEAT" and (sender := self._described(message)) != self.vehicle:
-            if not _is_booting(message):
-                self._tell_once(
+            # An ArduPilot that starts reports its type once it knows its motors.
+            if message.autopilot not in _AUTOPILOTS or message.type != mavlink.MAV_TYPE_GENERIC:
+                self._troubles.once(
                     "another-program",
                     f"another program sends heartbeats with this vehicle's ids, {sender}: they are ignored; give "
                     "that program a component id of its own",
@@ -147,7 +148,7 @@ class Identity:
             return False
         self._twins.take(message, now_s)
         if self._twins.evidence:
-            self._tell_once("same-id", self._twins_problem())
+            self._troubles.once("same-id", self._twins_problem())
         return True
 
     @property
@@ -210,16 +211,6 @@ class Identity:
             f"two vehicles with system {self.vehicle.system} are on the link ({self._twins.evidence}): give one of "
             "them another id (SYSID_THISMAV or MAV_SYSID of ArduPilot, MAV_SYS_ID of PX4), or switch it off"
         )
-
-    def _tell_once(self, kind: LinkTroubleName, why: str) -> None:
-        if kind not in self._told:
-            self._told.add(kind)
-            self._tell(LinkTrouble(about=kind, why=why))
-
-
-def _is_booting(message: Message) -> bool:
-    """An ArduPilot that starts reports its type once it knows its motors."""
-    return bool(message.autopilot in _AUTOPILOTS and message.type == mavlink.MAV_TYPE_GENERIC)
 
 
 def sender_of(message: Message) -> tuple[int, int]:

@@ -84,7 +84,7 @@ async def require_reposition(vehicle: MavlinkVehicle) -> None:
     if vehicle.telemetry.armed:
         return
     frame, reposition = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, mavlink.MAV_CMD_DO_REPOSITION
-    result = await vehicle.result_at(_STEP, reposition, _NOWHERE, frame=frame)
+    result = await vehicle.result(_STEP, vehicle.command_int(reposition, _NOWHERE, frame))
     if result == mavlink.MAV_RESULT_UNSUPPORTED:
         raise _refused(f"{_described(vehicle)} does not know MAV_CMD_DO_REPOSITION", vehicle)
 

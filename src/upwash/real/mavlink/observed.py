@@ -17,7 +17,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.admission.limits import Allowance
-from upwash.core.geo import Position
+from upwash.core.geo import GeoPosition, Position
 from upwash.core.vehicle.control import Heartbeat, Latch
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import (
@@ -99,7 +99,7 @@ class ObservedVehicle:
         self._troubles = Troubles(self.tell)
         self._unbounded = Allowance(_UNBOUNDED_PER_S, at_once=_UNBOUNDED_AT_ONCE)
         self._missed_s: dict[str, float] = {}  # when a report of the owner could not be taken in, by its kind
-        self.latch = Latch(self._loop.time())
+        self.latch = Latch(self.now_s)
         self._hear_news: Callable[[VehicleNews], None] | None = None
         self._unheard_news: deque[VehicleNews] = deque(maxlen=_NEWS_KEPT)
         self._listeners: list[Callable[[Message], None]] = []
@@ -107,12 +107,11 @@ class ObservedVehicle:
         self._silent_s = 0.0  # in all, of silences that are over
         self._numbering = Numbering()
         self._clock = BootClock()
-        self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, tell=self.tell)
+        self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, troubles=self._troubles)
         self._asks = False  # whether to ask for reports: not before the right vehicle is certain
         self._only_signed = True  # whether each message of the vehicle was signed
         self._is_signing = signing is not None
-        self._told_numbers = False
-        self._last_heard_s = self._loop.time()
+        self._last_heard_s = self.now_s
         self.mode_told_s = -math.inf  # when it last reported its mode
         self._news = asyncio.Event()
         self._link = MavlinkLink(
@@ -144,7 +143,7 @@ class ObservedVehicle:
             await asyncio.sleep(self.patience.others_s)
         self.require_alone("connect")
         self._asks = True
-        self._streams.begin(self.firmware, self._loop.time())
+        self._streams.begin(self.firmware, self.now_s)
         if self._is_signing or not self._only_signed:
             return
         # A vehicle that signs may hear only signed messages: it answers no question then.
@@ -195,7 +194,7 @@ class ObservedVehicle:
     @property
     def said_lately(self) -> str:
         """The vehicle's texts of the last seconds, the most severe first."""
-        return self.telemetry.said_lately(self._loop.time())
+        return self.telemetry.said_lately(self.now_s)
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
         """Has `hear` called with all news, and first with those since the connection was made."""
@@ -205,7 +204,7 @@ class ObservedVehicle:
 
     def tell(self, news: VehicleNews) -> None:
         """Passes news on to the listener, or keeps them for one; floods are cut to five a second."""
-        if isinstance(news, _UNBOUNDED) and not self._unbounded.take(1, now_s=self._loop.time()):
+        if isinstance(news, _UNBOUNDED) and not self._unbounded.take(1, now_s=self.now_s):
             what = type(news).__name__
             self._troubles.count("flood", what, f"the vehicle says more than is told and logged ({what})")
             return
@@ -226,7 +225,7 @@ class ObservedVehicle:
     @property
     def linked(self) -> bool:
         """Whether the vehicle's last message is younger than `quiet_after_s`."""
-        return self._loop.time() < self._last_heard_s + self.patience.quiet_after_s
+        return self.now_s < self._last_heard_s + self.patience.quiet_after_s
 
     async def link_lost(self) -> None:
         """Returns after `quiet_after_s` without a message of the vehicle."""
@@ -243,7 +242,7 @@ class ObservedVehicle:
     @property
     def silent_s(self) -> float:
         """The time since the vehicle's last message."""
-        return self._loop.time() - self._last_heard_s
+        return self.now_s - self._last_heard_s
 
     def heard_since(self, number: int, time_s: float) -> bool:
         """Whether the message of that number has come since then."""
@@ -253,7 +252,7 @@ class ObservedVehicle:
     def unix_s(self) -> float | None:
         """The time now by the vehicle's GPS, in seconds since 1970; None while it does not know it."""
         reported_s = self.telemetry.unix_s
-        return reported_s and reported_s + self._loop.time() - self._streams.heard_s(_SYSTEM_TIME)
+        return reported_s and reported_s + self.now_s - self._streams.heard_s(_SYSTEM_TIME)
 
     async def close(self) -> None:
         """Closes the connection; the vehicle is left as it is."""
@@ -264,9 +263,8 @@ class ObservedVehicle:
         """Repeats the work after a defect, with a warning: a vehicle that hears nothing may end the flight."""
 
         def tell(defect: Exception) -> None:
-            self.tell(
-                LinkTrouble(about="defect", why=f"a defect of upwash: {type(defect).__name__}: {defect}")
-            )
+            why = f"a defect of upwash: {type(defect).__name__}: {defect}"
+            self.tell(LinkTrouble(about="defect", why=why))
 
         kept = kept_up(work, name="the vehicle's link", pause_s=_HEARTBEAT_S, failed=tell)
         return start(kept, name="the vehicle's link", failed=only_logged)
@@ -294,15 +292,15 @@ class ObservedVehicle:
     @contextlib.asynccontextmanager
     async def limited(self, step: str, timeout_s: float) -> AsyncIterator[None]:
         """Raises AutopilotTimeout where the block takes longer; silences of the link do not count."""
-        begun_s, silent_before_s = self._loop.time(), self._silence_so_far_s()
+        begun_s, silent_before_s = self.now_s, self._silence_so_far_s()
         timer: asyncio.TimerHandle
 
         def look() -> None:
             nonlocal timer
             silent_s = self._silence_so_far_s() - silent_before_s
-            left_s = begun_s + timeout_s + silent_s - self._loop.time()
+            left_s = begun_s + timeout_s + silent_s - self.now_s
             if left_s <= 0 and self.linked:
-                limit.reschedule(self._loop.time())
+                limit.reschedule(self.now_s)
             else:
                 timer = self._loop.call_later(max(left_s, self.patience.answer_s / 2), look)
 
@@ -328,10 +326,18 @@ class ObservedVehicle:
         """Sends a command that only asks, once, without a wait for its answer."""
         self.ask(self.command_long(command, *parameters))
 
-    def command_long(self, command: int, *parameters: float, attempt: int = 0) -> Message:
+    def command_long(self, command: int, *parameters: float) -> Message:
         """A COMMAND_LONG to the vehicle; missing parameters are 0."""
         padded = (*parameters, *[0.0] * (7 - len(parameters)))
-        return mavlink.MAVLink_command_long_message(*self.ids, command, attempt, *padded)
+        return mavlink.MAVLink_command_long_message(*self.ids, command, 0, *padded)
+
+    def command_int(self, command: int, place: GeoPosition, frame: int, *parameters: float) -> Message:
+        """A COMMAND_INT to the vehicle, whose degrees arrive exactly; the altitude is in the frame."""
+        padded = (*parameters, *[0.0] * (4 - len(parameters)))
+        x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
+        return mavlink.MAVLink_command_int_message(
+            *self.ids, frame, command, 0, 0, *padded, x, y, place.altitude_m
+        )
 
     def beat(self) -> None:
         """Sends a heartbeat, in addition to the one each second."""
@@ -354,7 +360,7 @@ class ObservedVehicle:
         return self._troubles.spare(message, partial(step, message, *more))
 
     def _sort_out(self, message: Message) -> None:
-        identity, linked, now_s = self.identity, self.linked, self._loop.time()
+        identity, linked, now_s = self.identity, self.linked, self.now_s
         if identity.meet(message):
             self._link.speak_as_part_of(message.get_srcSystem())
         if sender_of(message) != identity.ids or not identity.believes(message, now_s):
@@ -414,7 +420,7 @@ class ObservedVehicle:
 
     def judge_target(self, place: Position | None) -> None:
         """Reports the vehicle's target, above the sea, to the latch; None: it follows a velocity."""
-        self._judge(lambda: self.latch.report_target(place, self._loop.time()))
+        self._judge(lambda: self.latch.report_target(place, self.now_s))
 
     def _judge(self, report: Callable[[], None]) -> None:
         before = self.latch.control
@@ -471,8 +477,6 @@ class ObservedVehicle:
         if not self._asks:
             return
         numbering = self._numbering
-        share = numbering.received_share
-        self._streams.look(self.firmware, self._loop.time(), linked=self.linked, received_share=share)
-        if numbering.wrong_times >= _WRONG_TIMES and not self._told_numbers:
-            self._told_numbers = True
-            self.tell(LinkTrouble(about="numbers", why=_NUMBERS_PROBLEM))
+        self._streams.look(self.now_s, linked=self.linked, received_share=numbering.received_share)
+        if numbering.wrong_times >= _WRONG_TIMES:
+            self._troubles.once("numbers", _NUMBERS_PROBLEM)

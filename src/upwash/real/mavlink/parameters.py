@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -41,26 +41,17 @@ _AS_BYTES = {
 _MOST = {"": 1e3, "%": 100.0, "mAh": 1e7, "s": 3_600.0, "m": 10_000.0, "m/s": 100.0, "m/s²": 100.0}  # by unit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading(Mapping[str, float]):
-    """The values of a vehicle's parameters, by name.
+class Reading(dict[str, float]):
+    """The finite values of a vehicle's parameters, by name.
 
-    Each value is finite. `absent` holds the names of parameters that the vehicle does not have, `senseless` the
-    values that are no numbers. No answer came for a parameter that is in none of them.
+    `absent` holds the names of parameters that the vehicle does not have, `senseless` the values that are no numbers.
+    No answer came for a parameter that is in none of them.
     """
 
-    values_by_name: Mapping[str, float]
-    absent: frozenset[str]
-    senseless: Mapping[str, float] = field(default_factory=dict)
-
-    def __getitem__(self, name: str) -> float:
-        return self.values_by_name[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.values_by_name)
-
-    def __len__(self) -> int:
-        return len(self.values_by_name)
+    def __init__(self, values: Mapping[str, float], absent: frozenset[str]) -> None:
+        super().__init__({name: value for name, value in values.items() if math.isfinite(value)})
+        self.senseless = {name: value for name, value in values.items() if name not in self}
+        self.absent = absent
 
     def why_unknown(self, *names: str) -> str:
         """Why the value of the parameter with these names is not known."""
@@ -144,9 +135,7 @@ class _Parameter:
 async def read_parameters(vehicle: MavlinkVehicle, wanted: Iterable[str | Names]) -> Reading:
     """Asks for each parameter, by its name or by all its names at once; one answer is enough."""
     answers, absent = await _read(vehicle, wanted)
-    values = {name: answer.value for name, answer in answers.items()}
-    senseless = {name: value for name, value in values.items() if not math.isfinite(value)}
-    return Reading({name: values[name] for name in values.keys() - senseless.keys()}, absent, senseless)
+    return Reading({name: answer.value for name, answer in answers.items()}, absent)
 
 
 async def set_parameter(vehicle: MavlinkVehicle, name: str, value: float) -> None:

@@ -9,13 +9,13 @@ requests less. Reports that the radio lost count as sent.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.eventlog.schema import LinkTrouble, LinkTroubleName
+from upwash.real.mavlink.gate import Troubles
 from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.telemetry import FirmwareProfile
 
@@ -57,21 +57,15 @@ class _Stream:
 class Streams:
     """Requests the reports that the driver needs: at the start, and again after a rate fell or the link was silent.
 
-    `ask` sends a question: a MAV_CMD and its parameters. `tell` is called once for each kind of trouble.
+    `ask` sends a question: a MAV_CMD and its parameters.
     """
 
-    def __init__(
-        self,
-        ask: Callable[..., None],
-        *,
-        quiet_after_s: float,
-        tell: Callable[[LinkTrouble], None] = lambda _: None,
-    ) -> None:
+    def __init__(self, ask: Callable[..., None], *, quiet_after_s: float, troubles: Troubles) -> None:
         self._ask = ask
-        self._tell = tell
-        self._told: set[LinkTroubleName] = set()
+        self._troubles = troubles
         self._quiet_after_s = quiet_after_s
-        self._streams: dict[int, _Stream] = {}
+        self._firmware: FirmwareProfile  # from `begin` on
+        self._streams: defaultdict[int, _Stream] = defaultdict(_Stream)
         self._share = 1.0  # of the rates that are needed, as much as the link carries
         self._forgiven_s = _FORGIVEN_S
         self._due: list[int] = []  # the reports whose request was not sent yet
@@ -83,7 +77,7 @@ class Streams:
 
     def heard(self, message: Message, now_s: float) -> None:
         """A message has come."""
-        stream = self._stream(message.get_msgId())
+        stream = self._streams[message.get_msgId()]
         if now_s - stream.heard_s > self._quiet_after_s:
             stream.began_s = now_s
         stream.came_s.append(now_s)
@@ -95,70 +89,68 @@ class Streams:
 
     def heard_s(self, number: int) -> float:
         """When a message of that number last came; minus infinity where none did."""
-        return self._stream(number).heard_s
+        return self._streams[number].heard_s
 
     def begin(self, firmware: FirmwareProfile, now_s: float) -> None:
         """Requests all reports: at once from a vehicle that was just found, by and by after a silence."""
+        self._firmware = firmware
         together = len(firmware.streams_hz) if math.isinf(self._asked_s) else _ASKED_TOGETHER
         self._times, self._confirmed_times, self._questioned, self._next_s = 0, 0, None, -math.inf
-        self._ask_for_all(firmware, now_s, together=together)
+        self._ask_for_all(now_s, together=together)
 
-    def look(self, firmware: FirmwareProfile, now_s: float, *, linked: bool, received_share: float) -> None:
+    def look(self, now_s: float, *, linked: bool, received_share: float) -> None:
         """Asks for what is missing or comes too rarely; `received_share` is of the messages that the vehicle sent."""
         if not linked:  # what it does not hear fills a narrow link
             return
         if self._due:
-            self._ask_for_due(firmware, now_s, together=_ASKED_TOGETHER)
+            self._ask_for_due(now_s, together=_ASKED_TOGETHER)
             return
-        self._ask_for_missing(firmware, now_s)
-        rare = self._too_rare(firmware, now_s, received_share)
+        self._ask_for_missing(now_s)
+        rare = self._too_rare(now_s, received_share)
         if rare is not None:
-            self._ask_again(firmware, rare, now_s)
+            self._ask_again(rare, now_s)
         elif now_s - self._asked_s > self._forgiven_s:
             self._times = self._confirmed_times = 0
-            self._try_for_more(firmware, now_s)
+            if self._share < 1.0:  # a link may carry more by now: ever more rarely
+                self._share, self._forgiven_s = 2 * self._share, 2 * self._forgiven_s
+                self._ask_for_all(now_s)
 
-    def _stream(self, number: int) -> _Stream:
-        return self._streams.setdefault(number, _Stream())
-
-    def _wanted_hz(self, firmware: FirmwareProfile, number: int) -> float:
-        needed_hz = firmware.streams_hz[number]
+    def _wanted_hz(self, number: int) -> float:
+        needed_hz = self._firmware.streams_hz[number]
         return max(needed_hz * self._share, min(needed_hz, _LEAST_HZ))
 
-    def _ask_for_all(
-        self, firmware: FirmwareProfile, now_s: float, *, together: int = _ASKED_TOGETHER
-    ) -> None:
-        self._due = list(firmware.streams_hz)
-        self._ask_for_due(firmware, now_s, together=together)
+    def _ask_for_all(self, now_s: float, *, together: int = _ASKED_TOGETHER) -> None:
+        self._due = list(self._firmware.streams_hz)
+        self._ask_for_due(now_s, together=together)
 
-    def _ask_for_due(self, firmware: FirmwareProfile, now_s: float, *, together: int) -> None:
+    def _ask_for_due(self, now_s: float, *, together: int) -> None:
         self._asked_s = now_s
         for number in self._due[:together]:
-            self._ask_for(firmware, number)
+            self._ask_for(number)
         del self._due[:together]
 
-    def _ask_for(self, firmware: FirmwareProfile, number: int) -> None:
-        self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / self._wanted_hz(firmware, number))
+    def _ask_for(self, number: int) -> None:
+        self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / self._wanted_hz(number))
 
-    def _ask_for_missing(self, firmware: FirmwareProfile, now_s: float) -> None:
+    def _ask_for_missing(self, now_s: float) -> None:
         asked = 0
-        for number in firmware.streams_hz:
-            stream = self._stream(number)
+        for number in self._firmware.streams_hz:
+            stream = self._streams[number]
             if stream.heard_s >= now_s - self._quiet_after_s:
                 stream.asked_times = 0
                 continue
             if asked == _ASKED_TOGETHER:
                 return
             if stream.asked_times < _ASKED_AT_ONCE or stream.asked_times % _ASKED_EACH == 0:
-                self._ask_for(firmware, number)
+                self._ask_for(number)
                 asked += 1
             stream.asked_times += 1
 
-    def _too_rare(self, firmware: FirmwareProfile, now_s: float, received_share: float) -> int | None:
+    def _too_rare(self, now_s: float, received_share: float) -> int | None:
         """The number of the first report that comes too rarely; None if all come often enough."""
-        for number in firmware.streams_hz:
-            stream, wanted_hz = self._stream(number), self._wanted_hz(firmware, number)
-            if number in firmware.sent_at_times or now_s - stream.heard_s > self._quiet_after_s:
+        for number in self._firmware.streams_hz:
+            stream, wanted_hz = self._streams[number], self._wanted_hz(number)
+            if number in self._firmware.sent_at_times or now_s - stream.heard_s > self._quiet_after_s:
                 continue
             measured_s = max(_MEASURED_S, _MEASURED_REPORTS / wanted_hz)
             since_s = now_s - measured_s
@@ -169,16 +161,16 @@ class Streams:
             stream.was_right = True
         return None
 
-    def _ask_again(self, firmware: FirmwareProfile, rare: int, now_s: float) -> None:
+    def _ask_again(self, rare: int, now_s: float) -> None:
         """The first time at once, and then after a look at the interval that the vehicle was set to."""
         if now_s < self._next_s:
             return
         if self._times and self._questioned is None:
-            self._questioned, self._is_answered, self._stream(rare).set_hz = (rare, now_s), False, None
+            self._questioned, self._is_answered, self._streams[rare].set_hz = (rare, now_s), False, None
             self._ask(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, rare)
             return
         number, questioned_s = self._questioned or (rare, -math.inf)
-        set_hz, wanted_hz = self._stream(number).set_hz, self._wanted_hz(firmware, number)
+        set_hz, wanted_hz = self._streams[number].set_hz, self._wanted_hz(number)
         if set_hz is None and now_s - questioned_s < _ANSWERED_S:
             return
         self._questioned = None
@@ -186,36 +178,26 @@ class Streams:
         self._times += 1
         is_as_asked = set_hz is not None and set_hz >= _AS_ASKED * wanted_hz
         if self._times > 1 and (is_as_asked or not self._is_answered):
-            self._settle(firmware, number, now_s)
+            self._settle(number, now_s)
             return
-        self._ask_for_all(firmware, now_s)
+        self._ask_for_all(now_s)
         if self._times > _TOLD_AFTER:
-            self._tell_once("rates", _rates_problem(number, self._stream(number), wanted_hz))
+            self._troubles.once("rates", _rates_problem(number, self._streams[number], wanted_hz))
 
-    def _settle(self, firmware: FirmwareProfile, number: int, now_s: float) -> None:
+    def _settle(self, number: int, now_s: float) -> None:
         """Asks for less where less comes than the vehicle was set to, or there is no room for its answer."""
         self._confirmed_times += 1
         if self._confirmed_times < _CONFIRMED_TIMES or self._share <= _LEAST_SHARE:
             return
         self._share, self._confirmed_times, self._times = self._share / 2, 0, 1
         self._next_s = -math.inf
-        self._ask_for_all(firmware, now_s)
-        self._tell_once(
+        self._ask_for_all(now_s)
+        self._troubles.once(
             "capacity",
             f"the link does not carry all reports: {_named(number)} comes too rarely, though no other program set "
-            f"its rate below {firmware.streams_hz[number]:g} Hz; all reports are asked for less often from now on",
+            f"its rate below {self._firmware.streams_hz[number]:g} Hz; all reports are asked for less often from now "
+            "on",
         )
-
-    def _try_for_more(self, firmware: FirmwareProfile, now_s: float) -> None:
-        """Sees after a while whether a link carries more by now, ever more rarely."""
-        if self._share < 1.0:
-            self._share, self._forgiven_s = 2 * self._share, 2 * self._forgiven_s
-            self._ask_for_all(firmware, now_s)
-
-    def _tell_once(self, kind: LinkTroubleName, why: str) -> None:
-        if kind not in self._told:
-            self._told.add(kind)
-            self._tell(LinkTrouble(about=kind, why=why))
 
 
 def _fewest(wanted: float, received_share: float) -> float:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.names import name_of
 from upwash.mavlink.version import Version
@@ -51,77 +50,42 @@ class MavlinkVehicle(ObservedVehicle):
         self._link.send(message)
 
     async def command(
-        self, step: str, command: int, *parameters: float, expect: Callable[[], None] | None = None
+        self, step: str, command: int, *parameters: float, expect: Callable[[], None] = lambda: None
     ) -> None:
+        """Has the vehicle accept a COMMAND_LONG; missing parameters are 0."""
+        await self.accept(step, self.command_long(command, *parameters), expect)
+
+    async def accept(self, step: str, command: Message, expect: Callable[[], None] = lambda: None) -> None:
         """Returns when the vehicle accepts; raises AutopilotRefused, or AutopilotTimeout without an answer.
 
         `expect` announces the command's effect to the latch, just before each attempt.
         """
-
-        def message(attempt: int) -> Message:
-            return self.command_long(command, *parameters, attempt=attempt)
-
-        await self._accepted(step, command, message, expect)
-
-    async def command_at(
-        self,
-        step: str,
-        command: int,
-        place: GeoPosition,
-        *,
-        frame: int,
-        parameters: Sequence[float] = (),
-        expect: Callable[[], None] | None = None,
-    ) -> None:
-        """The same with a place, whose degrees arrive exactly; its altitude is in the frame."""
-        message = self._command_int(command, place, frame, parameters)
-        await self._accepted(step, command, lambda _: message, expect)
-
-    async def result_at(self, step: str, command: int, place: GeoPosition, *, frame: int) -> int:
-        """The vehicle's answer (MAV_RESULT) to a command with a place; AutopilotTimeout without one."""
-        message = self._command_int(command, place, frame, ())
-        return await self._result(step, command, lambda _: message, None)
-
-    def _command_int(
-        self, command: int, place: GeoPosition, frame: int, parameters: Sequence[float]
-    ) -> Message:
-        padded = (*parameters, *[0.0] * (4 - len(parameters)))
-        x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
-        return mavlink.MAVLink_command_int_message(
-            *self.ids, frame, command, 0, 0, *padded, x, y, place.altitude_m
-        )
-
-    async def _accepted(
-        self, step: str, command: int, message: Callable[[int], Message], expect: Callable[[], None] | None
-    ) -> None:
         begun_s = self.now_s
-        result = await self._result(step, command, message, expect)
+        result = await self.result(step, command, expect)
         if result not in _WILL_BE_DONE:
             texts = self.telemetry.texts
             await self.happens(step, lambda: bool(texts and texts[-1][0] >= begun_s), within_s=_LATE_TEXT_S)
-            answer = name_of("MAV_RESULT", result)
-            problem = f"the vehicle answered {answer} to {name_of('MAV_CMD', command)}"
+            answer, name = name_of("MAV_RESULT", result), name_of("MAV_CMD", command.command)
+            problem = f"the vehicle answered {answer} to {name}"
             raise AutopilotRefused(step, problem, self.telemetry.said_since(begun_s))
 
-    async def _result(
-        self, step: str, command: int, message: Callable[[int], Message], expect: Callable[[], None] | None
-    ) -> int:
+    async def result(self, step: str, command: Message, expect: Callable[[], None] = lambda: None) -> int:
         """The vehicle's answer (MAV_RESULT) to the command, which is repeated until the answer comes.
 
         Attempts while the link is silent do not count.
         """
-        answers, begun_s, attempt = self.telemetry.answers, self.now_s, 0
+        answers, number, begun_s, attempt = self.telemetry.answers, command.command, self.now_s, 0
         while attempt < self.patience.attempts:
             await self.confirm_control(step)
-            if expect is not None:
-                expect()
-            answers.pop(command, None)
-            self._link.send(message(attempt))
-            if await self.happens(step, lambda: command in answers, within_s=self.patience.answer_s):
-                return answers[command]
+            expect()
+            answers.pop(number, None)
+            command.confirmation = attempt  # which a COMMAND_INT does not send
+            self._link.send(command)
+            if await self.happens(step, lambda: number in answers, within_s=self.patience.answer_s):
+                return answers[number]
             if self.linked:
                 attempt += 1
-        problem = f"no answer to {name_of('MAV_CMD', command)} after {attempt} attempts"
+        problem = f"no answer to {name_of('MAV_CMD', number)} after {attempt} attempts"
         raise AutopilotTimeout(step, problem, self.telemetry.said_since(begun_s))
 
     async def confirm_control(self, step: str) -> None:

@@ -1,0 +1,270 @@
+"""What a vehicle over MAVLink reports, as ports.Autopilot has it: the half of a driver that commands nothing."""
+
+from __future__ import annotations
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity
+from upwash.core.planning.legs import PACES, Pace
+from upwash.core.vehicle.control import Control
+from upwash.core.vehicle.telemetry import Telemetry
+from upwash.core.vehicle.way_home import EnergyFacts, WayHome
+from upwash.errors import AutopilotRefused, UsageError
+from upwash.ports import DeadMan, VehicleLimits, VehicleNews
+from upwash.real.mavlink.dead_man import NoDeadMan
+from upwash.real.mavlink.observed import Patience
+from upwash.real.mavlink.tracker import PositionTracker
+from upwash.real.mavlink.vehicle import MavlinkVehicle
+
+_LOW_M = 1.0  # above home
+_FALL_SEEN_S, _FALLS_M_S = 0.3, 1.0  # a falling vehicle is faster, this long after its motors stopped
+_POSITION, _HOME_POSITION, _SYSTEM_TIME = (
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSettings:
+    """When a verb is true, and when it has taken too long; silences of the link are not counted."""
+
+    arrival_distance_m: float = 1.0
+    arrival_speed_m_s: float = 0.5
+    progress_m: float = 0.5
+    progress_s: float = 3.0  # without that progress in this time, the target is repeated
+    speed_tolerance: float = 1.1  # times the ground speed, above which the speed is repeated
+    speed_again_s: float = 5.0
+    ready_timeout_s: float = 120.0  # for the checks before arming
+    arm_again_s: float = 2.0
+    ask_again_s: float = 5.0  # for the reasons why it cannot be armed
+    words_s: float = 0.5  # in which it tells the reasons, in separate messages
+    margin_s: float = 60.0  # of a flight, on top of its distance at the slowest speeds below
+    slowest_share: float = 1 / 3  # of the ground speed, against the wind
+    slowest_vertical_m_s: float = 0.4
+    return_altitude_m: float = 100.0  # the vehicle may climb to this height before it returns
+    patience: Patience = field(default_factory=Patience)
+
+
+class ReportingAutopilot(ABC):
+    """A found vehicle, whose reports are read."""
+
+    usual_way_home: ClassVar[WayHome]  # until the vehicle's parameters are read
+
+    def __init__(
+        self,
+        vehicle: MavlinkVehicle,
+        *,
+        frame: LocalFrame,
+        ground_speed_m_s: float,
+        settings: FlightSettings,
+    ) -> None:
+        check_speed(ground_speed_m_s)
+        self.vehicle = vehicle
+        self._telemetry = vehicle.telemetry
+        self._frame = frame
+        self._settings = settings
+        self._ground_speed_m_s = ground_speed_m_s
+        self._energy = EnergyFacts(way_home=self.usual_way_home)
+        self._tracker = PositionTracker(vehicle, frame)
+        self._listening = contextlib.ExitStack()
+        self._listening.enter_context(vehicle.listening(self._tracker.hear))
+
+    @property
+    def position(self) -> Position:
+        """The last known position, relative to the mission's home; home until the vehicle knows its own."""
+        return self._tracker.position
+
+    @property
+    def earth_position(self) -> EarthPosition | None:
+        """The reported position on the Earth; None until the vehicle knows it."""
+        geo = self._telemetry.position
+        if geo is None:
+            return None
+        above_sea_m = self._telemetry.above_sea_m
+        return EarthPosition(geo.latitude_deg, geo.longitude_deg, above_sea_m, self.vehicle.unix_s)
+
+    @property
+    def battery_percent(self) -> float | None:
+        """The reported charge of the battery; None without a report."""
+        return self._telemetry.battery_percent
+
+    @property
+    def dead_man(self) -> DeadMan:
+        """None, unless a subclass has one."""
+        return NoDeadMan(self.vehicle.firmware.name)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """The reported velocity over the ground."""
+        return self._telemetry.velocity
+
+    @property
+    @abstractmethod
+    def stopping_place(self) -> Position:
+        """Where it would come to rest if it braked now."""
+
+    @property
+    def heading_deg(self) -> float | None:
+        """Where its nose points, by its report."""
+        return self._telemetry.heading_deg
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """The last reports together."""
+        told = self._telemetry
+        return Telemetry(
+            position=self.position,
+            mode=self.vehicle.mode_name,
+            armed=told.armed,
+            velocity=told.velocity,
+            attitude=told.attitude,
+            heading_deg=told.heading_deg,
+            gps=told.gps,
+            battery_percent=told.battery_percent,
+        )
+
+    @property
+    def wind(self) -> Velocity | None:
+        """The wind that it estimates."""
+        return self._telemetry.wind
+
+    @property
+    def energy(self) -> EnergyFacts:
+        """By its parameters, once `limits` has read them; by the firmware's own defaults until then."""
+        return replace(self._energy, home=self._tracker.home)
+
+    @property
+    def pace(self) -> Pace | None:
+        """That of its firmware."""
+        return PACES.get(self.vehicle.firmware.name.lower())
+
+    @property
+    def control(self) -> Control:
+        """Who has it."""
+        return self.vehicle.latch.control
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors run."""
+        return self._telemetry.armed
+
+    @property
+    def stands(self) -> bool:
+        """By its landed state, unless it falls; without one, by its altitude with its motors stopped."""
+        told = self._telemetry.stands
+        if told is None:
+            low = self._telemetry.position is None or abs(self.position.altitude_m) <= _LOW_M
+            return not self._telemetry.armed and low
+        return told and (self._telemetry.armed or not self._may_fall())
+
+    def _seen_after_disarming(self) -> bool:
+        return self.vehicle.heard_since(_POSITION, self._telemetry.disarmed_s + _FALL_SEEN_S)
+
+    def _may_fall(self) -> bool:
+        """Whether its motors stopped just now, or it has been falling since."""
+        velocity = self._telemetry.velocity
+        falls = velocity is not None and velocity.up_m_s < -_FALLS_M_S
+        return not self._seen_after_disarming() or falls
+
+    def listen(self, hear: Callable[[VehicleNews], None]) -> None:
+        """All news, and first those since it was connected."""
+        self.vehicle.listen(hear)
+
+    async def in_the_air(self) -> bool:
+        """By its landed state; waits for a report of it."""
+        telemetry = self._telemetry
+
+        def known() -> bool:
+            landed = telemetry.on_ground or telemetry.in_the_air
+            return telemetry.mode is not None and (
+                not telemetry.armed or (landed and telemetry.position is not None)
+            )
+
+        async with self.vehicle.limited("start", self._settings.margin_s):
+            await self.vehicle.until("start", known)
+        return telemetry.armed and telemetry.in_the_air
+
+    async def stood(self) -> None:
+        """When it stands disarmed, and has shown by its clock whether it restarted; sends nothing."""
+        vehicle = self.vehicle
+        await vehicle.until("follow", lambda: not self._telemetry.armed and self.stands)
+        disarmed_s = self._telemetry.disarmed_s
+        await vehicle.happens(
+            "follow",
+            lambda: vehicle.heard_since(_SYSTEM_TIME, disarmed_s),
+            within_s=self._settings.words_s * 4,
+        )
+
+    async def border_crossed(self, circles: Sequence[Circle]) -> None:
+        """Returns when the vehicle next enters or leaves any of the circles."""
+
+        def inside() -> list[bool]:
+            return [circle.contains(self.position) for circle in circles]
+
+        before = inside()
+        await self.vehicle.until("watch the borders", lambda: inside() != before)
+
+    async def close(self) -> None:
+        """Gives up the connection to the vehicle; the vehicle is left as it is."""
+        self._listening.close()
+        await self.vehicle.close()
+
+    async def home_above_sea_m(self, tell_delay: Callable[[], None]) -> float:
+        """The altitude of its home above the sea, by questions alone; calls `tell_delay` before a longer wait.
+
+        AutopilotRefused where its home is not known in the time for its checks.
+        """
+        within_s = self._settings.ready_timeout_s
+        deadline_s = self.vehicle.now_s + within_s
+        await self._know_home()
+        if self._telemetry.home is None:
+            tell_delay()
+        while self._telemetry.home is None and self.vehicle.now_s < deadline_s:
+            await self._know_home()
+        if self._telemetry.home is None:
+            problem = (
+                f"the vehicle did not tell its home within {within_s:g} s: wait for its GPS; nothing was sent"
+            )
+            raise AutopilotRefused("arm", problem, self.vehicle.said_lately)
+        return round(self._telemetry.home.altitude_m, 2)
+
+    async def _know_home(self) -> None:
+        for _ in range(self._settings.patience.attempts):
+            if self._telemetry.home is not None:
+                return
+            self.vehicle.ask_for(_HOME_POSITION)
+            await self.vehicle.happens(
+                "home", lambda: self._telemetry.home is not None, within_s=self._settings.patience.answer_s
+            )
+
+    async def limits(self) -> VehicleLimits:
+        """By its home, its parameters and its fence list."""
+        await self._know_home()
+        await self.learn()
+        home = self._telemetry.home
+        above_sea_m = round(home.altitude_m, 2) if home else None
+        returns_at_m = self._energy.return_altitude_m
+        return await self._fenced(
+            VehicleLimits(self._tracker.home, returns_at_m=returns_at_m, home_above_sea_m=above_sea_m)
+        )
+
+    @abstractmethod
+    async def learn(self) -> None:
+        """Reads the parameters of its battery's stages, its way home and its abilities."""
+
+    @abstractmethod
+    async def _fenced(self, limits: VehicleLimits) -> VehicleLimits:
+        """The limits with those of its fence."""
+
+
+def check_speed(ground_speed_m_s: float) -> None:
+    """Raises UsageError for a speed that is not above 0."""
+    if not ground_speed_m_s > 0:
+        raise UsageError(f"the ground speed is {ground_speed_m_s} m/s; give a number above 0")
