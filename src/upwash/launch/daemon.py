@@ -177,10 +177,7 @@ async def _runtime(
             yield runtime, runtime.concurrency
     else:
         processes = ProcessRuntime(
-            listen,
-            lead=lead,
-            max_message_bytes=config.max_message_bytes,
-            sandbox=confinement.sandbox,
+            listen, lead=lead, max_message_bytes=config.max_message_bytes, sandbox=confinement.sandbox
         )
         yield processes, {}
 

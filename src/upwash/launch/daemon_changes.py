@@ -63,10 +63,7 @@ class RunningDaemon:
             await self.door.trust(self.keys.trust())
         changed = self.services.take(new, images)
         await self.edge.reload(
-            offers(new, images),
-            images=images,
-            revoked=self.keys.revoked,
-            certificates=self.keys.certificates,
+            offers(new, images), images=images, revoked=self.keys.revoked, certificates=self.keys.certificates
         )
         _log.info(
             "the configuration was read again; %d certificates are revoked; services that changed: %s",

@@ -108,10 +108,7 @@ def _named(service: ImageConfig) -> tuple[object, ...]:
 async def _looked_at_elsewhere(config: DaemonConfig, index: int) -> Looked:
     """The service in a process of its own."""
     process = await asyncio.create_subprocess_exec(
-        *module_command(__spec__.name),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        start_new_session=True,
+        *module_command(__spec__.name), stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
     )
     try:
         async with asyncio.timeout(config.start_timeout_s):

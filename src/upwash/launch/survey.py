@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from upwash.config import DroneConfig
 from upwash.errors import AutopilotRefused
 from upwash.eventlog.schema import VehicleSetting
-from upwash.launch.drone import (
-    vehicle_link,
-)
+from upwash.launch.drone import vehicle_link
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.network import SurveyFinding

@@ -130,11 +130,7 @@ def _image(recipe: Recipe, program: Program) -> ServiceImage:
 def _write_lxd(recipe: Recipe, root: Path, scratch: Path, properties: Mapping[str, str]) -> Path:
     """The root beside what the engine shows of the image, and the daemon knows it by. JSON is YAML too."""
     lay_init(recipe.base, root)
-    metadata = {
-        "architecture": platform.machine(),
-        "creation_date": _CREATED_S,
-        "properties": properties,
-    }
+    metadata = {"architecture": platform.machine(), "creation_date": _CREATED_S, "properties": properties}
     tree = scratch / "tree"
     tree.mkdir()
     (tree / "metadata.yaml").write_text(json.dumps(metadata, indent=1, sort_keys=True))
@@ -155,10 +151,7 @@ def _write_docker(recipe: Recipe, root: Path, scratch: Path, properties: Mapping
         "architecture": _ARCHITECTURES.get(platform.machine(), platform.machine()),
         "os": "linux",
         "created": _CREATED,
-        "config": {
-            "Env": [f"{name}={value}" for name, value in ENVIRONMENT.items()],
-            "Labels": properties,
-        },
+        "config": {"Env": [f"{name}={value}" for name, value in ENVIRONMENT.items()], "Labels": properties},
         "rootfs": {"type": "layers", "diff_ids": [f"sha256:{hash_of_contents(layer)}"]},
         "history": [{"created": _CREATED, "created_by": "upwash package"}],
     }

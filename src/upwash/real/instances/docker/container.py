@@ -53,12 +53,7 @@ class DockerSettings:
 
 
 def definition(
-    image: ServiceImage,
-    settings: DockerSettings,
-    *,
-    server: str,
-    command: Sequence[str],
-    folder: Path | None,
+    image: ServiceImage, settings: DockerSettings, *, server: str, command: Sequence[str], folder: Path | None
 ) -> dict[str, object]:
     """A container's definition: no network, no rights, and only memory to write to.
 
