@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from upwash.real.instances.hidden import sandbox_remedy
+from upwash.ports import Program
+from upwash.real.instances.sandbox import Sandbox
 
+PROGRAM = Program("/srv/finder.py:Finder")
 FINDER = "Finder cannot be made: {} (/srv/finder.py, line 7)"
 
 
@@ -24,15 +26,13 @@ FINDER = "Finder cannot be made: {} (/srv/finder.py, line 7)"
     ],
 )
 def test_a_hidden_file_is_named_with_the_key_that_shows_it(said: str, hidden: str) -> None:
-    remedy = sandbox_remedy(
-        FINDER.format(said), folder=Path("/srv"), is_shown=lambda path: path.suffix == ".py"
-    )
+    remedy = Sandbox("bwrap").remedy(FINDER.format(said), PROGRAM)
     assert remedy == f"; the sandbox hides {hidden}: name what the service needs in runtime.readable"
 
 
 def test_a_relative_path_is_told_where_it_begins() -> None:
     said = FINDER.format("FileNotFoundError: [Errno 2] No such file or directory: 'labels.txt'")
-    remedy = sandbox_remedy(said, folder=Path("/srv"), is_shown=lambda _: True)
+    remedy = Sandbox("bwrap").remedy(said, PROGRAM)
     assert "relative paths begin at its own /tmp" in remedy
     assert "the whole path of labels.txt" in remedy
 
@@ -42,4 +42,4 @@ def test_a_relative_path_is_told_where_it_begins() -> None:
     ["ValueError: 3/4 of a photo", "No module named 'no_such_module'", "see https://example.org/help", ""],
 )
 def test_words_that_name_nothing_hidden_get_nothing_added(said: str) -> None:
-    assert sandbox_remedy(said, folder=Path("/srv"), is_shown=lambda _: False) == ""
+    assert Sandbox("bwrap").remedy(said, PROGRAM) == ""

@@ -10,10 +10,9 @@ import resource
 
 from upwash.cli.arguments import add_config, announce, require_linux
 from upwash.config import DaemonConfig, read_daemon_config
-from upwash.launch.daemon import serve
+from upwash.launch.daemon import keep_heaps_few, serve
 from upwash.real.host.log import log_json, log_text
 from upwash.real.host.service_manager import ServiceManager
-from upwash.real.instances.memory import keep_heaps_few
 from upwash.real.link.hand_over import handed_over
 
 _log = logging.getLogger("upwash.serve")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from upwash.config import DroneConfig, ServerConfig
 from upwash.config.values import MDNS
@@ -26,7 +29,6 @@ from upwash.profiling.profiler import (
     profile_onboard,
     profile_server,
 )
-from upwash.real.instances.memory import peak_memory_bytes
 from upwash.rpc.service import spec_of
 
 _PROFILER = "profiler"
@@ -46,7 +48,7 @@ async def profile_on_this_computer(
         start_timeout_s=start_timeout_s,
         runtime=own,
         dialer=own,
-        memory_bytes=peak_memory_bytes,
+        memory_bytes=_peak_memory_bytes,
         watch=watch,
     )
 
@@ -70,3 +72,29 @@ async def profile_at(
         dialer=dialer,
         watch=watch,
     )
+
+
+def _peak_memory_bytes() -> int:
+    """The sum of the peak memory of each running process below this one."""
+    return sum(map(_peak_bytes, _descendants(os.getpid())))
+
+
+def _descendants(process: int) -> Iterator[int]:
+    for thread in Path(f"/proc/{process}/task").glob("*"):
+        for child in _read(thread / "children").split():
+            yield int(child)
+            yield from _descendants(int(child))
+
+
+def _peak_bytes(process: int) -> int:
+    for line in _read(Path(f"/proc/{process}/status")).splitlines():
+        name, _, value = line.partition(":")
+        if name == "VmHWM":
+            return int(value.removesuffix(" kB")) * 1024
+    return 0
+
+
+def _read(file: Path) -> str:
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has ended
+        return file.read_text()
+    return ""

@@ -1,10 +1,9 @@
-"""One service instance: a process of its own that a runtime started.
+"""PROGRAM: one service instance, in a process that a runtime started.
 
 `python -m upwash.real.instances.instance CONTROL [OUTSIDE]` gets two file descriptors: the control socket, and a
-socket for calls. The second one listens outside a sandbox, or is an end of a pair; an instance with an address of its
-own has none. The process imports the service, pays its cold start, and serves as many calls at a time as the service
-declares. The
-default is one: services need not be safe for threads.
+socket for calls, which listens outside a sandbox or is an end of a pair. Without OUTSIDE the instance listens itself.
+The process imports the service, and serves as many calls at a time as the service declares. The default is one:
+services need not be safe for threads.
 """
 
 from __future__ import annotations
@@ -27,20 +26,7 @@ from typing import BinaryIO, NoReturn
 from upwash.core.admission.instance_gate import InstanceGate
 from upwash.core.admission.limits import Allowance
 from upwash.errors import Refused, UsageError
-from upwash.real.instances.control import (
-    MOST_REPORTS_PER_S,
-    AdmitDrones,
-    Admitted,
-    Answered,
-    Begin,
-    Called,
-    Drain,
-    Drained,
-    Failed,
-    Ready,
-    line,
-    to_instance,
-)
+from upwash.real.instances import control
 from upwash.real.instances.foreign import ForeignProgram
 from upwash.real.instances.limits import apply_limits
 from upwash.real.instances.lxd.credentials import ControlCredentials
@@ -66,16 +52,16 @@ _LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
 
 @dataclass(frozen=True, slots=True)
 class _Performed:
-    """A call that was computed: the reply to who called, and the report of it to the program."""
+    """The reply to a call, and the report of the call to the program."""
 
     reply: bytes
-    report: Answered
+    report: control.Answered
 
 
 class ServiceInstance:
     """Serves the calls of one service object."""
 
-    def __init__(self, begin: Begin, control: socket.socket, outside: socket.socket | None) -> None:
+    def __init__(self, begin: control.Begin, line: socket.socket, outside: socket.socket | None) -> None:
         cls = load_service(begin.program)
         spec = spec_of(cls)
         self._compute: Callable[[Method, bytes], tuple[str, bytes]]
@@ -91,12 +77,12 @@ class ServiceInstance:
         }
         self._pace_s = begin.pace_s
         self._heat = Heat(begin.heats) if begin.heats else None
-        self._control = control
+        self._line = line
         self._reporting = threading.Lock()
         self._calls = ThreadPoolExecutor(spec.concurrency, "upwash-call")
         self._gate = InstanceGate()
-        self._sharing = threading.Lock()  # what the calls have in common: the heat, and the pace of reports
-        self._reports = Allowance(MOST_REPORTS_PER_S, at_once=MOST_REPORTS_PER_S)
+        self._sharing = threading.Lock()  # for the heat and the pace of reports
+        self._reports = Allowance(control.MOST_REPORTS_PER_S, at_once=control.MOST_REPORTS_PER_S)
         self._is_announced = begin.is_announced
         requests = Requests(
             self._answer,
@@ -117,30 +103,30 @@ class ServiceInstance:
         self._listener.add(HealthCheck())
 
     def serve(self, outside: socket.socket | None, context: ssl.SSLContext | None) -> None:
-        """Begins to answer, also who connects to the socket from outside, and says so."""
+        """Begin to answer calls, also from the socket `outside`, and report the address."""
         self._listener.start()
         if outside is not None and self._inside is not None:
             open_proxy(outside, self._inside, is_announced=self._is_announced, context=context)
-        self._report(Ready(self._listener.address))
+        self._report(control.Ready(self._listener.address))
 
     def admit(self, drones: list[str], finishing: list[str]) -> None:
-        """From now on only these drones get an answer, and what has arrived of those that are finishing."""
+        """Answer these drones only; of finishing drones, the calls that have arrived."""
         self._gate.admit(drones, finishing)
-        self._report(Admitted())
+        self._report(control.Admitted())
 
     def drain(self, why: str) -> None:
-        """From now on nobody gets an answer, for that reason; says so when the last call has ended."""
+        """Refuse further calls for that reason, and report when the last call has ended."""
         self._gate.close(why)
         thread(self._drain, name="drain", failed=_end_all).start()
 
     def _drain(self) -> None:
         self._calls.shutdown(wait=True, cancel_futures=True)
         self._listener.stop(grace_s=_LAST_REPLY_S)
-        self._report(Drained())
+        self._report(control.Drained())
 
-    def _report(self, message: Ready | Admitted | Drained | Called | Answered) -> None:
+    def _report(self, message: control.FromInstance) -> None:
         with self._reporting:
-            self._control.sendall(line(message))
+            self._line.sendall(control.line(message))
 
     def _admit(self, path: str, caller: Caller) -> None:
         if path not in self._methods:
@@ -148,7 +134,7 @@ class ServiceInstance:
         self._gate.require(caller.client)
 
     def _answer(self, path: str, body: bytes, caller: Caller) -> bytes:
-        """In a thread of the service's own; their turns come in the order in which they were whole."""
+        """Have the call computed in a thread of the service's; calls queue in the order of their last byte."""
         whole_s = time.monotonic()
         try:
             call = self._calls.submit(self._perform, self._methods[path], body, caller, whole_s)
@@ -165,7 +151,7 @@ class ServiceInstance:
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
         drone, began_s = caller.client.key, time.monotonic()
-        self._report(Called(drone))
+        self._report(control.Called(drone))
         key, reply = self._compute(method, body)
         short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
         if short_s > 0:
@@ -173,7 +159,7 @@ class ServiceInstance:
         took_s = time.monotonic() - began_s
         return _Performed(
             reply,
-            Answered(
+            control.Answered(
                 drone=drone,
                 method=method.name,
                 queued_s=began_s - whole_s,
@@ -183,21 +169,19 @@ class ServiceInstance:
         )
 
     def _report_answer(self, call: Future[_Performed]) -> None:
-        """In the service's thread, whose next call waits for it, while the answer is on its way."""
+        """Report the call in the service's thread, which delays its next call but not this reply."""
         if call.cancelled() or call.exception() is not None:
             return
-        pause_s = self._pause_s(time.monotonic())
+        with (
+            self._sharing
+        ):  # a call has two reports, and the program hangs up on an instance that sends too many
+            pause_s = self._reports.take_anyway_s(2, now_s=time.monotonic())
         if pause_s > 0:
             time.sleep(pause_s)
         self._report(call.result().report)
 
-    def _pause_s(self, now_s: float) -> float:
-        """How long to wait after the two reports of a call, or its program would hang up."""
-        with self._sharing:
-            return self._reports.take_anyway_s(2, now_s=now_s)
-
     def _least_s(self, key: str, method: str, began_s: float) -> float:
-        """The least time of an operation; a configuration may tell operations apart by key, by method or not."""
+        """The least time of an operation, configured for its key, its method or all operations."""
         pace_s = next((self._pace_s[name] for name in (key, method, "") if name in self._pace_s), 0.0)
         if self._heat is None:
             return pace_s
@@ -206,26 +190,26 @@ class ServiceInstance:
 
 
 def main() -> NoReturn:
-    """Serves until the control socket says that whoever started this is gone."""
+    """Serve until the control socket is closed at its other end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this
-    control = socket.socket(fileno=int(sys.argv[1]))
-    lines = control.makefile("rb")
+    line = socket.socket(fileno=int(sys.argv[1]))
+    lines = line.makefile("rb")
     outside = socket.socket(fileno=int(sys.argv[2])) if len(sys.argv) > 2 else None
-    begin = to_instance.decode(lines.readline())
-    if not isinstance(begin, Begin):
+    begin = control.to_instance.decode(lines.readline())
+    if not isinstance(begin, control.Begin):
         raise SystemExit("the first control message must say what to be")
     orders: SimpleQueue[bytes] = SimpleQueue()
-    # From now on, as a cold start may take long and its program may die meanwhile.
+    # A cold start may take long, and the program may die meanwhile.
     thread(lambda: _listen(lines, orders), name="control line", failed=_end_all).start()
     look_here()
     try:
         if begin.limits is not None:
             apply_limits(begin.limits)
-        instance = ServiceInstance(begin, control, outside)
+        instance = ServiceInstance(begin, line, outside)
     except UsageError as error:
         if error.__cause__ is not None:
             traceback.print_exception(error.__cause__)  # for the log of who started this
-        control.sendall(line(Failed(str(error)[:_LONGEST_REASON])))
+        line.sendall(control.line(control.Failed(str(error)[:_LONGEST_REASON])))
         raise SystemExit(1) from error
     context = None
     if begin.outside:
@@ -233,23 +217,23 @@ def main() -> NoReturn:
         context = ControlCredentials.from_text(begin.credentials).context(is_server=True)
     instance.serve(outside, context)
     while True:
-        message = to_instance.decode(orders.get())
+        message = control.to_instance.decode(orders.get())
         match message:
-            case AdmitDrones(drones, finishing):
+            case control.AdmitDrones(drones, finishing):
                 instance.admit(drones, finishing)
-            case Drain(why):
+            case control.Drain(why):
                 instance.drain(why)
 
 
 def _listen(lines: BinaryIO, orders: SimpleQueue[bytes]) -> None:
-    with contextlib.suppress(OSError):  # the line breaks where the other end leaves reports unread
+    with contextlib.suppress(OSError):  # the line breaks if the other end leaves reports unread
         for text in lines:
             orders.put(text)
     _end_all()
 
 
 def _end_all(_: Exception | None = None) -> None:
-    """Ends the whole group, as the service may have started processes too; at once, as nobody is left to wait."""
+    """End this process and all that the service started, at once."""
     os.killpg(0, signal.SIGKILL)
 
 

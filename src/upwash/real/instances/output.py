@@ -1,4 +1,4 @@
-"""What a service instance prints: logged line by line, so much and no more; the last lines explain a crash."""
+"""The output of a service instance: logged line by line, up to a rate; its last lines explain a crash."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _READ_AT_ONCE_BYTES = 2**28  # read in a fraction of a second
 
 
 async def chunks_of(prints: asyncio.StreamReader) -> AsyncIterator[bytes]:
-    """What an instance prints, until it ends, as fast as it prints: the service does not wait for its reader.
+    """The output of an instance until it ends.
 
-    One that does little else than print waits at last, or it would keep this program from its own work.
+    A service that prints more than 32 MiB/s has to wait, or it would keep this program from its own work.
     """
     pace, now_s = Allowance(_READ_BYTES_S, at_once=_READ_AT_ONCE_BYTES), asyncio.get_running_loop().time
     with contextlib.suppress(ConnectionError):
@@ -38,7 +38,7 @@ async def chunks_of(prints: asyncio.StreamReader) -> AsyncIterator[bytes]:
 
 
 def last_of(printed: bytes) -> bytes:
-    """The end of what was printed, which has its last words."""
+    """The end of the output, with its last lines."""
     return printed[-_LAST_WORDS * (_LONGEST_LINE + 1) :]
 
 
@@ -54,9 +54,9 @@ class Output:
         self._left_out = 0  # bytes, since the last line that was logged
 
     def add(self, chunk: bytes, *, left_out: int = 0) -> None:
-        """Takes what was printed next, after as many bytes as were left out on the way here.
+        """Log the next output, which follows `left_out` dropped bytes.
 
-        When no more may be logged, it looks no further: there may be very many lines.
+        Beyond the rate the rest is not split into lines: there may be very many.
         """
         self._last = last_of(self._last + last_of(chunk))
         self._left_out += left_out
@@ -70,19 +70,19 @@ class Output:
                 return
 
     def explain(self, code: int) -> str:
-        """How a process ended that left this output and this code, negative for a signal."""
+        """How a process with this output ended, by its exit code, negative for a signal."""
         self.close()
         how = f"killed by {signal_name(-code)}" if code < 0 else f"ended with code {code}"
         last = [words for words in _LINE.findall(self._last) if words.strip()][-_LAST_WORDS:]
         return f"{how}: {' / '.join(map(_words, last))}" if last else how
 
     def close(self) -> None:
-        """Logs what has no end of line, and what was left out."""
+        """Log an unfinished line, and the number of bytes that were left out."""
         self.add(b"\n")
         self._tell_left_out()
 
     def _note(self, words: bytes) -> bool:
-        """Logs a line, where so much may be logged."""
+        """Log a line if the rate allows it; returns whether it does."""
         if not self._logged.take(len(words) + _LINE_COSTS_BYTES, now_s=self._now_s()):
             return False
         self._tell_left_out()

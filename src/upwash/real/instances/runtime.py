@@ -25,7 +25,7 @@ from upwash.real.link.door import Lead
 from upwash.support.loading import module_command
 
 _log = logging.getLogger("upwash.instance")
-_KILL_S = 5.0  # for a killed process to be gone, which one in the kernel's hands never is
+_KILL_S = 5.0  # for a killed process to be gone; a process that waits in the kernel may never be
 _SIGNALLED = 128
 
 
@@ -35,20 +35,20 @@ def exit_code(code: int) -> int:
 
 
 def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
-    """Has each instance listen at a unix socket of its own in the folder."""
+    """A unix socket in the folder for each instance."""
     numbers = itertools.count()
     return lambda spec: f"unix:{folder}/{spec.name}-{next(numbers)}.sock"
 
 
 def nowhere(_spec: InstanceSpec) -> str:
-    """Has each instance called over a socket pair alone, which needs no address."""
+    """No address: each instance is called over a socket pair."""
     return ""
 
 
 class ProcessRuntime:
-    """Starts each instance as a process that listens at `listen(spec)`, in the sandbox if there is one.
+    """Runs each instance as a process that listens at `listen(spec)`, in the sandbox if there is one.
 
-    With a way to `lead` callers to it, that address is a unix socket, and drones come through the door.
+    If there is a `lead`, that address is a unix socket, and drones come through the door.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class ProcessRuntime:
     async def start(
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> LocalInstance:
-        """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
+        """An instance that is ready to serve; raises InstanceError, and leaves nothing behind then."""
         instance = LocalInstance(spec, self._run, called=called, answered=answered, lead=self._lead)
         begin = begin_of(
             spec,
@@ -88,7 +88,7 @@ class ProcessRuntime:
         return instance
 
     async def _run(self, spec: InstanceSpec, handed: Handed) -> ProcessGroup:
-        inherited = [each.fileno() for each in (handed.control, handed.outside) if each is not None]
+        inherited = [end.fileno() for end in (handed.control, handed.outside) if end is not None]
         command = module_command("upwash.real.instances.instance", *map(str, inherited))
         processors = self._least_used(spec.limits.cpus)
         with contextlib.ExitStack() as stack:
@@ -114,15 +114,15 @@ class ProcessRuntime:
         return group
 
     def _least_used(self, count: int | None) -> Sequence[int]:
-        """The `count` processors with the fewest instances that are kept on them; none without a limit."""
+        """The `count` processors to which the fewest instances are pinned; none without a limit."""
         if count is None:
             return ()
-        used = Counter(each for group in self._groups if group.is_alive for each in group.processors)
-        return sorted(os.sched_getaffinity(0), key=lambda each: (used[each], each))[:count]
+        used = Counter(number for group in self._groups if group.is_alive for number in group.processors)
+        return sorted(os.sched_getaffinity(0), key=lambda number: (used[number], number))[:count]
 
 
 class ProcessGroup:
-    """A process and whatever it started in its session; `processors` are those on which it was started."""
+    """A process and all that it started in its session, pinned to these `processors`."""
 
     def __init__(
         self, process: asyncio.subprocess.Process, *, is_in_sandbox: bool, processors: Sequence[int] = ()
@@ -137,12 +137,12 @@ class ProcessGroup:
         return self._process.returncode is None
 
     async def ended(self) -> int:
-        """Returns its exit code, negative for a signal, when it has ended."""
+        """The process's exit code once it has ended; negative for a signal."""
         code = await self._process.wait()
         return exit_code(code) if self._is_in_sandbox else code
 
     async def end(self) -> None:
-        """Asks it to end, and then kills it with everything that it started; returns when it is gone."""
+        """Terminate the process, then kill the group; returns when the process is gone."""
         self._signal(signal.SIGTERM)
         try:
             async with asyncio.timeout(STOP_GRACE_S):
@@ -167,7 +167,7 @@ class ProcessGroup:
 
 
 class OwnProcesses(ProcessRuntime):
-    """Starts a program's own services, and dials them: each is called over a socket pair."""
+    """Runs a program's own services, and dials them over socket pairs."""
 
     def __init__(self, drone: str, *, max_message_bytes: int) -> None:
         super().__init__(nowhere, max_message_bytes=max_message_bytes)
@@ -177,13 +177,13 @@ class OwnProcesses(ProcessRuntime):
     async def start(
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> LocalInstance:
-        """As of any runtime."""
+        """An instance that is ready to serve; raises InstanceError, and leaves nothing behind then."""
         instance = await super().start(spec, called=called, answered=answered)
         self._instances[instance.endpoint] = instance
         return instance
 
     def dial(self, address: str, *, server: str) -> DirectLink:
-        """The one link to an instance that was started here, by its endpoint."""
+        """The link to an instance that was started here, by its endpoint; only once."""
         return DirectLink(
             self._instances[address].take_calls(),
             peer=f"{server} at {address}",

@@ -1,8 +1,8 @@
-"""What a service instance may see: bubblewrap's arguments. What it may use, it puts on itself: see `limits`.
+"""What a service instance may see: bubblewrap's arguments. An instance sets its `limits` on itself.
 
-In a sandbox there is no network but the socket that the instance inherits, no file but the system's, Python's and the
-service's own, all read-only, a /tmp of its own in memory, no device but those that the operator names, no process but
-the instance's, and of the kernel what `syscalls` lets through.
+In a sandbox there is no network except the inherited socket. Files of the system, Python and the service are there,
+read-only, and a /tmp of its own in memory. There are no devices except those that the operator names, no processes
+except the instance's, and the kernel's calls that `syscalls` allows.
 """
 
 from __future__ import annotations
@@ -11,22 +11,27 @@ import contextlib
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 from upwash.errors import UsageError
 from upwash.ports import Program
-from upwash.real.instances.hidden import sandbox_remedy
 from upwash.real.instances.syscalls import call_filter
 from upwash.support.loading import module_command
 
 _PROBE_S = 10.0
+_PATHS = re.compile(r"'(/[^'\n]+)'|\"(/[^\"\n]+)\"|(?<![\w/.:'\"])(/[^\s'\"(),:;]+)")
+_RELATIVE = re.compile(r"No such file or directory: '([^/'\n][^'\n]*)'")
+_MODULES = re.compile(r"No module named '(\w+)")
+_MOST_NAMES = 3
 _TASKSET = "taskset"
-# Of a limit that was tried in the sandbox and does not hold there.
+# For limits that were tried in the sandbox and do not hold there.
 _KERNEL = 'the kernel does not enforce it: use another kernel, or runtime.kind = "docker" or "lxd"'
 _REMEDIES = {
     "memory_bytes": _KERNEL,
@@ -44,7 +49,7 @@ _SETTINGS = (
     "/etc/localtime",
     "/sys/devices/system/cpu",  # by which numerical libraries count their threads
 )
-# Of /proc, in which root is never without rights: the machine's keys, log, memory and devices.
+# Below /proc, where root always has rights: the machine's keys, log, memory and devices.
 _HIDDEN = (
     "acpi",
     "asound",
@@ -66,17 +71,16 @@ _HIDDEN = (
     "timer_list",
     "vmallocinfo",
 )
-# Sets what only a process can set for itself, and leaves nothing of the daemon's environment in any process inside.
-# When the machine runs out of memory, these processes are the first to be killed.
+# When the machine runs out of memory, the kernel kills these processes first. They inherit no environment.
 _LAUNCHER = ("/bin/sh", "-c", 'echo 1000 >/proc/self/oom_score_adj; exec /usr/bin/env -i "$@"', "sh")
 _ENVIRONMENT = ("LANG", "LC_ALL", "TZ", "GRPC_VERBOSITY", "OMP_NUM_THREADS")
 
 
 @dataclass(frozen=True, slots=True)
 class Sandbox:
-    """Wraps commands so that they run by bubblewrap, where these files can be read, and these devices used.
+    """Wraps commands for bubblewrap, so that they can read these files and use these devices.
 
-    `unenforced` says why a limit of that name does not hold in it.
+    `unenforced` has the reason for each limit that does not hold.
     """
 
     bubblewrap: str
@@ -93,10 +97,10 @@ class Sandbox:
         disk_bytes: int | None = None,
         processors: Collection[int] = (),
     ) -> list[str]:
-        """The command in a sandbox where Python, upwash, the program's code and its settings' files can be read.
+        """The command in a sandbox that can read Python, upwash, the program's code and its settings' files.
 
-        `call_filter` is a file descriptor of `open_call_filter` that it inherits. Each folder for files that it
-        writes holds `disk_bytes`. It runs on these `processors`, all if none are given.
+        It inherits the file descriptor `call_filter` of `open_call_filter`. Each folder that it may write to holds
+        `disk_bytes`. It runs on these `processors`, on all if there are none.
         """
         size = () if disk_bytes is None else ("--size", str(disk_bytes))
         return [
@@ -105,7 +109,7 @@ class Sandbox:
             *(word for name in _SYSTEM for word in _as_it_is(name)),
             *(word for name in _SETTINGS for word in ("--ro-bind-try", name, name)),
             *("--proc", "/proc", *_hidden_in_proc(), "--remount-ro", "/proc", "--dev", "/dev"),
-            *("--dev-bind", "/dev/full", "/dev/zero"),  # which reads the same, but cannot be mapped
+            *("--dev-bind", "/dev/full", "/dev/zero"),  # it reads the same, but cannot be mapped
             *(word for device in self.devices for word in ("--dev-bind", device, device)),
             *(*size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
             *("--remount-ro", "/dev", *size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
@@ -120,23 +124,33 @@ class Sandbox:
             *command,
         ]
 
-    def remedy(self, said: str, program: Program) -> str:
-        """What to add to the words of a failed start of the program; empty where they name nothing hidden."""
+    def remedy(self, reason: str, program: Program) -> str:
+        """What to add to the reason of a failed start; empty if it names nothing that the sandbox hides.
+
+        It does not reveal whether a hidden file exists.
+        """
+        if relative := _RELATIVE.search(reason):
+            return (
+                f"; in a sandbox relative paths begin at its own /tmp: have the service use the whole path of "
+                f"{relative[1]}, and name that in runtime.readable"
+            )
         shown = [*self._shown(program), *map(Path, (*_SYSTEM, *_SETTINGS, "/proc", "/dev"))]
-        return sandbox_remedy(
-            said,
-            folder=Path(program.path.rpartition(":")[0]).resolve().parent,
-            is_shown=lambda path: any(path.is_relative_to(each) for each in shown),
-        )
+        named = dict.fromkeys(_named(reason, Path(program.path.rpartition(":")[0]).resolve().parent))
+        hidden = [name for name in named if not any(Path(name).is_relative_to(place) for place in shown)]
+        if not hidden:
+            return ""
+        return f"; the sandbox hides {', '.join(hidden[:_MOST_NAMES])}: name what the service needs in runtime.readable"
 
     def _shown(self, program: Program | None) -> list[Path]:
-        """The files and folders that are shown besides the system's."""
-        own = _files_of(program) if program else []
-        return [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[2], *self.readable, *own]
+        """The files and folders that can be read besides the system's."""
+        shown = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[2], *self.readable]
+        if program is not None:
+            shown += [*code_of(program.path), *files_in(program.settings), *files_in(program.command)]
+        return shown
 
 
 def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -> Sandbox:
-    """A sandbox that was tried, and its limits too; raises UsageError with the remedy where this machine has none."""
+    """A sandbox that was tried, with its limits; raises UsageError with the remedy if this machine has none."""
     bubblewrap = shutil.which("bwrap")
     if bubblewrap is None:
         raise UsageError("bubblewrap is not installed: `apt install bubblewrap`")
@@ -147,7 +161,7 @@ def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -
         with open_call_filter(pins=can_pin) as inherited:
             tried = subprocess.run(  # noqa: S603 - bubblewrap itself
                 sandbox.wrap(
-                    module_command("upwash.real.instances.limits_trial"),
+                    module_command("upwash.real.instances.limits"),
                     call_filter=inherited,
                     processors=processors,
                 ),
@@ -171,7 +185,7 @@ def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -
 
 @contextlib.contextmanager
 def open_call_filter(*, pins: bool = False) -> Iterator[int]:
-    """A file descriptor from which one bubblewrap can read what to refuse; raises UsageError."""
+    """A file descriptor from which one bubblewrap can read its call filter; raises UsageError."""
     text = call_filter(pins=pins)
     reading, writing = os.pipe()
     try:
@@ -187,13 +201,8 @@ def _on(processors: Collection[int]) -> Iterator[str]:
         yield from (shutil.which(_TASKSET) or _TASKSET, "--cpu-list", ",".join(map(str, sorted(processors))))
 
 
-def _files_of(program: Program) -> list[Path]:
-    """Its code, and the files that its settings and its command name."""
-    return [*code_of(program.path), *files_in(program.settings), *files_in(program.command)]
-
-
 def code_of(program: str) -> list[Path]:
-    """The file or folder in which a program's code lies; none where it cannot be found. Runs nothing of it."""
+    """The file or folder of a program's code, found without running it; empty if it cannot be found."""
     place = program.rpartition(":")[0]
     if place.endswith(".py"):
         return [Path(place).resolve()]
@@ -207,7 +216,7 @@ def code_of(program: str) -> list[Path]:
 
 
 def files_in(settings: object) -> list[Path]:
-    """The files and folders that are named by absolute paths somewhere in a program's settings, and exist."""
+    """The existing files and folders whose absolute paths stand in a program's settings."""
     match settings:
         case str() if settings.startswith("/") and Path(settings).exists():
             return [Path(settings)]
@@ -217,6 +226,20 @@ def files_in(settings: object) -> list[Path]:
             return [file for value in settings for file in files_in(value)]
         case _:
             return []
+
+
+def _named(reason: str, folder: Path) -> Iterator[str]:
+    """The absolute paths in a text, and the paths of modules that are missing according to it.
+
+    The `folder` of the service's program is searched first for modules.
+    """
+    for found in _PATHS.finditer(reason):
+        yield found[found.lastindex or 0]
+    for found in _MODULES.finditer(reason):
+        spec = PathFinder.find_spec(found[1], [str(folder), *sys.path])
+        if spec is not None:
+            places = spec.submodule_search_locations or [spec.origin or ""]
+            yield from (place for place in places if place.startswith("/"))
 
 
 def _hidden_in_proc() -> Iterator[str]:
@@ -236,7 +259,7 @@ def _as_it_is(name: str) -> Iterator[str]:
 
 
 def _outermost(paths: Iterable[Path]) -> list[Path]:
-    """Those that exist, and lie neither in another of them nor in the system."""
+    """The paths that exist, and lie neither below another path nor in the system."""
     there = sorted({path for path in paths if path.exists()})
     return [
         path
