@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.real.instances.foreign import Answer, Call, Settings
+from upwash.real.instances.foreign import ProgramAnswer, ProgramCall, ProgramSettings
 from upwash.real.link.direct import frame
 from upwash.rpc.service import ServiceFault, spec_of
 
@@ -26,12 +26,12 @@ def vectors() -> list[tuple[str, bytes]]:
     value = msgspec.msgpack.encode(example["Detail"]().measure(PHOTO))
     fault = ServiceFault("builtins:ValueError", "the photo is empty")
     return [
-        ("instance", frame(Settings({"blank_below": 0.5}))),
-        ("program", frame(Answer(0, msgspec.Raw(msgspec.msgpack.encode(None))))),
-        ("instance", frame(Call(1, "measure", msgspec.Raw(asked)))),
-        ("program", frame(Answer(1, msgspec.Raw(value)))),
-        ("instance", frame(Call(2, "measure", msgspec.Raw(nothing)))),
-        ("program", frame(Answer(2, fault=fault))),
+        ("instance", frame(ProgramSettings({"blank_below": 0.5}))),
+        ("program", frame(ProgramAnswer(0, msgspec.Raw(msgspec.msgpack.encode(None))))),
+        ("instance", frame(ProgramCall(1, "measure", msgspec.Raw(asked)))),
+        ("program", frame(ProgramAnswer(1, msgspec.Raw(value)))),
+        ("instance", frame(ProgramCall(2, "measure", msgspec.Raw(nothing)))),
+        ("program", frame(ProgramAnswer(2, fault=fault))),
     ]
 
 

@@ -38,7 +38,7 @@ from upwash.mavlink.ftp import Opcode, Packet, read_packet
 from upwash.mavlink.signing import Signing
 from upwash.plans import read_plan
 from upwash.real.instances.control import Called, Printed, Ready, ServiceEnded, from_instance, line
-from upwash.real.instances.foreign import Answer, ForeignProgram
+from upwash.real.instances.foreign import ForeignProgram, ProgramAnswer
 from upwash.real.link.direct import frame
 from upwash.real.link.limits import PREFACE, FrameCounter
 from upwash.real.mavlink.arducopter import ARDUCOPTER
@@ -419,8 +419,8 @@ def decoders() -> Mapping[str, Decoder]:
             _answers_of_a_program,
             (),
             (
-                frame(Answer(1, msgspec.Raw(msgspec.msgpack.encode([1, {"a": 2.5}])))),
-                msgspec.msgpack.encode(Answer(2, fault=ServiceFault("builtins:ValueError", "no"))),
+                frame(ProgramAnswer(1, msgspec.Raw(msgspec.msgpack.encode([1, {"a": 2.5}])))),
+                msgspec.msgpack.encode(ProgramAnswer(2, fault=ServiceFault("builtins:ValueError", "no"))),
             ),
         ),
         "frames of HTTP/2": Decoder(

@@ -1,6 +1,6 @@
 """A service's program in any language, which answers calls over its standard input and output.
 
-The frames are those of `framing`: docs/other-languages.md.
+docs/other-languages.md describes its frames.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _LONGEST_REASON = 1000
 _ENDS_S = 1.0  # once it has hung up
 
 
-class Call(msgspec.Struct, frozen=True):
+class ProgramCall(msgspec.Struct, frozen=True):
     """To the program: compute this, and answer with the same id."""
 
     id: int
@@ -34,36 +34,29 @@ class Call(msgspec.Struct, frozen=True):
     arguments: msgspec.Raw
 
 
-class Settings(msgspec.Struct, frozen=True):
-    """To the program, first: what its constructor would take."""
+class ProgramSettings(msgspec.Struct, frozen=True):
+    """To the program, first: the settings of its service."""
 
     settings: dict[str, object]
 
 
-class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
-    """From the program: what became of the call with that id; of its settings with id 0."""
+class ProgramAnswer(msgspec.Struct, frozen=True, omit_defaults=True):
+    """From the program: the value or fault of the call with that id; id 0 stands for its settings."""
 
     id: int
     value: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
     fault: ServiceFault | msgspec.UnsetType = msgspec.UNSET
 
 
-class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What is sent on to the drone of an answer."""
-
-    value: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
-    fault: ServiceFault | msgspec.UnsetType = msgspec.UNSET
-
-
 _encoder = msgspec.msgpack.Encoder()
-_answer = msgspec.msgpack.Decoder(Answer)
+_answer = msgspec.msgpack.Decoder(ProgramAnswer)
 
 
 class ForeignProgram:
-    """Starts the program, and has it compute calls; raises UsageError where it does not start.
+    """Starts the program, and has it compute calls; raises UsageError if it does not start.
 
-    Calls are sent as they come, so many at a time as the service declares. When the program ends, or says what is no
-    answer, this process ends too, with the program's code: whoever started it starts it again.
+    The program gets as many calls at a time as the service declares. If it ends or sends an invalid answer, this
+    process ends too, with the program's exit code; the daemon starts it again.
     """
 
     def __init__(
@@ -72,7 +65,7 @@ class ForeignProgram:
         self._most_bytes = max_message_bytes + BESIDE_BYTES
         self._numbers = itertools.count(1)
         self._writing = threading.Lock()
-        self._waiting: dict[int, Future[Answer]] = {}
+        self._waiting: dict[int, Future[ProgramAnswer]] = {}
         try:
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603
         except OSError as error:
@@ -92,7 +85,7 @@ class ForeignProgram:
         assert self._process.stdin is not None and self._process.stdout is not None  # noqa: S101 - they are pipes
         self._input, self._output = self._process.stdin, self._process.stdout
         try:
-            self._write(frame(Settings(dict(settings))))
+            self._write(frame(ProgramSettings(dict(settings))))
             answer = self._read(self._output)
         except (OSError, EOFError, ValueError) as error:
             raise UsageError(
@@ -102,17 +95,18 @@ class ForeignProgram:
             raise UsageError(f"{program}: {printable(answer.fault.message, _LONGEST_REASON)}")
 
     def perform(self, method: Method, request: bytes) -> tuple[str, bytes]:
-        """Has the call computed; returns its profile key, and its value or fault as a reply."""
+        """The profile key of a call and its encoded reply, computed by the program."""
         try:
             key = method.key_of(request)
         except msgspec.MsgspecError as error:
             fault = ServiceFault("builtins:TypeError", f"{method.name}(): {error}")
-            return "", _encoder.encode(Reply(fault=fault))
-        number, answered = next(self._numbers), Future[Answer]()
+            return "", _encoder.encode({"fault": fault})
+        number, answered = next(self._numbers), Future[ProgramAnswer]()
         self._waiting[number] = answered
-        self._write(frame(Call(number, method.name, msgspec.Raw(request))))
+        self._write(frame(ProgramCall(number, method.name, msgspec.Raw(request))))
         answer = answered.result()
-        return key, _encoder.encode(Reply(answer.value, answer.fault))
+        is_value = answer.fault is msgspec.UNSET
+        return key, _encoder.encode({"value": answer.value} if is_value else {"fault": answer.fault})
 
     def _how_it_ended(self) -> str:
         try:
@@ -125,7 +119,7 @@ class ForeignProgram:
             self._input.write(text)
             self._input.flush()
 
-    def _read(self, output: IO[bytes]) -> Answer:
+    def _read(self, output: IO[bytes]) -> ProgramAnswer:
         try:
             answer = _answer.decode(read_frame(output, most_bytes=self._most_bytes))
         except RecursionError:
@@ -149,7 +143,7 @@ class ForeignProgram:
         self._end(why)
 
     def _end(self, why: str) -> None:
-        """Ends this process as the program ended, or with it."""
+        """End this process with the program's exit code, and the program if it is still running."""
         if why:
             self._process.kill()
         code = self._process.wait()

@@ -139,7 +139,8 @@ class Sandbox:
         hidden = [name for name in named if not any(Path(name).is_relative_to(place) for place in shown)]
         if not hidden:
             return ""
-        return f"; the sandbox hides {', '.join(hidden[:_MOST_NAMES])}: name what the service needs in runtime.readable"
+        names = ", ".join(hidden[:_MOST_NAMES])
+        return f"; the sandbox hides {names}: name what the service needs in runtime.readable"
 
     def _shown(self, program: Program | None) -> list[Path]:
         """The files and folders that can be read besides the system's."""

@@ -1,8 +1,7 @@
-"""What a service in a sandbox may not ask the kernel for: a filter of its calls, as bubblewrap takes one.
+"""The filter of system calls for a service in a sandbox, as bubblewrap takes it.
 
-Namespaces take away what has a name; this takes away what has none: sockets to the machine that this one is a guest
-of, memory that no limit counts, and parts of the kernel that services do not need and attackers do. Where the calls
-of a processor are not known there is no sandbox.
+Namespaces hide named objects. The filter refuses the rest: sockets to the host of a virtual machine, memory that no
+limit counts, and parts of the kernel that only attackers need. Without a table for the processor there is no sandbox.
 """
 
 from __future__ import annotations
@@ -18,15 +17,12 @@ from upwash.errors import UsageError
 
 # Of linux/audit.h, linux/seccomp.h, linux/bpf_common.h, linux/mman.h and linux/sched.h:
 _LOAD, _AND, _EQUAL, _AT_LEAST, _ANSWER = 0x20, 0x54, 0x15, 0x35, 0x06
-_NUMBER, _ARCHITECTURE, _FIRST_ARGUMENT = (
-    0,
-    4,
-    16,
-)  # where they lie in what the kernel shows; arguments have 8 bytes
+# Offsets in struct seccomp_data, where an argument has 8 bytes.
+_NUMBER, _ARCHITECTURE, _FIRST_ARGUMENT = 0, 4, 16
 _ALLOW, _REFUSE, _KILL = 0x7FFF0000, 0x00050000, 0x80000000
 _NEW_NAMESPACES = 0x7E020000
 _SHARED, _ANONYMOUS, _GROWS_DOWN = 0x01, 0x20, 0x100
-_ROUTES = 0  # what getaddrinfo() asks of netlink
+_ROUTES = 0  # the netlink protocol of getaddrinfo()
 
 # Each name's number on x86_64 and on aarch64. Linux numbers calls alike on both from 424 on.
 _CALLS: Mapping[str, tuple[int, int]] = {
@@ -53,8 +49,8 @@ _REFUSED: Mapping[int, Mapping[str, tuple[int, int]]] = {
         "unshare": (272, 97),
         "userfaultfd": (323, 282),
     },
-    # As if the kernel were older: libraries know how to go on. clone3 hides its flags where no filter sees them,
-    # io_uring makes calls past the filter, and the others give memory that is nobody's data.
+    # As on an older kernel, which libraries handle. Filters do not see the flags of clone3, io_uring bypasses filters,
+    # and the others give memory that RLIMIT_DATA does not count.
     errno.ENOSYS: {
         "clone3": (435, 435),
         "io_uring_enter": (426, 426),
@@ -79,7 +75,7 @@ _MACHINES = {"x86_64": _Machine(0xC000003E, 0, 0x40000000), "aarch64": _Machine(
 
 
 def call_filter(machine: str = "", *, pins: bool = False) -> bytes:
-    """The filter for this machine's processor, or that one; raises UsageError where its calls are not known.
+    """The filter for this machine's processor, or for that `machine`; raises UsageError for an unknown one.
 
     With `pins` a process cannot choose other processors.
     """
@@ -110,12 +106,12 @@ def _instructions(machine: _Machine, *, pins: bool) -> Iterable[bytes]:
 
 
 def _rules_of_clone() -> list[bytes]:
-    """Threads and processes, but no namespaces."""
+    """Allow threads and processes, and refuse namespaces."""
     return [_argument(0), _step(_AND, _NEW_NAMESPACES), *_unless(_EQUAL, 0, [_refuse(errno.EPERM)])]
 
 
 def _rules_of_mmap() -> list[bytes]:
-    """No memory that RLIMIT_DATA does not count: shared without a file, or called a stack."""
+    """Refuse memory that RLIMIT_DATA does not count: shared without a file, or a stack."""
     return [
         _argument(3),
         _step(_AND, _SHARED | _ANONYMOUS),
@@ -127,7 +123,7 @@ def _rules_of_mmap() -> list[bytes]:
 
 
 def _rules_of_sockets() -> list[bytes]:
-    """Families that a network namespace holds in, and that services need."""
+    """Allow the socket families that services need and network namespaces confine."""
     return [
         _argument(0),
         *(step for family in _FAMILIES for step in _where(_EQUAL, family, [_answer(_ALLOW)])),
@@ -146,7 +142,7 @@ def _unless(test: int, value: int, then: list[bytes]) -> list[bytes]:
 
 
 def _argument(index: int) -> bytes:
-    """Loads the lower half of an argument: those looked at are ints, or flags that have none above."""
+    """Load the lower half of an argument, which has all the bits that matter here."""
     return _load(_FIRST_ARGUMENT + 8 * index)
 
 
@@ -163,5 +159,5 @@ def _answer(answer: int) -> bytes:
 
 
 def _step(operation: int, value: int, if_so: int = 0, if_not: int = 0) -> bytes:
-    """One struct sock_filter: how many instructions to leave out where a test is true, and where it is not."""
+    """One struct sock_filter; `if_so` and `if_not` are how many instructions a test skips."""
     return struct.pack("HBBI", operation, if_so, if_not, value)

@@ -1,4 +1,4 @@
-"""Which version of a service lies on the disk: a fingerprint of its code and of the files that it reads."""
+"""The version of a service on the disk: a fingerprint of its code and of the files that it reads."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from upwash.real.instances.sandbox import code_of, files_in
 
 _UPWASH = Path(__file__).parents[2]
 _MOST_FILES = 4096
-_MOST_READ_BYTES = 2**28  # of further files the size and the time of the last change count
+_MOST_READ_BYTES = 2**28  # beyond this only the size and the time of the last change count
 
 
 def version_of(program: Program, readable: Iterable[Path] = ()) -> str:
     """A fingerprint of the program's code, of the files that its settings and its command name, and of `readable`.
 
-    Beside a `path/to/file.py` its neighbours count, `*.py` and packages. Code of upwash itself does not count, nor do
-    libraries. Of each folder at most 4096 files are looked at, and 256 MiB are read in all.
+    It includes the `*.py` files and packages beside a `path/to/file.py`, but neither upwash nor libraries. At most
+    4096 files of each folder are included, and 256 MiB are read in all.
     """
     code = [place for place in code_of(program.path) if not place.is_relative_to(_UPWASH)]
     if program.path.rpartition(":")[0].endswith(".py"):
@@ -29,12 +29,12 @@ def version_of(program: Program, readable: Iterable[Path] = ()) -> str:
 
 
 def version_of_upwash() -> str:
-    """The same of upwash itself."""
+    """A fingerprint of upwash's own code."""
     return _fingerprint([_UPWASH])
 
 
 def _neighbours(file: Path) -> Iterator[Path]:
-    """What a program file may import from its own folder."""
+    """The modules that a program file may import from its own folder."""
     for place in file.parent.iterdir():
         if place.suffix == ".py" or (place / "__init__.py").exists():
             yield place
@@ -52,17 +52,17 @@ def _fingerprint(places: Iterable[Path]) -> str:
 
 
 def _files(place: Path) -> Iterator[Path]:
-    """The file, or all in the folder in a steady order, but for hidden ones and what Python compiled."""
+    """The file, or the folder's files in a fixed order, without hidden files and bytecode."""
     if not place.is_dir():
         yield place
         return
     for folder, folders, files in os.walk(place):
-        folders[:] = sorted(each for each in folders if each != "__pycache__" and not each.startswith("."))
-        yield from (Path(folder, each) for each in sorted(files) if not each.startswith("."))
+        folders[:] = sorted(name for name in folders if name != "__pycache__" and not name.startswith("."))
+        yield from (Path(folder, name) for name in sorted(files) if not name.startswith("."))
 
 
 def _content(file: Path, at_most: int) -> tuple[bytes, int]:
-    """What a file contains, in short, and how many bytes were read for it; of an unreadable file, why."""
+    """A digest of the file, its size and time, or the error; and how many bytes were read for it."""
     try:
         known = file.stat()
         if not file.is_file() or known.st_size > at_most:

@@ -1,11 +1,10 @@
-"""Process 1 of a container of Docker or Podman.
+"""PROGRAM: process 1 of a container of Docker or Podman.
 
-`python3 -m upwash.real.instances.docker.inside` takes over from its daemon the sockets of the one service in the
-container, over a socket that is mounted there, and runs that service on them: the container needs no network. It
-reaps whatever ends in the container, and reports the exit code of the service. The container ends with the service.
+`python3 -m upwash.real.instances.docker.inside` gets the sockets of the container's one service from the daemon, over
+a mounted socket, and runs the service on them: the container needs no network. It reaps all processes, and reports
+the service's exit code. The container ends with the service.
 
-`python3 -m upwash.real.instances.docker.inside PROGRAM` prints what the program's service declares, as the image's
-properties.
+`python3 -m upwash.real.instances.docker.inside PROGRAM` prints what the program's service declares, as image labels.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from upwash.support.loading import look_here, module_command
 
 HANDOFF = "/run/upwash/handoff.sock"
 COMMAND = ("python3", "-P", "-m", "upwash.real.instances.docker.inside")
-_SOCKETS = 3  # the control line, what the service prints to, where callers come
+_SOCKETS = 3  # for the control line, output and callers
 
 
 def take_over() -> None:
-    """Runs the service until it has ended."""
+    """Run the service until it has ended."""
     daemon = socket.socket(socket.AF_UNIX)
     daemon.connect(HANDOFF)
     _, inherited, _, _ = socket.recv_fds(daemon, 1, _SOCKETS)
@@ -43,8 +42,8 @@ def take_over() -> None:
         pass_fds=(control, outside),
         start_new_session=True,
     )
-    for each in inherited:
-        os.close(each)
+    for number in inherited:
+        os.close(number)
 
     def pass_on(number: int, _frame: object) -> None:
         with contextlib.suppress(ProcessLookupError):
@@ -59,7 +58,7 @@ def take_over() -> None:
 
 
 def _code_of(process_id: int) -> int:
-    """The code of that process, negative for a signal, once it has ended; of others it reaps what is left."""
+    """The exit code of that process, negative for a signal; other processes are reaped meanwhile."""
     while True:
         ended, status = os.wait()
         if ended == process_id:
@@ -67,7 +66,7 @@ def _code_of(process_id: int) -> int:
 
 
 def describe(program: str) -> None:
-    """Prints what the program's service declares."""
+    """Print what the program's service declares."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
 
@@ -85,9 +84,9 @@ def describe(program: str) -> None:
         "upwash.concurrency": str(spec.concurrency),
         "upwash.python": platform.python_version(),
     }
-    with contextlib.suppress(PackageNotFoundError):  # of an image that was packaged, a label says it
+    with contextlib.suppress(PackageNotFoundError):  # a packaged image has a label for it
         told["upwash.release"] = version("upwash")
-    print(json.dumps(told), flush=True)  # noqa: T201 - to whoever runs it
+    print(json.dumps(told), flush=True)  # noqa: T201 - for the daemon
 
 
 if __name__ == "__main__":

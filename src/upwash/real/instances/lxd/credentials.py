@@ -1,7 +1,7 @@
-"""The secret that a runtime shares with one container: a key and its certificate, by which each knows the other.
+"""The secret that a daemon shares with one container: a key and its certificate, which both ends of TLS show.
 
-It opens the container's control line to its daemon and to nobody else. Another one, that the service in it is given,
-lets the daemon's door hand calls on to that. Neither is a certificate of the operator's authority.
+One secret opens the container's control line, another the port of its service. Neither certificate is of the
+operator's authority.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from upwash.real.trust.secrets import load_secret
 CONTROL_PORT = 7071
 SERVICE_PORT = 7070
 
-_LASTS = timedelta(days=3652)  # as long as the authority: a stopped container is started again much later
+_LASTS = timedelta(days=3652)  # as the authority: a stopped container may be started much later
 _CLOCKS_MAY_DIFFER = timedelta(days=1)
-_PROBE_AFTER_S, _PROBE_PERIOD_S, _PROBES = 2, 1, 4  # a peer whose machine is gone is noticed within 6 s
+_PROBE_AFTER_S, _PROBE_PERIOD_S, _PROBES = 2, 1, 4  # the loss of the peer's machine shows within 6 s
 
 
 @dataclass(frozen=True, slots=True)
 class ControlCredentials:
-    """A key and a certificate of its own signature, as one PEM text."""
+    """A key and its self-signed certificate, as one PEM text."""
 
     pem: bytes = field(repr=False)
 
     @staticmethod
     def from_text(text: str) -> ControlCredentials:
-        """The credentials that `text()` gave."""
+        """The credentials in such a line as `text()` returns."""
         return ControlCredentials(base64.b64decode(text))
 
     def text(self) -> str:
@@ -40,13 +40,13 @@ class ControlCredentials:
 
     @property
     def certificate(self) -> bytes:
-        """The certificate alone, which is no secret."""
+        """The certificate, which is public."""
         found = re.search(rb"-----BEGIN CERTIFICATE-----.*", self.pem, re.DOTALL)
         assert found is not None  # noqa: S101 - they have one
         return found.group()
 
     def context(self, *, is_server: bool) -> ssl.SSLContext:
-        """TLS with whoever holds the same credentials."""
+        """TLS with a peer that has the same credentials."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER if is_server else ssl.PROTOCOL_TLS_CLIENT)
         context.minimum_version = ssl.TLSVersion.TLSv1_3
         context.check_hostname = False
@@ -57,7 +57,7 @@ class ControlCredentials:
 
 
 def new_control_credentials() -> ControlCredentials:
-    """Credentials that nobody has seen yet."""
+    """New random credentials."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -85,7 +85,7 @@ def new_control_credentials() -> ControlCredentials:
 
 
 def notice_silence(connection: socket.socket) -> None:
-    """Has the kernel break a connection whose other end's machine is gone."""
+    """Have the kernel break a connection to a machine that is gone."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _PROBE_AFTER_S)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _PROBE_PERIOD_S)

@@ -1,8 +1,8 @@
-"""Process 1 of a container: closes it off, runs the one service in it, and joins that to the daemon outside.
+"""PROGRAM: process 1 of a container of LXD or Incus, between the daemon and the one service inside.
 
-`python -m upwash.real.instances.lxd.init`, with its control credentials in the environment. The service is a
-process as any other service instance (`instance.py`), of a user without rights; what it and its daemon say to each
-other passes through here, as does what it prints. When the daemon hangs up, or the service ends, the container ends.
+`python -m upwash.real.instances.lxd.init` gets its control credentials from the environment. It closes the network,
+and runs the service as an instance (`instance.py`) of a user without rights. The control line and the output pass
+through here. The container ends when the daemon hangs up, or the service ends.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from upwash.support.lines import lines_of
 from upwash.support.loading import module_command
 
 # In the environment of process 1:
-CREDENTIALS = "UPWASH_LEASH"  # as containers of earlier versions have it
+CREDENTIALS = "UPWASH_LEASH"  # the name in containers of earlier versions
 SCRATCH_BYTES = (
-    "UPWASH_SCRATCH_BYTES"  # that the service may write to a folder, in memory and part of the container's
+    "UPWASH_SCRATCH_BYTES"  # the size of each folder for files, which count as the container's memory
 )
 
 _SERVICE_USER = 1000
 _HANDSHAKE_S = 2.0
 _LAST_OUTPUT_S = 1.0  # a child of the service may hold the pipe open
 _CHUNK_BYTES = 16384
-_PASSED_BYTES_S = 2.0**18  # of what the service prints
+_PASSED_BYTES_S = 2.0**18  # of output
 _PASSED_AT_ONCE_BYTES = 2**21
 _SCRATCH_FOLDERS = ("/tmp", "/dev/shm")  # noqa: S108 - the container's own, and mounted here
 
-# Nothing is asked of anyone from in here: only who called gets an answer.
+# Only replies leave the container.
 _FIREWALL = f"""
 table inet upwash {{
     chain incoming {{
@@ -78,10 +78,10 @@ class Service:
         self._process_id = 0
 
     async def start(self) -> tuple[Streams, Streams]:
-        """Starts it; returns its control line and its output."""
+        """Start the service; returns its control line and its output."""
         control, their_control = socket.socketpair()
         output, their_output = socket.socketpair()
-        # Process 1 reaps whatever ends in the container, so it cannot leave that to asyncio.
+        # Process 1 reaps all processes of the container, which asyncio would not.
         asyncio.get_running_loop().add_signal_handler(signal.SIGCHLD, self._reap)
         with their_control, their_output:
             process = subprocess.Popen(  # noqa: ASYNC220, S603 - nothing else runs here yet
@@ -99,7 +99,7 @@ class Service:
         return await asyncio.open_connection(sock=control), await asyncio.open_connection(sock=output)
 
     async def ended(self) -> int:
-        """Returns its exit code, negative for a signal, when it has ended."""
+        """The service's exit code once it has ended; negative for a signal."""
         return await asyncio.shield(self._ended)
 
     def _reap(self) -> None:
@@ -110,7 +110,7 @@ class Service:
 
 
 async def stand() -> None:
-    """Waits for the daemon, runs the service for it, and returns when either is gone."""
+    """Wait for the daemon, and run the service until one of the two is gone."""
     credentials = ControlCredentials.from_text(os.environ.pop(CREDENTIALS))
     problem = await asyncio.to_thread(close_off)
     hear, tell = await daemon(credentials)
@@ -134,7 +134,7 @@ async def stand() -> None:
 
 
 def close_off() -> str:
-    """Shuts the network but for the service's ports, and gives the service memory to write to; or says why not."""
+    """Close the network except the two ports, and mount the folders for files; returns why that failed, or ""."""
     commands: list[tuple[str, ...]] = [("nft", "-f", "-")]
     size = os.environ[SCRATCH_BYTES]
     for folder in _SCRATCH_FOLDERS:
@@ -155,7 +155,7 @@ def close_off() -> str:
 
 
 async def daemon(credentials: ControlCredentials) -> Streams:
-    """The line to the first who holds the credentials; nobody else is heard, then or later."""
+    """The connection of the first holder of the credentials; all others are closed."""
     found: asyncio.Future[Streams] = asyncio.get_running_loop().create_future()
 
     async def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -185,7 +185,7 @@ async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -
 
 
 async def _pass_on_lines(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Line by line, as others write to the same writer; the daemon hangs up on a line that is too long."""
+    """Pass on whole lines, since output goes to the same writer; the daemon hangs up on too long a line."""
     with contextlib.suppress(OSError):
         async for text in lines_of(reader):
             writer.write(text)
@@ -193,7 +193,7 @@ async def _pass_on_lines(reader: asyncio.StreamReader, writer: asyncio.StreamWri
 
 
 async def _pass_on_output(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """So much of it; the service does not wait until the daemon takes the rest."""
+    """Pass on output up to a rate, and drop the rest: the service never waits for the daemon."""
     passed, now_s = Allowance(_PASSED_BYTES_S, at_once=_PASSED_AT_ONCE_BYTES), asyncio.get_running_loop().time
     left_out, last = 0, b""
     with contextlib.suppress(OSError):
@@ -210,12 +210,12 @@ async def _pass_on_output(reader: asyncio.StreamReader, writer: asyncio.StreamWr
 
 
 def _end_container(_: Exception) -> None:
-    """Ends the container, by which the daemon starts the service again where it is asked for."""
+    """End the container after a defect; the daemon starts the service again on request."""
     os._exit(1)
 
 
 def main() -> None:
-    """Stands until the container has nothing left to do; as process 1 it takes everything else along."""
+    """Run until the daemon or the service is gone; the end of process 1 ends all others."""
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGPWR, signal.SIGRTMIN + 3):
         signal.signal(number, lambda *_: os._exit(0))
     asyncio.run(stand())
