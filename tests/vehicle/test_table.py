@@ -318,7 +318,7 @@ def test_a_fence_is_taken_and_given_back() -> None:
             assert (item.seq, item.command, item.param1, item.mission_type) == (number, command, first, 1)
             assert (item.x, item.y) == (393_666_000 + north * 1_000, 229_507_000 + east * 1_000)
         total = vehicle.firmware.copter.parameters.named("FENCE_TOTAL")
-        assert total is not None and total.value == len(items)
+        assert total is not None and total.param_value == len(items)
         client.say(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
         assert (await client.next("MISSION_COUNT")).count == 0
 

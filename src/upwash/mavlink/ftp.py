@@ -29,7 +29,7 @@ class Opcode(IntEnum):
 
 
 class Trouble(IntEnum):
-    """MAV_FTP_ERR: why something was refused."""
+    """MAV_FTP_ERR: why a request was refused."""
 
     FAIL = 1
     FAIL_ERRNO = 2

@@ -1,4 +1,4 @@
-"""MAVLink messages from bytes, for the driver and the stand-in: whatever the bytes are."""
+"""MAVLink messages from bytes, for the driver and the stand-in; any bytes may come."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NOT_UNDERSTOOD = (mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown)  # garbage
 class PacketReader:
     """Reads a stream of bytes, or one datagram; raises nothing, and keeps no more than one packet's start.
 
-    With `signing` each message comes with why it is not to be believed.
+    With `signing` each message comes with the reason why it is not believed, if there is one.
     """
 
     def __init__(self, signing: Signing | None = None) -> None:

@@ -56,7 +56,7 @@ class Mode(IntEnum):
 
 
 class _Message(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink is not typed
-    """A message of MAVLink 2; its fields, in the order in which they are sent, are its keyword arguments."""
+    """A message of MAVLink 2. Its fields, in the order of sending, are its keyword arguments."""
 
     id: ClassVar[int]
     msgname: ClassVar[str]
@@ -122,7 +122,7 @@ class AvailableModesMessage(_Message):
 
 
 class CurrentModeMessage(_Message):
-    """CURRENT_MODE: the mode that it flies and the one that it was told; they differ in a fail-safe."""
+    """CURRENT_MODE: the mode in force and the commanded mode; they differ in a fail-safe."""
 
     id, msgname, crc_extra = CURRENT_MODE, "CURRENT_MODE", 193
     fieldnames = "custom_mode", "intended_custom_mode", "standard_mode"
@@ -293,7 +293,7 @@ def _word(name: str, place: int, value: float) -> str | float:
 
 
 def float_of_bytes(value: int) -> float:
-    """The float of PARAM_VALUE or PARAM_SET in whose bytes an INT32 lies."""
+    """The float for PARAM_VALUE or PARAM_SET whose bytes are those of an INT32."""
     return float(struct.unpack("<f", struct.pack("<i", value))[0])
 
 

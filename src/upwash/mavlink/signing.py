@@ -1,8 +1,8 @@
-"""MAVLink 2 message signing: who holds the key made a packet, and when; one that was sent before is refused.
+"""MAVLink 2 signing: a packet proves that a holder of the key made it, and when. Repeated packets are refused.
 
-The signature's bytes are made by pymavlink. They are not checked by it: it takes a packet's time for the stream's
-before it has looked at the signature, so that one forged packet has it refuse all true ones that follow, and it
-checks no message that its dialect does not know, which some of PX4's are.
+The signature's bytes are made by pymavlink. pymavlink does not check them: it believes a packet's time before it
+has looked at the signature, and a forged packet makes it refuse all true packets after it. Nor does it check
+messages that its dialect does not know, and some of PX4's are unknown to it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ KEY_BYTES = 32
 TICKS_PER_S = 100_000
 _EPOCH_UNIX_S = 1_420_070_400  # 2015-01-01
 _LATEST = 2**48 - 1
-_NEW_STREAM_TICKS = 60 * TICKS_PER_S  # a stream that was not heard before may be so far behind
+_NEW_STREAM_TICKS = 60 * TICKS_PER_S  # a new stream may be that far behind
 _KEPT_AHEAD_TICKS = 10 * TICKS_PER_S
 _SIGNED = 0x01  # of a packet's incompatibility flags
 _SIGNATURE_BYTES, _HASH_BYTES = 13, 6
@@ -38,10 +38,10 @@ class Refusal(Enum):
 
 
 class Signing:
-    """One holder of a key, at one link: signs what is sent and judges what is heard.
+    """A holder of a key at one link: signs the packets that it sends and judges the packets that it receives.
 
-    Its time never goes back: it is that of `unix_s`, or the latest it has signed or believed, or `kept`, whichever is
-    latest. `keep` is told a time that this and all that follows in the next 10 s are before.
+    Its time never goes back: it is the latest of `unix_s`, of the times it has signed or believed, and of `kept`.
+    `keep` receives a time that is later than all times of the next 10 s.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Signing:
         return None
 
     def forgery(self, packet: bytes) -> Refusal | None:
-        """Why the packet, which is whole, was not made by who has the key; None where it was, at whatever time."""
+        """Why the packet, which is whole, was not made by a holder of the key; None if it was, now or earlier."""
         if (
             len(packet) < _SHORTEST_BYTES
             or packet[0] != mavlink.PROTOCOL_MARKER_V2

@@ -21,7 +21,7 @@ class Version:
 
     @classmethod
     def of(cls, number: int) -> Version | None:
-        """The version in a field of AUTOPILOT_VERSION; None for 0, by which a firmware says nothing."""
+        """The version in a field of AUTOPILOT_VERSION; None for 0, which is no version."""
         return (
             cls(number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF, number & 0xFF)
             if number

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, Protocol
+from typing import Any
 
 from upwash.errors import UsageError
 from upwash.mavlink.packets import PacketReader
@@ -41,7 +41,7 @@ async def serve_vehicle(
     loop = asyncio.get_running_loop()
     vehicle = StandIn(firmware(settings, now_s=loop.time()), settings.speedup, signing)
     one_peer = isinstance(settings, Px4Settings) and settings.one_peer
-    endpoint: _Endpoint
+    endpoint: asyncio.BaseTransport | asyncio.Server
     try:
         if kind == "udp":
             endpoint, _ = await loop.create_datagram_endpoint(
@@ -67,25 +67,23 @@ def _parse(listen: str) -> tuple[str, str, int]:
     return kind, "0.0.0.0" if host in ("", "*") else host, int(port)  # noqa: S104 - as the user says
 
 
-class _Endpoint(Protocol):
-    def close(self) -> None: ...
-
-
 class VehicleServer:
     """A stand-in that is switched on and reachable at `address`, such as `udp:127.0.0.1:14550`."""
 
-    def __init__(self, address: str, vehicle: StandIn, endpoint: _Endpoint) -> None:
+    def __init__(
+        self, address: str, vehicle: StandIn, endpoint: asyncio.BaseTransport | asyncio.Server
+    ) -> None:
         self.address = address
         self._vehicle = vehicle
         self._endpoint = endpoint
         self._life = start(vehicle.live(), name="the stand-in", failed=lambda _: self._switch_off())
 
     def fail(self, kind: FaultKind) -> None:
-        """Something is wrong with it from now on."""
+        """Begins a fault."""
         self._vehicle.firmware.copter.fail(kind, self._vehicle.now_s())
 
     def mend(self, kind: FaultKind) -> None:
-        """Nothing of that kind is wrong with it any more."""
+        """Ends all faults of that kind."""
         self._vehicle.firmware.copter.mend(kind)
 
     async def close(self) -> None:
@@ -101,7 +99,7 @@ class VehicleServer:
 
 
 class _Datagrams(asyncio.DatagramProtocol):
-    """UDP: a connection with each address that has said something in MAVLink lately.
+    """UDP: a connection with each address that has sent MAVLink in the last 10 s.
 
     With one peer only, it hears everyone and answers the first, until it is switched off.
     """
@@ -161,7 +159,7 @@ class _Stream(asyncio.Protocol):
 
     def _write(self, data: bytes) -> None:
         # A peer that does not read loses messages, as on a serial line, instead of filling the memory. One that has
-        # hung up is known as closing before the connection is told of its end.
+        # hung up counts as closing before `connection_lost` is called.
         room = self._transport.get_write_buffer_size() < _MOST_UNSENT_BYTES
         if room and not self._transport.is_closing():
             self._transport.write(data)

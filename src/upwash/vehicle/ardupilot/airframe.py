@@ -1,7 +1,7 @@
 """How an ArduCopter flies, as its flights show (SITL, version 4.7, default parameters, no wind).
 
-Its legs in GUIDED are a pursuit whose gains and limits were found from recorded legs of 20 to 60 m at 2.5 to 9 m/s:
-it overshoots its target by 0.4 to 0.8 m and creeps back. Its returns are along smooth ramps, without overshoot.
+Its legs in GUIDED are a pursuit: it overshoots its target by 0.4 to 0.8 m and creeps back. The gains and limits
+were found from recorded legs of 20 to 60 m at 2.5 to 9 m/s. Its returns are along smooth ramps, without overshoot.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> 
 def redirected(
     start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
 ) -> tuple[MotionPart, ...]:
-    """From whatever it does to rest at another target, or to the same at another speed."""
+    """From its present motion to rest at a target, new or old, at a new speed."""
     length_m = distance_m(start, end)
     ahead = heading_of(start, end) if length_m else _direction(velocity)
     along_m_s = _product(velocity, ahead)
@@ -190,7 +190,7 @@ def _return_climb(start: Position, altitude_m: float) -> tuple[Phase, ...]:
 def _way_from_above(
     above: Position, home: Position, *, ground_speed_m_s: float, climbed: bool
 ) -> tuple[Phase, ...]:
-    """Home at one altitude, with the hover there: shorter by the time for which it has been on its way already."""
+    """Home at one altitude, and the hover there: shorter after a climb, as it leaves before it is at the top."""
     above_home = Position(home.east_m, home.north_m, above.altitude_m)
     way = ramped_leg(
         above, above_home, cruise_m_s=ground_speed_m_s, faster=_RETURN_FASTER, slower=_RETURN_SLOWER

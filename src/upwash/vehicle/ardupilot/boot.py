@@ -1,7 +1,7 @@
 """How an ArduCopter comes up: what it says, what it knows and why it cannot be armed, by the time since boot.
 
-The times are those of a real one (SITL, version 4.7), which estimates its position after 41.4 s. One that is to be
-ready sooner goes through the same faster; one that is to be ready later only waits longer for its position.
+The times are those of a real ArduCopter (SITL, version 4.7), which estimates its position after 41.4 s. For a
+stand-in that is ready sooner the same passes faster; one that is ready later only waits longer for its position.
 """
 
 from __future__ import annotations

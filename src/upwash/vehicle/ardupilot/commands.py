@@ -36,7 +36,7 @@ _DENIED, _FAILED = CommandAnswer(Result.DENIED), CommandAnswer(Result.FAILED)
 
 
 def obey(copter: Copter, now_s: float, command: VehicleCommand) -> CommandAnswer:
-    """The answer of the copter, which has done what it was told if it could."""
+    """Carries the command out, if the copter can; returns its answer."""
     handler = _HANDLERS.get(command.number)
     if handler is None or copter.settings.version < _KNOWN_FROM.get(command.number, _FIRST):
         return CommandAnswer(Result.UNSUPPORTED)
@@ -51,7 +51,7 @@ def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) 
 
 
 def place_of(copter: Copter, frame: int, place: tuple[float, float, float]) -> Position | None:
-    """The position of a place that a message tells in that frame, if it is one."""
+    """The position of a place in that frame of MAVLink; None where it has none."""
     return position_in_frame(copter, frame, place, home_m=copter.home.altitude_m)
 
 

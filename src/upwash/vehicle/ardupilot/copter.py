@@ -1,4 +1,4 @@
-"""What the stand-in does when told, as an ArduCopter would: modes, arming, take-off, targets, landing; and by itself.
+"""The answers and deeds of a stand-in ArduCopter: modes, arming, take-off, targets, landing; and by itself.
 
 Wishes that make no sense, NaN among them, fail every comparison and are refused.
 """
@@ -139,7 +139,7 @@ class Copter(CopterFlight):
         """The voltage of the battery."""
         return _SAGGING_V if self.suffers(FaultKind.BATTERY, now_s) else super().battery_v(now_s)
 
-    # --- what it is told ------------------------------------------------------------------------------------
+    # --- commands --------------------------------------------------------------------------------------------
 
     def arm(self, now_s: float, *, forced: bool = False) -> CommandAnswer:
         """Starts the motors, once the checks pass."""
@@ -176,7 +176,7 @@ class Copter(CopterFlight):
         return ACCEPTED
 
     def steer(self, now_s: float, target: Position) -> bool:
-        """Flies to the target; outside its fence, or not flying in GUIDED, nothing happens and nothing is said."""
+        """Flies to the target; a target outside its fence, or outside GUIDED, is ignored in silence."""
         return is_sensible(target) and self.fence.allows(target) and self.fly_to(now_s, target)
 
     def set_home(self, place: Position) -> CommandAnswer:

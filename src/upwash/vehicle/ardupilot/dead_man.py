@@ -1,4 +1,4 @@
-"""The one script that the stand-in runs: upwash's dead man, where it was uploaded; what it does is modelled here.
+"""The one script that the stand-in runs: upwash's dead man, once it is uploaded. Its deeds are modelled here.
 
 `real/mavlink/dead_man.lua` is the script itself. The stand-in reads nothing but its version from it.
 """
@@ -14,12 +14,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.vehicle.ardupilot.boot import INFORMATION, WARNING, Text
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.settings import CopterMode
-from upwash.vehicle.body.firmware import Result
+from upwash.vehicle.body.firmware import Result, sender_of
 from upwash.vehicle.body.ftp import Files
 
 _FILE = "scripts/upwash_dead_man.lua"
 _VERSION = re.compile(rb"^local VERSION = (\d+)$", re.MULTILINE)
 _MAGIC = 0x5550
+_COMPANION = 1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 _MODES = {1: CopterMode.RTL, 2: CopterMode.LAND}
 _EARLY_S = 1.0
 _STOP_AND_RESTART = 3
@@ -27,48 +28,35 @@ MAV_CMD_SCRIPTING = 42701
 
 
 class Scripting:
-    """Scripts start with the vehicle, or when they are told to, where SCR_ENABLE was 1 at its boot."""
+    """Scripts start by command, if SCR_ENABLE was 1 at boot; the dead man is the only script."""
 
     def __init__(self, copter: Copter, say: Callable[[Text], None]) -> None:
         self._copter = copter
         self._say = say
         self._enabled = bool(copter.parameters["SCR_ENABLE"])
-        self._dead_man: _DeadMan | None = None
+        self._runs = False
+        self._promised_s = 0.0  # 0: no promise
+        self._mode = CopterMode.RTL
+        self._heard_s = 0.0
+        self._was_armed = False
 
     def obey(self, command: float, files: Files) -> Result:
         """MAV_CMD_SCRIPTING."""
         if command != _STOP_AND_RESTART:
             return Result.UNSUPPORTED
         found = _VERSION.search(bytes(files.content.get(_FILE, b"")))
-        self._dead_man = _DeadMan(self._copter, self._say, int(found[1])) if found and self._enabled else None
+        self._runs, self._was_armed = bool(found and self._enabled), False
+        if found and self._enabled:
+            self._copter.parameters.add("UPW_VERSION", int(found[1]))
+            self._copter.parameters.add("UPW_SILENCE_S", 0.0)
+            self._promise(0.0)
+            self._say(Text(f"upwash: dead man {int(found[1])} is ready", INFORMATION))
         return Result.ACCEPTED
 
     def hear(self, heartbeat: Any, now_s: float) -> None:
-        """Another's heartbeat."""
-        if self._dead_man:
-            self._dead_man.hear(heartbeat, now_s)
-
-    def tick(self, now_s: float) -> None:
-        """Now and then."""
-        if self._dead_man:
-            self._dead_man.tick(now_s)
-
-
-class _DeadMan:
-    def __init__(self, copter: Copter, say: Callable[[Text], None], version: int) -> None:
-        self._copter = copter
-        self._say = say
-        self._promised_s = 0.0  # 0: nobody is to be missed
-        self._mode = CopterMode.RTL
-        self._heard_s = 0.0
-        self._was_armed = False
-        copter.parameters.add("UPW_VERSION", version)
-        copter.parameters.add("UPW_SILENCE_S", 0.0)
-        say(Text(f"upwash: dead man {version} is ready", INFORMATION))
-
-    def hear(self, heartbeat: Any, now_s: float) -> None:
-        companion = heartbeat.get_srcSystem(), heartbeat.get_srcComponent()
-        if companion != (1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER) or heartbeat.custom_mode >> 16 != _MAGIC:
+        """Another's heartbeat; the companion's holds its promise: not to be silent for longer, or else the mode."""
+        promises = heartbeat.custom_mode >> 16 == _MAGIC and sender_of(heartbeat) == _COMPANION
+        if not self._runs or not promises:
             return
         self._notice_arming(now_s)
         mode, silence_s = _MODES.get(heartbeat.custom_mode >> 13 & 7), (heartbeat.custom_mode & 8191) / 10
@@ -79,6 +67,9 @@ class _DeadMan:
             self._promise(silence_s)
 
     def tick(self, now_s: float) -> None:
+        """Acts for a companion that has broken its promise."""
+        if not self._runs:
+            return
         self._notice_arming(now_s)
         if not self._promised_s:
             return
@@ -91,7 +82,7 @@ class _DeadMan:
                 self._promise(0.0)
 
     def _notice_arming(self, now_s: float) -> None:
-        """Only what is heard after it counts."""
+        """Only promises after it count."""
         armed = self._copter.armed(now_s)
         if armed and not self._was_armed:
             self._promise(0.0)

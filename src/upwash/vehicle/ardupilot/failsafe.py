@@ -1,4 +1,4 @@
-"""What the vehicle's fail-safes do when something is wrong, and after how long: as a real one was seen to do."""
+"""The deeds of the vehicle's fail-safes, and their delays, as observed of a real ArduCopter."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GLITCH_M, GLITCH_CLEARED_S = 55.66, _GLITCH_OVER_S  # to the north; the text com
 
 @dataclass(frozen=True, slots=True)
 class FailsafeTrigger:
-    """What is said now, the mode to change to, and how far north the vehicle's place seems to have jumped."""
+    """Texts for now, the mode to change to, and the metres north by which the vehicle's place seems to jump."""
 
     texts: tuple[Text, ...] = ()
     mode: int | None = None
@@ -68,7 +68,7 @@ _NO_GPS = (
 
 
 class Failsafes:
-    """Which fail-safes have triggered; a glitch puts GPS off by so much, and counts as over after so long."""
+    """The fail-safes that have triggered. A glitch puts GPS off by `glitch_m`, and is over in `glitch_cleared_s`."""
 
     def __init__(self, *, glitch_m: float = GLITCH_M, glitch_cleared_s: float = GLITCH_CLEARED_S) -> None:
         self._glitch_begins = _gps_jumps(glitch_m, glitch_cleared_s)

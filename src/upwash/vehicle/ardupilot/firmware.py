@@ -73,7 +73,7 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
         return CommandReply((answer.result,), to_all=tuple(to_all))
 
     def hear(self, now_s: float, message: Message) -> CommandReply:
-        """Modes set the old way, targets, a fence, and missions, of which it has none and takes none."""
+        """Takes modes set the old way, targets, and a fence; it has no missions and takes none."""
         listener = _LISTENERS.get(message.get_type())
         return listener(self, now_s, message) if listener else NOTHING
 

@@ -1,4 +1,4 @@
-"""How a stand-in ArduCopter flies: it draws the whole motion when it is told where to, and then only reads it off."""
+"""How a stand-in ArduCopter flies: a command draws its whole motion, and the time reads it off."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _HIGHEST_M = 1_000.0
 _SLOWEST_M_S = 0.1
 _SAME_TARGET_M = 0.02  # as fine as degrees in 1e-7 are
 _CONTACT_NOTICED_S = 1.7  # after touchdown
-_UP_BEFORE_REST_S = 0.5  # a take-off counts as done so long before it rests
+_UP_BEFORE_REST_S = 0.5  # a take-off counts as done that long before it rests
 _ARMING_S = 2.2  # of the spooling up: it begins with arming, not with the command to take off
 _TURNS_ABOVE_M_S = 0.5
 _TURN_STEP_S, _LONGEST_TURN_S = 0.1, 6.0
@@ -60,7 +60,7 @@ class CopterFlight(Multicopter):
         self._default_speed_cm_s = self.parameters["WPNAV_SPEED"]
         self._speed_m_s = settings.ground_speed_m_s
         self._heading_deg = 0.0
-        self._told_deg: float | None = None  # where it was told to turn, until its next target
+        self._told_deg: float | None = None  # a commanded heading, until its next target
         self._turned_s = now_s
 
     def position(self, now_s: float) -> Position:
@@ -94,7 +94,7 @@ class CopterFlight(Multicopter):
             self._told_deg = heading_deg
 
     def target(self, now_s: float) -> Position | None:
-        """Where it was sent in GUIDED, if it was: a take-off is no target."""
+        """The target in GUIDED, if it has one: a take-off is no target."""
         return self._target if self.mode is CopterMode.GUIDED and self.armed(now_s) else None
 
     @property
@@ -122,7 +122,7 @@ class CopterFlight(Multicopter):
             return LandedState.ON_GROUND
         noticed_after_s = min(
             _CONTACT_NOTICED_S, self.settings.auto_disarm_s
-        )  # it disarms itself when it has noticed
+        )  # it disarms when it has noticed
         noticed = now_s - noticed_after_s if self._doing is _Doing.LANDING else now_s
         if not self.flying(noticed):
             return LandedState.ON_GROUND
@@ -140,7 +140,7 @@ class CopterFlight(Multicopter):
         return self._armed_s + delay_s if self._doing is _Doing.NOTHING and delay_s > 0 else math.inf
 
     def start_motors(self, now_s: float) -> None:
-        """Stands armed, where it is."""
+        """Stands armed."""
         self._motors_started = True
         self._armed_s = now_s
         self._doing = _Doing.NOTHING
@@ -155,21 +155,20 @@ class CopterFlight(Multicopter):
         ready = self.armed(now_s) and not self.flying(now_s) and self.mode is CopterMode.GUIDED
         if not (ready and 0 < altitude_m <= _HIGHEST_M):
             return False
-        self._doing = _Doing.TAKING_OFF
-        self._target = None
+        self._doing, self._target = _Doing.TAKING_OFF, None
         self._speed_m_s = self._default_speed_m_s()
         here = self.position(now_s)
-        top = here.at_altitude(altitude_m)
         begun_s = max(self._armed_s, now_s - min(_ARMING_S, self._airframe.spool_up_s))
         self._lifts_off_s = begun_s + self._airframe.spool_up_s
-        self._move(begun_s, self._airframe.takeoff(here, altitude_m), top)
+        climb = self._airframe.takeoff(here, altitude_m)
+        self._motion = Motion(begun_s, climb, here.at_altitude(altitude_m))
         return True
 
     def fly_at(self, now_s: float, speed_m_s: float) -> None:
         """Flies on to its target with that speed; without one nothing happens."""
         if self._target is not None and self._doing is _Doing.FLYING:
             self._speed_m_s = speed_m_s
-            self._depart(now_s, self._target)
+            self._redirect(now_s, self.position(now_s), self._target)
 
     def fly_to(self, now_s: float, target: Position) -> bool:
         """Flies to the target, if it flies in GUIDED; whether it does."""
@@ -179,9 +178,8 @@ class CopterFlight(Multicopter):
             self.heading_deg(now_s)
             self._told_deg = None
         if self._target is None or distance_m(target, self._target) > _SAME_TARGET_M:
-            self._doing = _Doing.FLYING
-            self._target = target
-            self._depart(now_s, target)
+            self._doing, self._target = _Doing.FLYING, target
+            self._redirect(now_s, self.position(now_s), target)
         return True
 
     def take_mode(self, now_s: float, mode: CopterMode, *, pause_s: float = 0.0) -> None:
@@ -196,9 +194,8 @@ class CopterFlight(Multicopter):
         here = self.position(now_s)
         fall_s = math.sqrt(2 * here.altitude_m / GRAVITY_M_S2)
         down = Phase(here, Velocity(up_m_s=-1.0), 0.0, GRAVITY_M_S2, fall_s)
-        self._doing = _Doing.FALLING
-        self._target = None
-        self._move(now_s, (down,), here.at_altitude(0.0))
+        self._doing, self._target = _Doing.FALLING, None
+        self._motion = Motion(now_s, (down,), here.at_altitude(0.0))
 
     def shift(self, now_s: float, north_m: float) -> None:
         """Its estimate of its place jumps, and it flies on to its target from where it believes to be."""
@@ -207,8 +204,7 @@ class CopterFlight(Multicopter):
         here = self.position(now_s)
         believed = Position(here.east_m, here.north_m + north_m, here.altitude_m)
         if self._doing is _Doing.FLYING and self.mode is CopterMode.GUIDED:
-            target = self._target or here
-            self._redirect(now_s, believed, target)
+            self._redirect(now_s, believed, self._target or here)
         else:
             self._motion = Motion(now_s, (), believed)
 
@@ -218,7 +214,8 @@ class CopterFlight(Multicopter):
         here, velocity = self.position(now_s), self.velocity(now_s)
         if mode not in (CopterMode.RTL, CopterMode.LAND):
             self._doing = _Doing.FLYING
-            self._stop(now_s)
+            braking = self._airframe.brake(here, velocity)
+            self._motion = Motion(now_s, braking, braking[-1].end if braking else here)
             return
         self._doing = _Doing.LANDING
         stretches: tuple[MotionPart, ...]
@@ -238,23 +235,15 @@ class CopterFlight(Multicopter):
                 stretches = *stretches, Phase(here, Velocity(), 0.0, 0.0, left_s)
         self._descends_s = now_s + (duration_s(stretches) if mode is CopterMode.RTL else 0.0)
         stretches = *stretches, *self._airframe.landing(here)
-        self._move(now_s, stretches, here.at_altitude(0.0))
+        self._motion = Motion(now_s, stretches, here.at_altitude(0.0))
 
     def _return_altitude_m(self) -> float:
         """As high as it returns, no higher than its fence allows."""
         altitude_m, ceiling_m = self.parameters["RTL_ALT"] / 100, self.fence.ceiling_m
         return altitude_m if ceiling_m is None else min(altitude_m, ceiling_m)
 
-    def _stop(self, now_s: float) -> None:
-        here = self.position(now_s)
-        braking = self._airframe.brake(here, self.velocity(now_s))
-        self._move(now_s, braking, braking[-1].end if braking else here)
-
-    def _depart(self, now_s: float, target: Position) -> None:
-        """Flies to the target from whatever it does."""
-        self._redirect(now_s, self.position(now_s), target)
-
     def _redirect(self, now_s: float, here: Position, target: Position) -> None:
+        """Flies to the target from its present motion."""
         self.heading_deg(now_s)
         velocity = self.velocity(now_s)
         stretches: tuple[MotionPart, ...]
@@ -262,13 +251,10 @@ class CopterFlight(Multicopter):
             stretches = self._airframe.waypoint_leg(here, target, ground_speed_m_s=self._speed_m_s)
         else:
             stretches = self._airframe.redirected(here, velocity, target, ground_speed_m_s=self._speed_m_s)
-        self._move(now_s, stretches, target)
-
-    def _move(self, begun_s: float, stretches: tuple[MotionPart, ...], end: Position) -> None:
-        self._motion = Motion(begun_s, stretches, end)
+        self._motion = Motion(now_s, stretches, target)
 
     def _default_speed_m_s(self) -> float:
-        """The legs' own speed, until somebody changes the parameter for it."""
+        """The legs' own speed, until the parameter for it changes."""
         told_cm_s = self.parameters["WPNAV_SPEED"]
         if told_cm_s == self._default_speed_cm_s:
             return self.settings.ground_speed_m_s

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 _STEP_S = 0.04
-_MOST_STEPS = 50_000  # no pursuit takes more, whatever it is asked for
+_MOST_STEPS = 50_000  # no sensible pursuit takes more
 _AT_REST_M, _AT_REST_M_S = 0.02, 0.02
 _STEADY_M_S, _STEADY_M_S2 = 0.01, 0.005  # for each m/s of speed: near enough to cruise
 _SETTLING_S = 0.5  # over the last centimetres
@@ -21,7 +21,7 @@ _MARGIN_S = 0.5  # before it brakes
 
 @dataclass(frozen=True, slots=True)
 class PursuitSample:
-    """Where the vehicle is and how it moves, so long after the start."""
+    """Place and velocity of the vehicle at that time after the start."""
 
     elapsed_s: float
     place_m: complex
@@ -85,7 +85,7 @@ class Pursuit:
     def _steady_m(
         self, left_m: complex, way_m_s: complex, way_m_s2: complex, vehicle_m_s: complex, cruise_m_s: float
     ) -> float:
-        """How far it goes on as it is before anything changes; 0 unless it cruises straight to its target."""
+        """The distance that it flies on unchanged; 0 unless it cruises straight to its target."""
         steady_m_s = _STEADY_M_S * cruise_m_s
         if (
             abs(way_m_s - cruise_m_s) > steady_m_s
@@ -99,7 +99,7 @@ class Pursuit:
 
 
 def _approach(error: complex, gain_per_s: float, most: float) -> complex:
-    """The rate at which an error is worked off: proportional near zero, and no more than a steady change allows."""
+    """The rate that works an error off: proportional near zero, and no more than a steady change allows."""
     size = abs(error)
     near = most / gain_per_s**2
     if size <= near:

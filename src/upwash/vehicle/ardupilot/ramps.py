@@ -1,4 +1,4 @@
-"""How a vehicle gains and loses speed in steps of its own, whatever speed it goes for."""
+"""How a vehicle gains and loses speed in steps of its own, towards any speed."""
 
 from __future__ import annotations
 

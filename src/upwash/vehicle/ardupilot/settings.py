@@ -38,8 +38,8 @@ BY_POSITION = (CopterMode.GUIDED, CopterMode.LOITER, CopterMode.RTL, CopterMode.
 class VehicleSettings(StandInSettings):
     """A stand-in ArduCopter: where it stands and how it flies.
 
-    It flies as a recorded ArduCopter did. Where an acceleration is given, it speeds up and brakes with that one,
-    climbs and descends at the given rates, and neither spools up nor hovers above its home.
+    It flies as a recorded ArduCopter did. With an acceleration it speeds up and brakes at that rate, climbs
+    and descends at the given speeds, does not spool up and does not hover above its home.
     """
 
     armable_after_s: float = RECORDED_S
@@ -54,7 +54,7 @@ class VehicleSettings(StandInSettings):
     clock_offset_s: float | None = (
         0.0  # of its GPS's time of day, against this machine's; None: it tells none
     )
-    glitch_m: float = GLITCH_M  # by which a glitch puts its GPS off to the north
+    glitch_m: float = GLITCH_M  # north, the error of GPS in a glitch
     glitch_cleared_after_s: float = GLITCH_CLEARED_S  # the glitch counts as over then, though it lasts
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""A vehicle that speeds up and brakes alike: easy to reckon with, and as agile as one likes."""
+"""A vehicle that speeds up and brakes alike: easy to reckon with, and as agile as wanted."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Symmetric:
         )
 
     def _cruise_m_s(self, start: Position, end: Position, ground_speed_m_s: float) -> float:
-        """The speed on the way at which neither the ground speed nor the climb or descent is exceeded."""
+        """The highest speed on the way that exceeds no limit: over the ground, of climb, of descent."""
         rise_m = end.altitude_m - start.altitude_m
         if rise_m == 0:
             return ground_speed_m_s

@@ -54,7 +54,7 @@ class CopterTelemetry(Telemetry[Copter]):
     )
 
     def reports(self) -> dict[float, Report]:
-        """The reports that can be asked for, by message number."""
+        """The reports on request, by message number."""
         return super().reports() | {
             mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self.ekf_status,
             mavlink.MAVLINK_MSG_ID_FENCE_STATUS: self.fence_status,

@@ -1,4 +1,4 @@
-"""What the stand-in says and hears, in MAVLink messages, whatever carries them."""
+"""A stand-in and its peers, in MAVLink messages. Sockets are the business of `server`."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from upwash.mavlink.packets import packed
 from upwash.mavlink.signing import Signing
 from upwash.support.background import only_logged, start
 from upwash.vehicle.body.copter import FaultKind
-from upwash.vehicle.body.firmware import CommandReply, Message, StandInFirmware
-from upwash.vehicle.body.parameters import Parameter
+from upwash.vehicle.body.firmware import CommandReply, Message, StandInFirmware, sender_of
 
 _SYSTEM = 1
 _COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SHORTEST_INTERVAL_S = 0.01
 _LONGEST_INTERVAL_US = 2**31 - 1  # that MESSAGE_INTERVAL can tell
-_BEHIND_S = 1.0  # a stream so late begins anew, instead of catching up
+_BEHIND_S = 1.0  # a stream that late starts again instead of catching up
 _ACCEPTED, _FAILED = CommandReply((mavlink.MAV_RESULT_ACCEPTED,)), CommandReply((mavlink.MAV_RESULT_FAILED,))
 
 
@@ -78,7 +77,7 @@ class PeerConnection:
         self._write = write
         self._hang_up = hang_up
         self._codec = mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
-        self._streams: dict[float, _Stream] = {}
+        self._streams: dict[float, tuple[float, asyncio.Task[None]]] = {}  # their intervals
         self._from_ground_station = False
         vehicle.connections.add(self)
         self._report(self._now(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
@@ -91,10 +90,10 @@ class PeerConnection:
         return self._firmware.texts_only_to_ground_stations and not self._from_ground_station
 
     def end(self) -> None:
-        """Stops all streams and breaks the connection off, where there is one."""
+        """Stops all streams and hangs up."""
         self._vehicle.connections.discard(self)
-        for stream in self._streams.values():
-            stream.end()
+        for _, task in self._streams.values():
+            task.cancel()
         self._streams.clear()
         self._hang_up()
 
@@ -132,12 +131,10 @@ class PeerConnection:
     def _hear_command(self, message: Message) -> None:
         reply = self._obey(message)
         for result in reply.results:
+            system, component = sender_of(message)
             self.send(
                 mavlink.MAVLink_command_ack_message(
-                    message.command,
-                    result,
-                    target_system=message.get_srcSystem(),
-                    target_component=message.get_srcComponent(),
+                    message.command, result, target_system=system, target_component=component
                 )
             )
         # The reason of a refusal comes after the refusal: autopilots queue their texts.
@@ -164,19 +161,30 @@ class PeerConnection:
         if number not in self._firmware.reports:
             return _FAILED
         if stream := self._streams.pop(number, None):
-            stream.end()
+            stream[1].cancel()
         if interval_s == 0:
-            interval_s = self._firmware.unasked_s.get(int(number), 0.0)  # the default, where there is one
+            interval_s = self._firmware.unasked_s.get(int(number), 0.0)  # the default
         if 0 < interval_s < math.inf:
             every_s = max(interval_s, _SHORTEST_INTERVAL_S)
-            self._streams[number] = _Stream(self._vehicle, every_s, lambda: self._report(self._now(number)))
+            report = self._repeat(number, every_s)
+            task = start(report, name="a report of the stand-in", failed=only_logged)
+            self._streams[number] = every_s, task
         return _ACCEPTED
+
+    async def _repeat(self, number: float, interval_s: float) -> None:
+        next_s = self._vehicle.now_s()
+        while True:
+            self._report(self._now(number))
+            next_s += interval_s
+            if next_s < self._vehicle.now_s() - _BEHIND_S:
+                next_s = self._vehicle.now_s()
+            await self._vehicle.sleep_until(next_s)
 
     def _tell_interval(self, number: float) -> CommandReply:
         if number not in self._firmware.reports:
             return _FAILED
-        stream = self._streams.get(number)
-        interval_us = min(round(stream.interval_s * 1e6), _LONGEST_INTERVAL_US) if stream else -1
+        interval_s, _ = self._streams.get(number, (-1e-6, None))
+        interval_us = min(round(interval_s * 1e6), _LONGEST_INTERVAL_US)
         self.send(mavlink.MAVLink_message_interval_message(int(number), interval_us))
         return _ACCEPTED
 
@@ -207,33 +215,22 @@ class PeerConnection:
     # --- parameters -----------------------------------------------------------------------------------------
 
     def _hear_list_request(self, _message: Message) -> None:
-        parameters = self._firmware.copter.parameters
-        for index in range(len(parameters)):
-            self._tell_parameter(parameters.at(index))
+        for index in range(len(self._firmware.copter.parameters)):
+            self.send(self._firmware.copter.parameters.at(index))
 
     def _hear_read_request(self, message: Message) -> None:
         parameters, index = self._firmware.copter.parameters, message.param_index
-        self._tell_parameter(parameters.named(message.param_id) if index == -1 else parameters.at(index))
+        told = parameters.named(message.param_id) if index == -1 else parameters.at(index)
+        if told is not None:
+            self.send(told)
 
     def _hear_parameter(self, message: Message) -> None:
-        said = tuple(
-            self._firmware.set_parameter(self._vehicle.now_s(), message.param_id, message.param_value)
-        )
-        self._tell_parameter(self._firmware.copter.parameters.named(message.param_id))
-        for each in said:
-            self._vehicle.tell_everyone(each)
-
-    def _tell_parameter(self, parameter: Parameter | None) -> None:
-        if parameter is not None:
-            self.send(
-                mavlink.MAVLink_param_value_message(
-                    parameter.name.encode(),
-                    parameter.value,
-                    parameter.type,
-                    len(self._firmware.copter.parameters),
-                    parameter.index,
-                )
-            )
+        name = message.param_id
+        said = tuple(self._firmware.set_parameter(self._vehicle.now_s(), name, message.param_value))
+        if (told := self._firmware.copter.parameters.named(name)) is not None:
+            self.send(told)
+        for news in said:
+            self._vehicle.tell_everyone(news)
 
 
 _LISTENERS: dict[str, Callable[[PeerConnection, Message], None]] = {
@@ -246,23 +243,3 @@ _LISTENERS: dict[str, Callable[[PeerConnection, Message], None]] = {
     "PARAM_REQUEST_READ": PeerConnection._hear_read_request,
     "PARAM_SET": PeerConnection._hear_parameter,
 }
-
-
-class _Stream:
-    """One report, again and again."""
-
-    def __init__(self, vehicle: StandIn, interval_s: float, report: Callable[[], object]) -> None:
-        self.interval_s = interval_s
-        self._task = start(self._repeat(vehicle, report), name="a report of the stand-in", failed=only_logged)
-
-    def end(self) -> None:
-        self._task.cancel()
-
-    async def _repeat(self, vehicle: StandIn, report: Callable[[], object]) -> None:
-        next_s = vehicle.now_s()
-        while True:
-            report()
-            next_s += self.interval_s
-            if next_s < vehicle.now_s() - _BEHIND_S:
-                next_s = vehicle.now_s()
-            await vehicle.sleep_until(next_s)

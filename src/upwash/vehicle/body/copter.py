@@ -1,4 +1,4 @@
-"""A stand-in whatever its autopilot: where it stands, its faults, its parameters and its battery."""
+"""A stand-in of either autopilot: where it stands, its faults, its parameters and its battery."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class StandInSettings:
 
 
 class Multicopter(ABC):
-    """A multicopter between two messages. It has no clock: whoever asks or commands it says what time it is."""
+    """A multicopter between two messages. It has no clock: the time comes with each question and command."""
 
     at_most_percent_in_fault: ClassVar[float]  # of the battery
     empty_v: ClassVar[float]

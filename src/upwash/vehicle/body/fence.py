@@ -95,7 +95,7 @@ def _areas(items: Sequence[FenceItem]) -> Iterator[FenceArea]:
 
 @dataclass(slots=True)
 class _Upload:
-    """A fence on its way in: the items so far, and when the next one was asked for."""
+    """An upload: the items up to now, and the time of the request for the next item."""
 
     sender: tuple[int, int]
     count: int
@@ -105,13 +105,13 @@ class _Upload:
 
 
 class FenceTransfer(ABC):
-    """A fence over the mission protocol: one upload at a time, whose items are asked for in turn."""
+    """A fence over the mission protocol: one upload at a time, with a request for each item in turn."""
 
     most_items: ClassVar[int]
     request: ClassVar[Any]  # the message that asks for an item
     asks_again_s = math.inf  # if an item does not come
     unasked: ClassVar[int]  # the MAV_MISSION_RESULT for an item without an upload
-    out_of_turn: ClassVar[int | None]  # and for one of somebody else, or with another number
+    out_of_turn: ClassVar[int | None]  # for an item of another sender, or with another number
 
     def __init__(self, frame: LocalFrame, fence: UploadedFence) -> None:
         self.fence = fence
@@ -195,7 +195,7 @@ def acknowledged(message: Message, result: int) -> CommandReply:
 
 
 def _item(item: FenceItem, request: Message) -> Message:
-    """MISSION_ITEM_INT, or MISSION_ITEM if that was asked for."""
+    """MISSION_ITEM_INT, or MISSION_ITEM for a MISSION_REQUEST."""
     number, sender, frame = request.seq, sender_of(request), mavlink.MAV_FRAME_GLOBAL
     build = mavlink.MAVLink_mission_item_int_message
     place: tuple[float, float] = item.latitude_e7, item.longitude_e7

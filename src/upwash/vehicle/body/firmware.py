@@ -70,7 +70,7 @@ def position_in_frame(
 ) -> Position | None:
     """The position of a latitude, a longitude and an altitude; None in an unknown frame or outside the Earth.
 
-    `home_m` is the altitude of home, from which altitudes count in some frames, above the ground at boot.
+    In some frames altitudes count from home, which is `home_m` above the ground at boot.
     """
     latitude_deg, longitude_deg, altitude_m = place
     if frame in _ABOVE_SEA:
@@ -108,7 +108,7 @@ class StandInFirmware(ABC, Generic[AnyCopter]):
         self.reports = reports  # by message number; a request's number arrives as a float
 
     def report(self, now_s: float, number: float) -> tuple[Message, ...]:
-        """The report of that number as it is now, if there is one."""
+        """The present report of that number; empty if it has none now."""
         self.copter.advance(now_s)
         report = self.reports.get(number)
         message = report(now_s) if report else None
@@ -124,7 +124,7 @@ class StandInFirmware(ABC, Generic[AnyCopter]):
 
     @abstractmethod
     def obey(self, now_s: float, message: Message) -> CommandReply:
-        """Carries out a COMMAND_LONG or COMMAND_INT, if it can."""
+        """Carries out a COMMAND_LONG or COMMAND_INT as far as it can."""
 
     @abstractmethod
     def hear(self, now_s: float, message: Message) -> CommandReply:

@@ -1,4 +1,4 @@
-"""The stand-in's files, as MAVLink FTP reaches an ArduPilot's: in memory, one open at a time, whoever asks."""
+"""The stand-in's files, as MAVLink FTP reaches an ArduPilot's: in memory, one open at a time for all peers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Files:
     )
 
     def answer(self, payload: bytes, sender: object, now_s: float) -> bytes | None:
-        """The answer to a request; one that is repeated gets the answer again and is not carried out again."""
+        """The answer to a request. A repeated request gets the same answer and is not carried out again."""
         if len(payload) < HEAD.size:
             return None
         number, session, opcode, size, _, _, offset = HEAD.unpack_from(payload)

@@ -15,7 +15,7 @@ import msgspec
 from upwash.core.geo import Position, Velocity, distance_m
 
 NO_LENGTH_M = 1e-9  # shorter is no way at all: its share of a speed would be nothing
-_HALVINGS = 50  # of an interval in which something is looked for: finer than any float that matters here
+_HALVINGS = 50  # of a searched interval: finer than any float that matters here
 
 
 class MotionPart(Protocol):
@@ -30,10 +30,10 @@ class MotionPart(Protocol):
         """Where it leads."""
 
     def position(self, elapsed_s: float) -> Position:
-        """Where the vehicle is, so long after the start of the stretch."""
+        """The place at that time after the start."""
 
     def velocity(self, elapsed_s: float) -> Velocity:
-        """How it moves, so long after the start of the stretch."""
+        """The velocity at that time after the start."""
 
 
 class Phase(msgspec.Struct, frozen=True):
@@ -50,12 +50,12 @@ class Phase(msgspec.Struct, frozen=True):
     jerk_m_s3: float = 0.0
 
     def travelled_m(self, elapsed_s: float) -> float:
-        """How far the vehicle has come, so long after the start of the phase."""
+        """The distance flown at that time after the start."""
         gained_m_s = elapsed_s * (self.acceleration_m_s2 / 2 + elapsed_s * self.jerk_m_s3 / 6)
         return elapsed_s * (self.speed_m_s + gained_m_s)
 
     def position(self, elapsed_s: float) -> Position:
-        """Where the vehicle is, so long after the start of the phase."""
+        """The place at that time after the start."""
         travelled_m = self.travelled_m(elapsed_s)
         return Position(
             east_m=self.start.east_m + travelled_m * self.heading.east_m_s,
@@ -64,7 +64,7 @@ class Phase(msgspec.Struct, frozen=True):
         )
 
     def velocity(self, elapsed_s: float) -> Velocity:
-        """How it moves, so long after the start of the phase."""
+        """The velocity at that time after the start."""
         gained_m_s = elapsed_s * (self.acceleration_m_s2 + elapsed_s * self.jerk_m_s3 / 2)
         speed_m_s = self.speed_m_s + gained_m_s
         return Velocity(
@@ -90,7 +90,7 @@ class Curve:
     duration_s: float
 
     def position(self, elapsed_s: float) -> Position:
-        """Where the vehicle is, so long after the start of the curve."""
+        """The place at that time after the start."""
         share = elapsed_s / self.duration_s
         rest = 1 - share
         from_start, from_end = rest**2 * (1 + 2 * share), share**2 * (1 + 2 * rest)
@@ -113,7 +113,7 @@ class Curve:
         )
 
     def velocity(self, elapsed_s: float) -> Velocity:
-        """How it moves, so long after the start of the curve."""
+        """The velocity at that time after the start."""
         share = elapsed_s / self.duration_s
         rest = 1 - share
         way_per_s = 6 * share * rest / self.duration_s
@@ -145,12 +145,12 @@ class CombinedMotion:
         return self.position(self.duration_s)
 
     def position(self, elapsed_s: float) -> Position:
-        """Where the vehicle is, so long after their start."""
+        """The place at that time after the start."""
         place, height = self.over_ground.position(elapsed_s), self.vertical.position(elapsed_s)
         return Position(place.east_m, place.north_m, height.altitude_m)
 
     def velocity(self, elapsed_s: float) -> Velocity:
-        """How it moves, so long after their start."""
+        """The velocity at that time after the start."""
         along, up = self.over_ground.velocity(elapsed_s), self.vertical.velocity(elapsed_s)
         return Velocity(along.east_m_s, along.north_m_s, up.up_m_s)
 
@@ -256,7 +256,7 @@ def steadily(start: Position, end: Position, *, duration_s: float) -> tuple[Phas
 
 
 def stretched(phases: Iterable[Phase], factor: float) -> tuple[Phase, ...]:
-    """The same way, flown in so many times the time."""
+    """The same way, flown in `factor` times the time."""
     if factor == 1:
         return tuple(phases)
     return tuple(
@@ -283,7 +283,7 @@ def heading_of(start: Position, end: Position) -> Velocity:
 
 
 def elapsed_s(phase: Phase, travelled_m: float) -> float | None:
-    """When a phase has come that far, if it does."""
+    """Time from the start of a phase at that distance; None if the phase does not reach it."""
     if not 0 <= travelled_m <= phase.travelled_m(phase.duration_s):
         return None
     if phase.jerk_m_s3:
@@ -294,7 +294,7 @@ def elapsed_s(phase: Phase, travelled_m: float) -> float | None:
 
 
 def settled_s(phases: Sequence[Phase], *, within_m: float, below_m_s: float) -> float:
-    """When a vehicle is first so near the phases' end, and so slow."""
+    """The time when a vehicle is first that near the phases' end, and that slow."""
     begun_s = 0.0
     for phase in phases:
 

@@ -1,16 +1,17 @@
 """The parameters of a stand-in: those that it obeys, and those that programs ask for and it only keeps.
 
-An autopilot's names, defaults and MAV_PARAM_TYPEs stand in its `parameters.csv`. A `new_name` is the one that later
-versions have for a parameter, counted in `new_unit` of the old one. Inside the stand-in the old name and unit count.
+An autopilot's names, defaults and MAV_PARAM_TYPEs stand in its `parameters.csv`. Later versions have a `new_name`
+for some parameters, and count them in another unit: `new_unit` times the old value. Inside the stand-in the old
+name and unit count.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -24,16 +25,6 @@ _LIMITS = {
     mavlink.MAV_PARAM_TYPE_INT32: 2.0**31,
     _REAL32: 3.4e38,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A parameter as PARAM_VALUE holds it."""
-
-    name: str
-    index: int
-    value: float
-    type: int
 
 
 class ParameterTable:
@@ -60,17 +51,18 @@ class ParameterTable:
     def __getitem__(self, name: str) -> float:
         return self._values[name]
 
-    def named(self, name: str) -> Parameter | None:
-        """The parameter of that name outside, if there is one."""
+    def named(self, name: str) -> Any | None:
+        """PARAM_VALUE of the parameter of that name outside; None for an unknown name."""
         if name not in self.names:
             return None
         inside, unit = self.names[name]
         kind, value = self._types[inside] if inside == name else _REAL32, self._values[inside] * unit
         sent = float_of_bytes(int(value)) if self._int_bytes and kind != _REAL32 else value
-        return Parameter(name, list(self.names).index(name), sent, kind)
+        index = list(self.names).index(name)
+        return mavlink.MAVLink_param_value_message(name.encode(), sent, kind, len(self), index)
 
-    def at(self, index: int) -> Parameter | None:
-        """The parameter at that place, if there is one."""
+    def at(self, index: int) -> Any | None:
+        """PARAM_VALUE of the parameter at that place; None outside the list."""
         return self.named(list(self.names)[index]) if 0 <= index < len(self) else None
 
     def preset(self, name: str, value: float) -> None:

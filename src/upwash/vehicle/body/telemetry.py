@@ -46,7 +46,7 @@ class Telemetry(ABC, Generic[AnyCopter]):
         self.copter = copter
 
     def reports(self) -> dict[float, Report]:
-        """The reports that can be asked for, by message number."""
+        """The reports on request, by message number."""
         return {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self.sys_status,

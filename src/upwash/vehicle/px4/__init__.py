@@ -1,1 +1,13 @@
-"""A PX4 multicopter as a program sees it: how it flies, what it does when told, what it says."""
+"""A multicopter that flies, obeys and speaks as a PX4 does on an onboard link (recorded from SIH, version 1.16.1).
+
+- `body`: a point under drag with PX4's speed controllers, in steps of 50 ms. `airframe`: whole flights in advance.
+- `navigator`, `inputs`, `flight`: where it flies by itself, by setpoints or by sticks, and how it meets the ground.
+- `failsafe`: causes, actions and their order of severity; `vehicle`: modes, arming, and the dangers that it watches.
+- `events`: PX4 speaks in numbered events, which `firmware` sends again on request and also tells as texts.
+- `commands`, `telemetry`: the messages.
+
+A mode is intended by a command and chosen by the fail-safe: `intended` and `mode` differ while one acts.
+
+Ugly: summaries of the checks are recorded bit patterns, of which only two states are known. `inputs` has GPS in it,
+since both are sources that may be lost.
+"""

@@ -1,4 +1,4 @@
-"""How a PX4 flies, drawn as phases, for whoever needs a whole flight in advance."""
+"""How a PX4 flies, drawn as phases, for a simulation that needs a whole flight in advance."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def rest_of_leg(
 
 
 def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-    """To rest, straight ahead; the last of its speed costs it neither time nor way."""
+    """To rest, straight ahead; the last of its speed takes no time and no way."""
     speed_m_s = velocity.speed_m_s
     if speed_m_s <= _TURNS_AT_ONCE_M_S:
         return ()

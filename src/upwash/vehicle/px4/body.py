@@ -1,8 +1,8 @@
 """A PX4's body and the controllers that move it, step by step.
 
-It is a point under drag whose speed is held by proportion and integral. That is why it first stays below the speed
-that it was told, creeps up to it, and overshoots where it stops: the integral, which holds against the drag, is left
-over. The constants are fitted to the medians of eleven recorded legs in each of four ways of flying (version 1.16.1,
+It is a point under drag whose speed is held by proportion and integral. That is why it first stays below the wanted
+speed, creeps up to it, and overshoots where it stops: the integral, which holds against the drag, is left over. The
+constants are fitted to the medians of eleven recorded legs in each of four ways of flying (version 1.16.1,
 quadrotor, in its own simulation, no wind).
 """
 
@@ -18,7 +18,7 @@ STEP_S = 0.05
 _PROPORTION, _INTEGRAL, _DRAG = 1.06, 0.345, 0.612  # of speed: 1/s, 1/s², 1/s
 _TILT_M_S2, _TILT_LAG_S = 7.83, 0.05
 _SPEEDING_UP_M_S2 = 3.29
-_STOPPING_M_S2 = 3.4  # where it is told to hold, from the speed that it has
+_STOPPING_M_S2 = 3.4  # at the command to hold
 _BRAKING_M_S2, _BRAKING_LEAD_S = 2.66, 2.34  # on the way to a place: speed²/2a + lead x speed is what is left
 _STIFFNESS_1_S = 0.767  # of OFFBOARD: speed per metre that is left
 _EASING_S = 0.4  # of a pilot's sticks
@@ -35,7 +35,7 @@ _TURNING_DEG_S = 40.0
 
 @dataclass(frozen=True, slots=True)
 class Steering:
-    """What the body is to do: to a place, at a velocity, or to a stop; up or down beside that.
+    """The aim of the body: a place, a velocity or a stop; and beside that an altitude.
 
     A `place` is flown to at most at `cap_m_s`: `stiffly` as in OFFBOARD, else as in AUTO. Without a place the body
     takes up the velocity, and `eases` into it under a pilot's sticks; without either it brakes, and not
@@ -76,7 +76,7 @@ class Body:
         return Position(self.east_m, self.north_m, self.altitude_m)
 
     def ahead(self, since_s: float) -> Position:
-        """Where it is so long after its last step."""
+        """The place at that time after its last step."""
         return Position(
             self.east_m + self.east_m_s * since_s,
             self.north_m + self.north_m_s * since_s,
@@ -90,7 +90,7 @@ class Body:
 
     @property
     def told_to_stand(self) -> bool:
-        """Whether it has been braked for long enough: what is left of its speed is to be taken back."""
+        """Whether its controllers have braked to a stop; the rest of its speed overshoots."""
         return self._told == [0.0, 0.0]
 
     def rest(self) -> None:
@@ -126,7 +126,7 @@ class Body:
         self.north_m += self.north_m_s * STEP_S
 
     def _wanted(self, steering: Steering) -> tuple[float, float]:
-        """The velocity that the controllers are told."""
+        """The velocity that the controllers aim at."""
         if steering.velocity is not None and steering.place is None:
             share = STEP_S / _EASING_S if steering.eases else 1.0
             self._told[0] += (steering.velocity.east_m_s - self._told[0]) * share
@@ -189,7 +189,7 @@ def landing_sink_m_s(altitude_m: float) -> float:
 
 
 def approach_m_s(left_m: float) -> float:
-    """The speed from which it can stop in time at a place so far away."""
+    """The highest speed that still lets it stop at a place `left_m` away."""
     lead = _BRAKING_M_S2 * _BRAKING_LEAD_S
     return math.sqrt(lead**2 + 2 * _BRAKING_M_S2 * left_m) - lead
 

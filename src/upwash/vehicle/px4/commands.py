@@ -34,7 +34,7 @@ _MODES = {(mode.main, mode.sub): mode for mode in Mode}
 
 
 def obey(copter: Quadrotor, now_s: float, message: Message) -> tuple[Result, ...]:
-    """The answers of the copter, which has done what it was told if it could."""
+    """Carries the command out, if the copter can; returns its answers."""
     handler = _HANDLERS.get(message.command)
     if handler is None:
         return (Result.UNSUPPORTED,)

@@ -16,7 +16,7 @@ _KEPT = 40
 
 
 class Events:
-    """The events in the order in which they happened."""
+    """The events, oldest first."""
 
     def __init__(self) -> None:
         self._kept: deque[EventMessage] = deque(maxlen=_KEPT)

@@ -74,7 +74,7 @@ _NAMED_CAUSES = {
 
 @dataclass(frozen=True, slots=True)
 class Danger:
-    """What a cause calls for; at once, or after a time in Hold. One that sticks outlives its cause."""
+    """The action that a cause demands, at once or after a time in Hold. A danger that sticks outlives its cause."""
 
     action: Action
     at_once: bool = False
@@ -107,7 +107,7 @@ class Failsafe:
 
     @property
     def waits(self) -> bool:
-        """Whether it holds before it acts; nobody's sticks take over then."""
+        """Whether it holds before it acts; sticks do not take over then."""
         return self._announced is not None and self._announced.waits
 
     def because_of(self, cause: Cause) -> bool:
@@ -153,7 +153,7 @@ class Failsafe:
         self.action = Action.HOLD if change.waits else danger.action
 
     def overrule(self) -> bool:
-        """A person has commanded something else; whether that ended an action."""
+        """A person has given another command; whether that ended an action."""
         acted = self.action is not None
         self._known = {cause: replace(known, overruled=True) for cause, known in self._known.items()}
         self.action, self._announced = None, None

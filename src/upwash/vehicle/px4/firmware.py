@@ -28,7 +28,7 @@ from upwash.vehicle.body.firmware import (
 )
 from upwash.vehicle.px4.commands import obey, set_mode
 from upwash.vehicle.px4.flight import turned
-from upwash.vehicle.px4.inputs import Setpoint, Sticks
+from upwash.vehicle.px4.inputs import InputSource, Setpoint, Sticks
 from upwash.vehicle.px4.navigator import LOWEST_M
 from upwash.vehicle.px4.telemetry import UNASKED_S, UNMODELLED, Px4Telemetry, available_modes
 from upwash.vehicle.px4.vehicle import Quadrotor
@@ -39,7 +39,6 @@ _SEVERITY_OF_PROGRAMS = 8
 _NO_EAST_NORTH, _NO_ALTITUDE, _NO_VELOCITY, _NO_YAW = 0b11, 0b100, 0b111_000, 1 << 10
 _STICK_FULL = 1000.0
 _TELLS_MODES_FROM = Version(1, 15, kind=0)
-_COMPANIONS = (mavlink.MAV_TYPE_ONBOARD_CONTROLLER,)
 _ALL_MODES = 2**32 - 1
 # The summaries of the checks, as recorded: their bits are not modelled.
 _SUMMARY_WELL = (0, 1048576, 128, 2155822000, 2155822000)
@@ -109,14 +108,8 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
                 most = self.copter.parameters[name]
                 if self.copter.parameters[limited] > most and self.copter.parameters.change(limited, most):
                     self.copter.happened(event, most)
-                    yield from self._parameter(limited)
+                    yield self.copter.parameters.named(limited)
         yield from self._said()
-
-    def _parameter(self, name: str) -> Iterator[Message]:
-        if parameter := self.copter.parameters.named(name):
-            yield mavlink.MAVLink_param_value_message(
-                name.encode(), parameter.value, parameter.type, len(self.copter.parameters), parameter.index
-            )
 
     # --- what happened --------------------------------------------------------------------------------------
 
@@ -154,8 +147,8 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
             ("check_modes_mission", True, 8, 20),
             ("check_modes_offboard_signal", not self.copter.hears_setpoints(now_s), 16384, 20),
             ("check_modes_home_position", not gps.ever_had_fix, 32, 20),
-            ("check_modes_manual_control", not inputs.hears_sticks(now_s), _ALL_MODES, 7),
-            ("check_rc_dl_no_dllink", not inputs.hears_ground_station(now_s), _ALL_MODES, 12),
+            ("check_modes_manual_control", not inputs.hears(InputSource.STICKS, now_s), _ALL_MODES, 7),
+            ("check_rc_dl_no_dllink", not inputs.hears(InputSource.GROUND_STATION, now_s), _ALL_MODES, 12),
             ("check_battery_low", level == 2, _ALL_MODES, 11),
             ("check_battery_critical", level == 3, _ALL_MODES, 11),
             ("check_battery_emergency", level == 4, _ALL_MODES, 11),
@@ -183,9 +176,9 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
 
     def _hear_heartbeat(self, now_s: float, message: Message) -> CommandReply:
         if message.type == mavlink.MAV_TYPE_GCS:
-            self.copter.hear_ground_station(now_s)
-        elif message.type in _COMPANIONS:
-            self.copter.hear_companion(now_s)
+            self.copter.hear(InputSource.GROUND_STATION, now_s)
+        elif message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
+            self.copter.hear(InputSource.COMPANION, now_s)
         return NOTHING
 
     def _hear_mode(self, now_s: float, message: Message) -> CommandReply:
@@ -234,7 +227,7 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
 
 
 class Px4FenceTransfer(FenceTransfer):
-    """As PX4 takes a fence: wrong items change nothing, and what does not come is asked for again."""
+    """As PX4 takes a fence: wrong items change nothing, and a missing item is requested again."""
 
     most_items = 100
     request = mavlink.MAVLink_mission_request_int_message
@@ -247,7 +240,7 @@ class Px4FenceTransfer(FenceTransfer):
 
 
 def _makes_sense(setpoint: Setpoint) -> bool:
-    """Whether it says something, and something that a copter could do."""
+    """Whether it sets a place or a velocity, and one within reach."""
     velocity, place = setpoint.velocity, setpoint.east_north_m
     if velocity is None and place is None and setpoint.altitude_m is None:
         return False

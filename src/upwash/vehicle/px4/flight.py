@@ -12,7 +12,7 @@ from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.airframe import BELIEVES_GROUND_S, FOLLOWING_LAG_S, spool_up_s
 from upwash.vehicle.px4.body import BLIND_SINKING_M_S, STEP_S, Body, Steering
 from upwash.vehicle.px4.events import Events
-from upwash.vehicle.px4.inputs import THROTTLE_MIDDLE, Px4Inputs, Setpoint, past_deadzone
+from upwash.vehicle.px4.inputs import THROTTLE_MIDDLE, InputSource, Px4Inputs, Setpoint, past_deadzone
 from upwash.vehicle.px4.navigator import LEAST_LIFT_M, Navigator, within_limits
 from upwash.vehicle.px4.settings import Px4Settings
 
@@ -89,7 +89,7 @@ class Px4Flight(Multicopter):
         return self._lifting_s is not None and now_s >= self._lifting_s + _TAKEOFF_SHOWN_S
 
     def _spool_up(self, mode: Mode) -> None:
-        throttle = self.inputs.sticks.throttle if self.inputs.hears_sticks(self._time_s) else 0.0
+        throttle = self.inputs.sticks.throttle if self.inputs.hears(InputSource.STICKS, self._time_s) else 0.0
         lifts_by_setpoint = mode is Mode.OFFBOARD and (self._setpoint.altitude_m or 0.0) > LEAST_LIFT_M
         if lifts_by_setpoint or (mode in MANUAL and throttle > _THROTTLE_UP):
             self._lift()
@@ -138,14 +138,14 @@ class Px4Flight(Multicopter):
 
     def _take_setpoint(self, now_s: float, setpoint: Setpoint) -> None:
         self._setpoints.append((now_s + FOLLOWING_LAG_S, setpoint))
-        self.inputs.take_setpoint(now_s)
+        self.inputs.take(InputSource.SETPOINTS, now_s)
 
     def _receive_setpoints(self) -> None:
         while self._setpoints and self._setpoints[0][0] <= self._time_s:
             _, self._setpoint = self._setpoints.popleft()
 
     def _ends_takeoff(self, mode: Mode) -> bool:
-        """Whether its take-off has come to its altitude, which it holds from then on."""
+        """Whether its take-off has reached its altitude, which it holds from then on."""
         flies = self.armed and not self._grounded and not self._falls
         return mode is Mode.TAKEOFF and flies and self._navigator.ends_climb()
 
@@ -205,7 +205,7 @@ class Px4Flight(Multicopter):
 
     def _by_sticks(self, mode: Mode) -> Steering:
         """Steering by the pilot's sticks; without them it brakes and sinks to the ground."""
-        if not self.inputs.hears_sticks(self._time_s):
+        if not self.inputs.hears(InputSource.STICKS, self._time_s):
             velocity, sink_m_s = Velocity(), BLIND_SINKING_M_S
             return Steering(velocity=velocity, eases=True, altitude_m=-math.inf, sink_m_s=sink_m_s)
         sticks = self.inputs.sticks

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import Enum
 
 from upwash.core.geo import Velocity
 from upwash.vehicle.body.parameters import ParameterTable
 
 THROTTLE_MIDDLE = 500
 _DEADZONE = 0.1
-_HEARTBEATS_LATE_S = 1.9  # that long after COM_DL_LOSS_T, or COM_OBC_LOSS_T, a peer counts as lost
-_COMPANION_LATE_S = 1.5
 _FEWEST_SATELLITES = 4
 _FIX_SETTLES_S = 2.2  # after GPS has come back, until it knows where it is
 _BLIND_AFTER_S = 5.0  # without GPS, until it no longer does
@@ -38,7 +37,7 @@ class Sticks:
     throttle: float = THROTTLE_MIDDLE
 
     def moved(self, threshold: float = _DEADZONE) -> bool:
-        """Whether somebody has hold of them."""
+        """Whether a hand moves them."""
         return max(abs(self.forward), abs(self.right), abs(self.turn)) > threshold
 
 
@@ -49,67 +48,60 @@ def past_deadzone(share: float) -> float:
     return math.copysign(min(1.0, (abs(share) - _DEADZONE) / (1 - _DEADZONE)), share)
 
 
+class InputSource(Enum):
+    """A source that PX4 may hear: the parameter that says how long it may be silent, and the time added to that."""
+
+    COMPANION = "COM_OBC_LOSS_T", 1.5
+    GROUND_STATION = "COM_DL_LOSS_T", 1.9
+    STICKS = "COM_RC_LOSS_T", 0.0
+    SETPOINTS = "COM_OF_LOSS_T", 0.0
+
+
+LOST = {
+    InputSource.COMPANION: "commander_mission_comp_lost",
+    InputSource.GROUND_STATION: "commander_gcs_lost",
+    InputSource.STICKS: "commander_rc_lost",
+}
+REGAINED = {
+    InputSource.COMPANION: "commander_onboard_ctrl_regained",
+    InputSource.GROUND_STATION: "commander_dl_regained",
+}
+"""The events that tell of lost and regained sources."""
+
+
 class Px4Inputs:
-    """Who is heard, and since when no more: a pilot's sticks, a ground station, a companion and its setpoints."""
+    """The latest sign of life of each source."""
 
     def __init__(self, parameters: ParameterTable) -> None:
         self.sticks = Sticks()
-        self.sticks_at_arming = self.ground_station_at_arming = False
+        self._at_arming: frozenset[InputSource] = frozenset()
         self._parameters = parameters
-        self._sticks_s = self._ground_station_s = self._companion_s = self._setpoint_s = -math.inf
-        self._sticks_known = self._ground_station_known = self._companion_known = False
+        self._heard_s = dict.fromkeys(InputSource, -math.inf)
 
-    def hears_sticks(self, now_s: float) -> bool:
-        """Whether a pilot's sticks are heard."""
-        return now_s - self._sticks_s <= self._parameters["COM_RC_LOSS_T"]
+    def hears(self, source: InputSource, now_s: float) -> bool:
+        """Whether the source is present."""
+        parameter, late_s = source.value
+        return now_s - self._heard_s[source] <= self._parameters[parameter] + late_s
 
-    def hears_ground_station(self, now_s: float) -> bool:
-        """Whether a ground station is heard."""
-        return now_s - self._ground_station_s <= self._parameters["COM_DL_LOSS_T"] + _HEARTBEATS_LATE_S
-
-    def hears_companion(self, now_s: float) -> bool:
-        """Whether a companion computer is heard."""
-        return now_s - self._companion_s <= self._parameters["COM_OBC_LOSS_T"] + _COMPANION_LATE_S
-
-    def hears_setpoints(self, now_s: float) -> bool:
-        """Whether setpoints for OFFBOARD are heard."""
-        return now_s - self._setpoint_s <= self._parameters["COM_OF_LOSS_T"]
-
-    def take_sticks(self, sticks: Sticks, now_s: float) -> None:
-        """A pilot's sticks are there."""
-        self.sticks, self._sticks_s, self._sticks_known = sticks, now_s, True
-
-    def take_setpoint(self, now_s: float) -> None:
-        """A setpoint has come."""
-        self._setpoint_s = now_s
-
-    def take_ground_station(self, now_s: float) -> bool:
-        """A ground station is alive; whether it had been lost."""
-        regained = self._ground_station_known and not self.hears_ground_station(now_s)
-        self._ground_station_s, self._ground_station_known = now_s, True
-        return regained
-
-    def take_companion(self, now_s: float) -> bool:
-        """A companion computer is alive; whether it had been lost."""
-        regained = self._companion_known and not self.hears_companion(now_s)
-        self._companion_s, self._companion_known = now_s, True
+    def take(self, source: InputSource, now_s: float) -> bool:
+        """Notes a sign of life; whether the source had been lost."""
+        regained = self._heard_s[source] > -math.inf and not self.hears(source, now_s)
+        self._heard_s[source] = now_s
         return regained
 
     def arm(self, now_s: float) -> None:
-        """Those who are heard at arming are missed later on."""
-        self.sticks_at_arming = self.hears_sticks(now_s)
-        self.ground_station_at_arming = self.hears_ground_station(now_s)
+        """Remembers the sources that are present at arming."""
+        self._at_arming = frozenset(source for source in InputSource if self.hears(source, now_s))
+
+    def misses(self, source: InputSource, now_s: float) -> bool:
+        """Whether the source was present at arming, and no longer is."""
+        return source in self._at_arming and not self.hears(source, now_s)
 
     def lost(self, before_s: float, now_s: float) -> Iterator[str]:
-        """The events that tell who was still heard before, and is no more."""
-        if self._companion_known and self.hears_companion(before_s) > self.hears_companion(now_s):
-            yield "commander_mission_comp_lost"
-        if self._ground_station_known and self.hears_ground_station(before_s) > self.hears_ground_station(
-            now_s
-        ):
-            yield "commander_gcs_lost"
-        if self._sticks_known and self.hears_sticks(before_s) > self.hears_sticks(now_s):
-            yield "commander_rc_lost"
+        """The events of the sources that were still heard before, and are no more."""
+        for source, event in LOST.items():
+            if self.hears(source, before_s) > self.hears(source, now_s):
+                yield event
 
 
 class Gps:

@@ -23,7 +23,7 @@ _SLOWEST_M_S, _FASTEST_M_S = 0.1, 30.0
 
 @dataclass(frozen=True, slots=True)
 class Reposition:
-    """Where to, as far as it was told: without a place it holds, without an altitude at the present one."""
+    """A command to fly to a place. Without a place it holds; without an altitude it keeps the present altitude."""
 
     east_north_m: tuple[float, float] | None
     altitude_m: float | None
@@ -69,7 +69,7 @@ class Navigator:
 
     @property
     def lands_at_home(self) -> bool:
-        """Whether its return has come to the landing."""
+        """Whether its return has reached the landing."""
         return self._returning is _Returning.LANDS
 
     def enter(self, mode: Mode, *, before: Mode, armed: bool) -> None:
@@ -126,7 +126,7 @@ class Navigator:
             self._cruise_m_s = speed_m_s
 
     def ends_climb(self) -> bool:
-        """Whether a take-off has come to its altitude, which it holds from then on."""
+        """Whether a take-off has reached its altitude, which it holds from then on."""
         target_m = self._climbs_to_m()
         if abs(target_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
             return False

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.mavlink.px4 import AVAILABLE_MODES, CURRENT_MODE, AvailableModesMessage, CurrentModeMessage, Mode
 from upwash.vehicle.body.firmware import Message, Report
 from upwash.vehicle.body.telemetry import Telemetry, degrees_e7, made
+from upwash.vehicle.px4.inputs import InputSource
 from upwash.vehicle.px4.vehicle import Quadrotor
 
 _BASE_MODES = {
@@ -44,12 +45,12 @@ _MODE_NAMES = {
     Mode.LAND: "Land",
 }
 _ADVANCED = 1  # MAV_MODE_PROPERTY
-_SENSORS_UNCHECKED = 0x321_C83F  # as recorded, and so are the next three
+_SENSORS_UNCHECKED = 0x321_C83F  # these four as recorded
 _SENSORS, _SENSORS_ENABLED, _SENSORS_HEALTHY = 0x300_402F, 0x301_402F, 0x1320_C83F
 _WITHOUT_POSITION, _HEALTHY_WITHOUT_POSITION = ~0x20, ~0x4000
 _GPS_BIT = mavlink.MAV_SYS_STATUS_SENSOR_GPS
 _STICKS_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
-_ESTIMATES_ALL = 831  # attitude, velocities, positions; neither by dead reckoning nor with a GPS glitch
+_ESTIMATES_ALL = 831  # attitude, velocities, positions; no dead reckoning, no GPS glitch
 _ESTIMATES_WITHOUT_GPS = 165
 
 
@@ -79,7 +80,7 @@ class Px4Telemetry(Telemetry[Quadrotor]):
     capabilities = 59_647  # as recorded
 
     def reports(self) -> dict[float, Report]:
-        """The reports that can be asked for, by message number."""
+        """The reports on request, by message number."""
         return super().reports() | {
             mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self.attitude_quaternion,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self.estimator_status,
@@ -121,7 +122,7 @@ class Px4Telemetry(Telemetry[Quadrotor]):
             healthy &= _HEALTHY_WITHOUT_POSITION
             if not copter.gps.has_fix:
                 enabled, healthy = enabled | _GPS_BIT, healthy & ~_GPS_BIT
-        if copter.inputs.hears_sticks(now_s):
+        if copter.inputs.hears(InputSource.STICKS, now_s):
             present, healthy = present | _STICKS_BIT, healthy | _STICKS_BIT
         if copter.battery_level(now_s) > 1:
             healthy &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY

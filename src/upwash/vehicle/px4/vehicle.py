@@ -1,7 +1,7 @@
-"""What the stand-in does when told, as a PX4 would: modes, arming, take-off, repositions, OFFBOARD, fail-safes.
+"""The answers and deeds of a stand-in PX4: modes, arming, take-off, repositions, OFFBOARD, fail-safes.
 
-It decides its modes; `Px4Flight` moves it in them. It lives in steps of `STEP_S`: whoever asks or commands it says
-what time it is, and it catches up. Nothing here needs a clock, a socket or a timer.
+It decides its modes; `Px4Flight` moves it in them. It lives in steps of `STEP_S`: each question and command brings
+the time, and it catches up. Nothing here needs a clock, a socket or a timer.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from upwash.vehicle.px4.failsafe import (
     announce,
 )
 from upwash.vehicle.px4.flight import DISARMED_BY_COMMAND, MANUAL, Px4Flight
-from upwash.vehicle.px4.inputs import Gps, Setpoint, Sticks
+from upwash.vehicle.px4.inputs import REGAINED, Gps, InputSource, Setpoint, Sticks
 from upwash.vehicle.px4.navigator import LOWEST_M, Reposition
 from upwash.vehicle.px4.settings import Px4Settings
 
@@ -117,8 +117,8 @@ class Quadrotor(Px4Flight):
         return 1 + sum(left <= self.parameters[name] for name in thresholds)
 
     def hears_setpoints(self, now_s: float) -> bool:
-        """Whether setpoints for OFFBOARD are heard, and can be followed."""
-        return self.inputs.hears_setpoints(now_s) and self.gps.placed
+        """Whether setpoints for OFFBOARD arrive, and can be followed."""
+        return self.inputs.hears(InputSource.SETPOINTS, now_s) and self.gps.placed
 
     def armable(self, now_s: float) -> bool:
         """Whether its checks would let it be armed now."""
@@ -128,7 +128,7 @@ class Quadrotor(Px4Flight):
             and self._can_run(self.intended, now_s)
             and not self.suffers(FaultKind.ARMING, now_s)
             and self.battery_level(now_s) < 3
-            and (not self.parameters["NAV_DLL_ACT"] or self.inputs.hears_ground_station(now_s))
+            and (not self.parameters["NAV_DLL_ACT"] or self.inputs.hears(InputSource.GROUND_STATION, now_s))
             and not self.breaches()
         )
 
@@ -157,7 +157,7 @@ class Quadrotor(Px4Flight):
         lands = self.mode is Mode.LAND or (self.mode is Mode.RTL and self._navigator.lands_at_home)
         return LandedState.LANDING if lands and not self.descends_blindly else LandedState.IN_AIR
 
-    # --- what it is told ------------------------------------------------------------------------------------
+    # --- commands --------------------------------------------------------------------------------------------
 
     def arm(self, now_s: float, *, forced: bool = False) -> Result:
         """Starts the motors, once the checks pass."""
@@ -214,7 +214,7 @@ class Quadrotor(Px4Flight):
     def reposition(self, now_s: float, wish: Reposition) -> Result:
         """Flies there, or holds where it can stop; without altitude at the present one.
 
-        Outside the fence it says so in an event only, and flies nowhere. Disarmed it only changes its mode.
+        A place outside the fence causes an event only, and no flight. Disarmed it only changes its mode.
         """
         self.advance(now_s)
         target = wish.target(self._body.position)
@@ -240,7 +240,7 @@ class Quadrotor(Px4Flight):
         return Result.ACCEPTED
 
     def follow(self, now_s: float, setpoint: Setpoint) -> None:
-        """Takes a setpoint for OFFBOARD; in any other mode it only shows that somebody streams them."""
+        """Takes a setpoint for OFFBOARD; in any other mode it only counts as a sign of life."""
         self.advance(now_s)
         self._take_setpoint(now_s, setpoint)
 
@@ -249,8 +249,9 @@ class Quadrotor(Px4Flight):
         self.advance(now_s)
         if not self.parameters["COM_RC_IN_MODE"]:
             return
-        known = self.inputs.hears_sticks(now_s)
-        self.inputs.take_sticks(sticks, now_s)
+        known = self.inputs.hears(InputSource.STICKS, now_s)
+        self.inputs.take(InputSource.STICKS, now_s)
+        self.inputs.sticks = sticks
         override = round(self.parameters["COM_RC_OVERRIDE"])
         overridable = (override & 1 and self.mode in _AUTO) or (override & 2 and self.mode is Mode.OFFBOARD)
         if not (
@@ -265,17 +266,11 @@ class Quadrotor(Px4Flight):
             self.happened("commander_rc_override")
         self._choose_mode()
 
-    def hear_ground_station(self, now_s: float) -> None:
-        """A ground station is alive."""
+    def hear(self, source: InputSource, now_s: float) -> None:
+        """A ground station or a companion computer is alive."""
         self.advance(now_s)
-        if self.inputs.take_ground_station(now_s):
-            self.happened("commander_dl_regained")
-
-    def hear_companion(self, now_s: float) -> None:
-        """A companion computer is alive."""
-        self.advance(now_s)
-        if self.inputs.take_companion(now_s):
-            self.happened("commander_onboard_ctrl_regained")
+        if self.inputs.take(source, now_s):
+            self.happened(REGAINED[source])
 
     # --- what it is meant to do, and what it does -----------------------------------------------------------
 
@@ -295,7 +290,9 @@ class Quadrotor(Px4Flight):
         if mode is Mode.OFFBOARD:
             return self.hears_setpoints(now_s)
         if mode in MANUAL:
-            return self.inputs.hears_sticks(now_s) and (self.gps.placed or mode is not Mode.POSCTL)
+            return self.inputs.hears(InputSource.STICKS, now_s) and (
+                self.gps.placed or mode is not Mode.POSCTL
+            )
         return self.gps.placed
 
     def _choose_mode(self) -> None:
@@ -355,15 +352,19 @@ class Quadrotor(Px4Flight):
 
     def _lost_links(self) -> Iterator[tuple[Cause, Danger]]:
         now_s, inputs = self._time_s, self.inputs
-        if self.intended is Mode.OFFBOARD and self.gps.placed and not inputs.hears_setpoints(now_s):
+        if (
+            self.intended is Mode.OFFBOARD
+            and self.gps.placed
+            and not inputs.hears(InputSource.SETPOINTS, now_s)
+        ):
             action = OFFBOARD_ACTIONS.get(round(self.parameters["COM_OBL_RC_ACT"]), Action.WARN)
             yield Cause.OFFBOARD, Danger(action, at_once=True)
         wanted = LINK_ACTIONS.get(round(self.parameters["NAV_DLL_ACT"]))
-        if wanted and inputs.ground_station_at_arming and not inputs.hears_ground_station(now_s):
+        if wanted and inputs.misses(InputSource.GROUND_STATION, now_s):
             yield Cause.GROUND_STATION, Danger(wanted)
         wanted = LINK_ACTIONS.get(round(self.parameters["NAV_RCL_ACT"]))
         forgiving = round(self.parameters["COM_RCL_EXCEPT"]) & _EXCEPTION_BITS.get(self.intended, 0)
-        if wanted and inputs.sticks_at_arming and not inputs.hears_sticks(now_s) and not forgiving:
+        if wanted and inputs.misses(InputSource.STICKS, now_s) and not forgiving:
             yield Cause.MANUAL_CONTROL, Danger(wanted)
 
     def _fly(self) -> None:
