@@ -1,10 +1,12 @@
+"""Which ranges a place is in, found without looking at each range."""
+
 from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.geo import Circle, Position
-from upwash.core.knowledge.ranges import Ranges
+from upwash.core.geo import Circle, Measured, Position, Reach, ground_distance_m
+from upwash.core.knowledge.ranges import AreaIndex, Ranges
 
 metres = st.floats(-500, 500)
 places = st.builds(Position, metres, metres)
@@ -47,3 +49,29 @@ def test_far_areas_are_not_looked_at_again_and_again() -> None:
     for step in range(1000):
         ranges.crossed(Position(float(step), 0))
     assert areas.looks == 100
+
+
+metres = st.floats(-5_000.0, 5_000.0)
+places = st.builds(Position, metres, metres)
+areas = st.lists(
+    st.one_of(st.just(Measured()), st.builds(Circle, places, st.floats(0.0, 3_000.0))), max_size=30
+)
+
+
+@given(areas, places)
+def test_no_area_that_reaches_so_near_is_left_out(areas: list[Reach], place: Position) -> None:
+    near = AreaIndex(areas).near(place)
+    reaching = [
+        number
+        for number, area in enumerate(areas)
+        if isinstance(area, Measured) or ground_distance_m(place, area.centre) <= area.radius_m
+    ]
+    assert set(reaching) <= set(near)
+    assert near == sorted(set(near))
+
+
+def test_of_a_line_of_servers_few_are_looked_at() -> None:
+    line = [Circle(Position(150.0 * number, 0.0), 100.0) for number in range(1_000)]
+    near = AreaIndex(line).near(Position(75_000.0, 20.0))
+    assert 500 in near
+    assert len(near) < 5

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from msgspec import structs
 
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
@@ -122,7 +123,7 @@ class Flights(RuleBasedStateMachine):
             self.areas,
             estimates=Estimates(local_s=local_s, servers=believed, slow_apart=probing is not None),
             policy=policy,
-            settings=replace(SETTINGS, radios=radios, probing=probing),
+            settings=structs.replace(SETTINGS, radios=radios, probing=probing),
             mission=MissionBeliefs(
                 [Waypoint(number, place) for number, place in enumerate(plan)],
                 stop=[StopCall(operation, 1.0) for operation in sorted(local_s)],

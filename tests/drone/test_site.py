@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from msgspec import structs
 
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
@@ -122,7 +123,7 @@ def test_what_the_vehicles_fence_forbids_is_refused_with_its_place(
         (AROUND, heights(20.0, 5.0, returns_at_m=18.0)),
         (AROUND, heights(lowest_m=-10.0)),
         (
-            replace(AROUND, ending="land"),
+            structs.replace(AROUND, ending="land"),
             keep_out(-5, 15, 5, 25),
         ),  # across its way home, which it does not fly
         (site(), keep_out(10, 10, 30, 30)),

@@ -14,12 +14,13 @@ import logging
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 from unittest.mock import patch
 
 import msgspec
+from msgspec.structs import replace
 from tests.sim import planted_vehicle as vehicle
 
 from upwash.config import DroneConfig

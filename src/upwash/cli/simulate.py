@@ -22,9 +22,8 @@ from upwash.eventlog.kept import lines_of
 from upwash.eventlog.results import as_json
 from upwash.eventlog.terminal import print_result
 from upwash.lab.figures import FigureFiles
-from upwash.lab.simulation import FleetSimulation, simulate_fleet
 from upwash.lab.scenario import read_scenario
-from upwash.lab.simulation import Simulation, simulate
+from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 from upwash.support.output_files import write_file
 from upwash.support.sentences import say
 

@@ -16,19 +16,12 @@ import contextlib
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
+from msgspec import Struct, structs
+
 from upwash.core.geo import Position
 from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.policies.policy import Decision, Lightened, Remote
-from upwash.core.selection.events import (
-    LocalCallEnded,
-    Reached,
-    RemoteCallCut,
-    RemoteCallEnded,
-    RemoteCallFailed,
-    RemoteCallRaised,
-    RemoteFaultTested,
-    SlotTaken,
-)
+from upwash.core.selection import events
 from upwash.core.selection.hedging import Hedge, Hedging
 from upwash.drone.decisions import Decisions, now_s
 from upwash.drone.onboard import OnboardServices
@@ -45,8 +38,7 @@ _LOCAL_LEAST_S = 30.0
 _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 
-@dataclass(frozen=True, slots=True)
-class Invocation:
+class Invocation(Struct, frozen=True):
     """What the mission asked for, or, where it is `lightened`, less than that."""
 
     operation: Operation
@@ -62,8 +54,7 @@ class Invocation:
         return Invocation(lightened.operation, self.method, request, lightened)
 
 
-@dataclass(frozen=True, slots=True)
-class ReportedFault:
+class ReportedFault(Struct, frozen=True):
     """What a server says that the service raised in a call, and after how long."""
 
     raised: str
@@ -133,13 +124,13 @@ class Calling:
             )
             reply = method.decode(answer)
         except NoLease as error:
-            self._decisions.tell(SlotTaken(attempt.check, str(error), in_call=True))
+            self._decisions.tell(events.SlotTaken(attempt.check, str(error), in_call=True))
             return None
         except LinkError as error:
             self._journal.record(schema.RemoteFailed(server=server, check=attempt.check, why=str(error)))
             if isinstance(error, DeadlineExceeded):
-                attempt.worker.cut = RemoteCallCut(server, operation, now_s() - began_s)
-            self._decisions.tell(RemoteCallFailed(server, attempt.check, str(error), attempt.late))
+                attempt.worker.cut = events.RemoteCallCut(server, operation, now_s() - began_s)
+            self._decisions.tell(events.RemoteCallFailed(server, attempt.check, str(error), attempt.late))
             if isinstance(error, UNREACHED):
                 self._reached(attempt, now_s() - began_s, None)
             return None
@@ -153,7 +144,7 @@ class Calling:
             self._journal.record(schema.Dropped(operation=str(operation), place=server))
         if self._hedging is not None:
             self._hedging.answered(server, operation, delay_s)
-        self._decisions.tell(RemoteCallEnded(server, operation, delay_s, attempt.late))
+        self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late))
         self._reached(attempt, delay_s, len(answer))
         return reply
 
@@ -186,7 +177,7 @@ class Calling:
         elif self._hedging is not None:
             self._hedging.answered(server, operation, said.delay_s)
         self._decisions.tell(
-            RemoteFaultTested(server, attempt.check, operation, said.delay_s, why, confirmed)
+            events.RemoteFaultTested(server, attempt.check, operation, said.delay_s, why, confirmed)
         )
 
     def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
@@ -196,7 +187,9 @@ class Calling:
             return
         size_bytes = len(call.request) + (answer_bytes or 0)
         answered = answer_bytes is not None
-        self._decisions.tell(Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes))
+        self._decisions.tell(
+            events.Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes)
+        )
 
     def _doubt(self, attempt: Attempt, said: ReportedFault) -> None:
         """Notes what the server says that the service raised; the mission hears only what the drone's own raises."""
@@ -209,7 +202,7 @@ class Calling:
             self.test(attempt, rival.result())
         else:
             why = f"{server} says that {operation} raised {said.raised}"
-            self._decisions.tell(RemoteCallRaised(server, why))
+            self._decisions.tell(events.RemoteCallRaised(server, why))
 
 
 def has_failed(call: asyncio.Task[Any]) -> bool:
@@ -217,8 +210,7 @@ def has_failed(call: asyncio.Task[Any]) -> bool:
     return call.done() and (call.cancelled() or call.exception() is not None or call.result() is None)
 
 
-@dataclass(frozen=True, slots=True)
-class CallAnswer:
+class CallAnswer(Struct, frozen=True):
     """What one call came to; the fields are those of the event `schema.Call`."""
 
     reply: Any
@@ -247,8 +239,7 @@ class _Computing:
     task: asyncio.Task[Any] = field(init=False)
 
 
-@dataclass(frozen=True, slots=True)
-class _Loser:
+class _Loser(Struct, frozen=True):
     """What still runs of a call that is answered; `service` is the drone's own that is busy with it, if one is."""
 
     task: asyncio.Task[Any]
@@ -331,7 +322,7 @@ class Racing:
         in_time = hedge.after_s + answer.onboard_s <= decision.deadline_s
         if self._hedging is not None and answer.server == decision.server and in_time:
             self._hedging.added(self._decisions.estimates.local_s(call.operation) or 0.0)
-        return replace(answer, hedged_s=hedge.after_s)
+        return structs.replace(answer, hedged_s=hedge.after_s)
 
     # --- the race -------------------------------------------------------------------------------------------
 
@@ -359,7 +350,7 @@ class Racing:
                 if attempt is not None and attempt.reply is not None:
                     attempt.rival = computing.task
                     if await _first_over(attempt.reply, computing.task) is attempt.reply:
-                        return replace(self._won(attempt, computing), overtook=overtaking)
+                        return structs.replace(self._won(attempt, computing), overtook=overtaking)
                 if computing.task.done() or (attempt is not None and attempt.said is not None):
                     break
                 decision = await self._overtaken(computing)
@@ -410,7 +401,7 @@ class Racing:
             self._calling.test(attempt, reply)
             if late and attempt.reply is not None:
                 self._keep(_Loser(attempt.reply))
-        self._decisions.tell(LocalCallEnded(computing.call.operation, delay_s))
+        self._decisions.tell(events.LocalCallEnded(computing.call.operation, delay_s))
         return CallAnswer(
             reply,
             computing.call,

@@ -7,7 +7,8 @@ import math
 import traceback
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.config import DroneConfig, ending, geofence, server_areas
 from upwash.core.geo import Circle, GeoPosition, rounded
@@ -57,8 +58,7 @@ _WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
 _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
 
-@dataclass(frozen=True, slots=True)
-class Ports:
+class Ports(Struct, frozen=True):
     """Everything that a flight needs from outside: things, or models of them; a network for each radio."""
 
     autopilot: Autopilot

@@ -6,9 +6,10 @@ A plan's altitudes above the sea become altitudes above the vehicle's own home, 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
+from msgspec import Struct
 
 from upwash.config import (
     AltitudesAboveSea,
@@ -28,8 +29,7 @@ _STEADY_M = 3.0  # less is the drift of a GPS in height between two looks
 _FAR_M = 100.0
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedHome:
+class PlannedHome(Struct, frozen=True):
     """A plan's home; None where the plan does not have it.
 
     Where `counts_from_sea`, altitudes of the plan were converted with `above_sea_m`.

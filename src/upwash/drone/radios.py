@@ -11,22 +11,9 @@ import functools
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import NoReturn, TypeVar
 
+from upwash.core.selection import events
 from upwash.core.selection.commands import Check, Command, Leave, Prepare, Probe, Start
-from upwash.core.selection.events import (
-    CheckAnswered,
-    Event,
-    LeaseRenewed,
-    NetworkGone,
-    PeerPrepared,
-    ProbeAnswered,
-    ProbePaused,
-    ProbeUnanswered,
-    RemoteCallCut,
-    ServerUnusable,
-    ServicesStarted,
-    SlotRefused,
-    SlotTaken,
-)
+from upwash.core.selection.events import Event
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UNREACHED, LinkError, NetworkError, ServerFull, ServicePaused
 from upwash.eventlog import schema
@@ -51,7 +38,7 @@ class RadioWorker:
     ) -> None:
         self.session: ServerSession | None = None
         self._session_with = ""  # the server
-        self.cut: RemoteCallCut | None = None  # the call that ended the session by taking too long
+        self.cut: events.RemoteCallCut | None = None  # the call that ended the session by taking too long
         self._in_range = in_range
         self._endpoints = endpoints
         self._network = network
@@ -136,7 +123,7 @@ class RadioWorker:
         except (NetworkError, LinkError) as error:
             self._tell(_failed(check, error))
             return
-        self._tell(CheckAnswered(check, answer.running, answer.peers, answer.waiting))
+        self._tell(events.CheckAnswered(check, answer.running, answer.peers, answer.waiting))
         if answer.running:
             await self._keep_lease(session, check)
 
@@ -146,7 +133,7 @@ class RadioWorker:
             try:
                 return await ask()
             except ServerFull as refusal:
-                self._tell(SlotRefused(check, refusal.waiting))
+                self._tell(events.SlotRefused(check, refusal.waiting))
                 await asyncio.sleep(refusal.ask_again_s)
 
     async def _keep_lease(self, session: ServerSession, check: int) -> None:
@@ -156,7 +143,7 @@ class RadioWorker:
         def renewed(waiting: int) -> None:
             nonlocal before
             if waiting or before:
-                self._tell(LeaseRenewed(check, waiting))
+                self._tell(events.LeaseRenewed(check, waiting))
             before = waiting
 
         def moved(service: str) -> None:
@@ -165,7 +152,7 @@ class RadioWorker:
         try:
             await session.keep_lease(renewed, moved)
         except ServerFull as refusal:
-            self._tell(SlotTaken(check, str(refusal)))
+            self._tell(events.SlotTaken(check, str(refusal)))
 
     async def _join(self, session: ServerSession, command: Check | Probe) -> None:
         if await session.join(timeout_s=command.join_limit_s):
@@ -174,7 +161,7 @@ class RadioWorker:
 
     async def _probe(self, session: ServerSession, command: Probe) -> None:
         """Returns at the first sign of life; a question that is not answered yet keeps the next one from nothing."""
-        asking: set[asyncio.Task[ProbeAnswered | ProbePaused]] = set()
+        asking: set[asyncio.Task[events.ProbeAnswered | events.ProbePaused]] = set()
         asked = False
         try:
             for pause_s in command.probing.pauses_s(alone_s=command.alone_s):
@@ -183,7 +170,7 @@ class RadioWorker:
                     self._tell(answered)
                     return
                 if asked:
-                    self._tell(ProbeUnanswered(command.check))
+                    self._tell(events.ProbeUnanswered(command.check))
                 asked = True
                 asking = {task for task in asking if not task.done()}
                 try:
@@ -196,14 +183,16 @@ class RadioWorker:
         finally:
             await end(*asking)
 
-    async def _question(self, session: ServerSession, check: int) -> ProbeAnswered | ProbePaused:
+    async def _question(
+        self, session: ServerSession, check: int
+    ) -> events.ProbeAnswered | events.ProbePaused:
         try:
-            return ProbeAnswered(check, await session.probe())
+            return events.ProbeAnswered(check, await session.probe())
         except ServicePaused as refusal:
-            return ProbePaused(check, str(refusal), refusal.pause_s)
+            return events.ProbePaused(check, str(refusal), refusal.pause_s)
 
     async def _notice_loss(self, session: ServerSession, check: int) -> None:
-        self._tell(NetworkGone(check, await session.lost()))
+        self._tell(events.NetworkGone(check, await session.lost()))
 
     async def _start(self, session: ServerSession, command: Start) -> None:
         start = functools.partial(session.start, timeout_s=command.limit_s)
@@ -212,7 +201,7 @@ class RadioWorker:
         except LinkError as error:
             self._tell(_failed(command.check, error))
             return
-        self._tell(ServicesStarted(command.check))
+        self._tell(events.ServicesStarted(command.check))
         await self._keep_lease(session, command.check)
 
     async def _prepare(self, session: ServerSession, command: Prepare) -> None:
@@ -224,12 +213,12 @@ class RadioWorker:
         except LinkError as error:
             self._journal.record(schema.NotPrepared(server=command.peer, by=command.server, why=str(error)))
             return
-        self._tell(PeerPrepared(command.peer, command.server))
+        self._tell(events.PeerPrepared(command.peer, command.server))
 
 
-def _failed(check: int, error: NetworkError | LinkError) -> ServerUnusable:
+def _failed(check: int, error: NetworkError | LinkError) -> events.ServerUnusable:
     pause_s = error.pause_s if isinstance(error, ServicePaused) else 0.0
-    return ServerUnusable(check, str(error), isinstance(error, UNREACHED), pause_s)
+    return events.ServerUnusable(check, str(error), isinstance(error, UNREACHED), pause_s)
 
 
 async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T | None:

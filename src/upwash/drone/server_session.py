@@ -6,10 +6,10 @@ import asyncio
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import NoReturn
 
 import msgspec
+from msgspec import Struct
 
 from upwash.errors import (
     DeadlineExceeded,
@@ -50,8 +50,7 @@ _LONGEST_PAUSE_S = 600.0  # a server is left out for no longer, whatever the ser
 MOST_MOVES = 16
 
 
-@dataclass(frozen=True, slots=True)
-class ServerEndpoint:
+class ServerEndpoint(Struct, frozen=True):
     """How a server is reached, and which of the drone's services are wanted there.
 
     With a `finder` its address is looked for in the network that was joined.
@@ -64,8 +63,7 @@ class ServerEndpoint:
     finder: Finder | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Availability:
+class Availability(Struct, frozen=True):
     """What a server that is available says: whether all wanted services run, and whom it can have prepared.
 
     So many drones wait for a slot.

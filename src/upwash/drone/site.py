@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
 from upwash.core.vehicle.geofence import Fence, breached_by_leg, breached_by_move, breached_by_position
@@ -17,8 +18,7 @@ _CARRIED_M = 20.0  # from where it was switched on; less is the drift of a GPS
 _REMEDY = "change the plan or the vehicle's fence; nothing was sent"
 
 
-@dataclass(frozen=True, slots=True)
-class Site:
+class Site(Struct, frozen=True):
     """The waypoints of a mission, the fences of its plan, and how it begins and ends.
 
     `takeoff_m` is the altitude of its take-off, `farthest_start_m` from how far away it may begin.

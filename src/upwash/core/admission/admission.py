@@ -28,6 +28,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from msgspec import Struct
+
 from upwash.core.admission.clients import (
     Client,
     DroneUsage,
@@ -69,8 +71,7 @@ class ServerOffer:
         return {service: self.lanes.get(service, 1) for service in self.images}
 
 
-@dataclass(frozen=True, slots=True)
-class AdmissionSettings:
+class AdmissionSettings(Struct, frozen=True):
     """How long a lease lasts without a request, an instance without a call, and a slot for a peer's drone at most."""
 
     lease_s: float = 30.0
@@ -78,8 +79,7 @@ class AdmissionSettings:
     hold_s: float = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Available:
+class Available(Struct, frozen=True):
     """The server can serve the drone; `endpoints` are of those wanted services that run already.
 
     So many others wait for a slot.
@@ -89,8 +89,7 @@ class Available:
     waiting: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Denied:
+class Denied(Struct, frozen=True):
     """The server cannot serve the drone, and why.
 
     Where only a slot is wanting it is to ask again in so long; so many wait, with it, and it may have done so before.
@@ -104,23 +103,20 @@ class Denied:
     pause_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceRunning:
+class ServiceRunning(Struct, frozen=True):
     """The service can be called at the endpoint."""
 
     endpoint: str
 
 
-@dataclass(frozen=True, slots=True)
-class StartPending:
+class StartPending(Struct, frozen=True):
     """The instance of that number is starting, or still stopping; ask again when it is ready or gone."""
 
     number: int
     stopping: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Held:
+class Held(Struct, frozen=True):
     """A slot is held for the drone."""
 
 

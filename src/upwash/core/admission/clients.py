@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal, TypeAlias
 
+from msgspec import Struct
+
 _MOST_REFUSALS = 20
 
 
@@ -18,8 +20,7 @@ class Role(StrEnum):
     SERVER = "server"
 
 
-@dataclass(frozen=True, slots=True)
-class Client:
+class Client(Struct, frozen=True):
     """A drone, an operator or another daemon: the name in its certificate, and the certificate's fingerprint.
 
     The fingerprint is empty where no certificates are used, which is on one machine only.
@@ -35,8 +36,7 @@ class Client:
         return self.certificate or self.name
 
 
-@dataclass(frozen=True, slots=True)
-class LeaseStatus:
+class LeaseStatus(Struct, frozen=True):
     """A drone that holds a slot; `held_by` is the peer that asked for it, for a drone that is expected."""
 
     drone: str
@@ -45,8 +45,7 @@ class LeaseStatus:
     held_by: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class InstanceStatus:
+class InstanceStatus(Struct, frozen=True):
     """A service of a server and where its instance is in its life; unused for so long if it runs.
 
     `replaced` counts the instances that were of no use, `failures` those that failed in a row. The service is left
@@ -66,8 +65,7 @@ class InstanceStatus:
     not_renewed: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class AccountStatus:
+class AccountStatus(Struct, frozen=True):
     """A drone that holds a slot or waits for one, for so long, and the slot time that counts as its own."""
 
     drone: str
@@ -76,8 +74,7 @@ class AccountStatus:
     waits_s: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class DroneUsage:
+class DroneUsage(Struct, frozen=True):
     """What a drone has used of a server: `slot_s` of slots in all, and answered `calls` computed for `computed_s`.
 
     It has had its present slot for `holds_s`, None without a slot. Its last call ended `called_ago_s` ago.
@@ -92,8 +89,7 @@ class DroneUsage:
     called_ago_s: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class TeamUsage:
+class TeamUsage(Struct, frozen=True):
     """The same of all drones of a team, which have `slots` now."""
 
     team: str
@@ -104,8 +100,7 @@ class TeamUsage:
     called_ago_s: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class ServerStatus:
+class ServerStatus(Struct, frozen=True):
     """One of the servers that a daemon acts as; `slots_why` says what the number of slots follows from.
 
     A turn lasts `turn_s`, None where it has no end, and so many have ended for the sake of others. A daemon that
@@ -124,8 +119,7 @@ class ServerStatus:
     teams: Sequence[TeamUsage] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class RefusalStatus:
+class RefusalStatus(Struct, frozen=True):
     """What a client was refused, how often, and how long ago last."""
 
     server: str
@@ -140,8 +134,7 @@ DoorReason: TypeAlias = Literal[
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class DoorStatus:
+class DoorStatus(Struct, frozen=True):
     """How often connections were refused for a reason before any request, who was last, and how long ago.
 
     `last` is a name where a certificate of the authority was shown, otherwise an address.

@@ -12,6 +12,8 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from msgspec import Struct
+
 from upwash.core.admission.clients import InstanceStatus
 from upwash.core.admission.watchdog import InstanceFailures, Limit, Useless, Watch
 
@@ -25,8 +27,7 @@ class InstanceState(StrEnum):
     STOPPING = "stopping"
 
 
-@dataclass(frozen=True, slots=True)
-class StartInstance:
+class StartInstance(Struct, frozen=True):
     """Start an instance of the service for the server."""
 
     server: str
@@ -34,8 +35,7 @@ class StartInstance:
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class StopInstance:
+class StopInstance(Struct, frozen=True):
     """Stop that instance; if there is a reason let the calls under way end first, and refuse every other for it.
 
     The calls of an instance that is of no use get little time.

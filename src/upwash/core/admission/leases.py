@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from msgspec import Struct
+
 from upwash.core.admission.clients import Client, LeaseStatus
 from upwash.core.admission.turns import Turns
 from upwash.core.admission.usage import LeaseEnded, Usage
@@ -16,8 +18,7 @@ from upwash.core.admission.usage import LeaseEnded, Usage
 _FINISH_S = 10.0  # for which calls that are under way are answered after a turn
 
 
-@dataclass(frozen=True, slots=True)
-class Admit:
+class Admit(Struct, frozen=True):
     """From now on the server's instances answer these drones, known by `Client.key`, and no others.
 
     Of those that are `finishing` they answer the calls that are under way, and no further ones.

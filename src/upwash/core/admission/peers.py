@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from msgspec import Struct
+
 _MOST_MISSED = 3  # drones in a row that a peer expected in vain
 _MISTRUST_HOLDS = 10  # for how many times the longest hold it is refused then
 
@@ -22,8 +24,7 @@ class _Missed:
     last_s: float = -math.inf
 
 
-@dataclass(frozen=True, slots=True)
-class _SentAhead:
+class _SentAhead(Struct, frozen=True):
     """A peer was asked to hold a slot for a drone until then; without that it holds one until `otherwise_s`."""
 
     peer: str

@@ -13,6 +13,8 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from msgspec import Struct
+
 from upwash.core.admission.clients import Client, DroneUsage, TeamUsage
 
 _MOST_DRONES = 200
@@ -24,8 +26,7 @@ def team_of(drone: str) -> str:
     return drone.partition("-")[0] or drone
 
 
-@dataclass(frozen=True, slots=True)
-class LeaseEnded:
+class LeaseEnded(Struct, frozen=True):
     """A drone has a slot of the server no more: how long it had one, and what it used meanwhile.
 
     The slot of a drone that was expected and did not come was `held_by` the peer that asked for it.

@@ -17,6 +17,8 @@ import math
 from collections.abc import Set
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 CALL_LIMIT_S = 60.0  # unless the operator allows more or less
 LEAST_LIMIT_S = 20.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 300.0
@@ -26,8 +28,7 @@ _LIMIT_FACTOR = 5.0
 _DOUBLINGS = 10  # which lead beyond the longest pause
 
 
-@dataclass(frozen=True, slots=True)
-class Useless:
+class Useless(Struct, frozen=True):
     """Why an instance is of no use, and the drones, known by `Client.key`, whose calls have shown it."""
 
     why: str

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+from msgspec import Struct
+
 from upwash.core.geo import Position
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.operation import Operation
@@ -46,8 +48,7 @@ class Window:
 _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
 
 
-@dataclass(frozen=True, slots=True)
-class Beliefs:
+class Beliefs(Struct, frozen=True):
     """What is believed of one server before the first contact, from tests on the ground.
 
     `remote_s` has an entry for every operation that the server hosts; `check_s` is the delay from selection to

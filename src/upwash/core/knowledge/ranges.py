@@ -36,15 +36,12 @@ class AreaIndex:
                 for square in squares:
                     self._in_square[square].append(number)
 
-    def near(self, place: Position, within_m: float = 0.0) -> list[int]:
-        """All areas that reach to within that distance of the place over the ground, and few others, in order."""
-        squares = self._squares(place, within_m) if len(self._all) > _FEW else None
-        if squares is None:
+    def near(self, place: Position) -> list[int]:
+        """The numbers of all areas around the place, and of few others, in order."""
+        if len(self._all) <= _FEW:
             return self._all
-        found = set(self._wide)
-        for square in squares:
-            found.update(self._in_square.get(square, ()))
-        return sorted(found)
+        square = int(place.east_m // self._side_m), int(place.north_m // self._side_m)
+        return sorted({*self._wide, *self._in_square.get(square, ())})
 
     def _squares(self, centre: Position, radius_m: float) -> list[tuple[int, int]] | None:
         """The squares around a circle; None where they are too many."""

@@ -12,6 +12,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from msgspec import Struct
+
 from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.ranges import Ranges
 from upwash.errors import TransitionError
@@ -85,8 +87,7 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(Struct, frozen=True):
     """One step of one server through the table, and why."""
 
     server: str

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.planning.schedule import CheckTimes, ComingCall, quickest
 
 
-@dataclass(frozen=True, slots=True)
-class Bound:
+class Bound(Struct, frozen=True):
     """The least time of a mission, or of its calls alone, whatever decides; in seconds.
 
     `free_s` is with every server joined for nothing and at once, `with_joins_s` paying for each join, one at a time.
@@ -25,8 +25,7 @@ class Bound:
     with_joins_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Onward:
+class Onward(Struct, frozen=True):
     """What follows a call whose answer the drone need not wait for, and whether that demands something there.
 
     The way to the next call takes `way_s`, with the photo there and without what an answer demands; `leg_s` of it is
@@ -49,8 +48,7 @@ class Onward:
         return min(stay_s, go_s if go_s <= self.leg_s else hidden_s + 2 * self.leg_s)
 
 
-@dataclass(frozen=True, slots=True)
-class FleetBound:
+class FleetBound(Struct, frozen=True):
     """The least mean time of several drones' missions, whatever decides; in seconds.
 
     `free_s` and `with_joins_s` are the means of the drones' own bounds, as if each had all servers for itself.
@@ -62,8 +60,7 @@ class FleetBound:
     shared_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class SharedMission:
+class SharedMission(Struct, frozen=True):
     """One mission of several at the same time: its beginning, its time with every call on the drone, and at least."""
 
     begun_s: float

@@ -14,15 +14,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.geo import Circle, Position, Reach, distance_m
 
 _LEAST_M_S2, _MOST_M_S2 = 0.05, 50.0  # what is slower or more agile was held up, or has hardly moved
 
 
-@dataclass(frozen=True, slots=True)
-class Leg:
+class Leg(Struct, frozen=True):
     """One leg, from rest to rest."""
 
     length_m: float
@@ -116,8 +116,7 @@ def entered_m(start: Position, end: Position, circle: Reach) -> float | None:
     return distance_m(start, end) * max(0.0, 1 - inside_m / ground_m)
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
+class Pace(Struct, frozen=True):
     """The average vehicle of a kind."""
 
     acceleration_m_s2: float = 1.0

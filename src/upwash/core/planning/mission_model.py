@@ -10,10 +10,10 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import fmean
 
-import msgspec
+from msgspec import Struct, structs
 
 from upwash.core.geo import Position, Reach, Waypoint, distance_m
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
@@ -24,15 +24,14 @@ from upwash.core.planning.legs import Leg, Pace, acceleration_m_s2, entered_m
 _MOST_ENTRIES = 10_000  # legs of which is remembered what was computed
 
 
-@dataclass(frozen=True, slots=True)
-class StopCall:
+class StopCall(Struct, frozen=True):
     """A call of a stop, `pause_s` after the arrival there or after the call before."""
 
     operation: Operation
     pause_s: float
 
 
-class ExpectedCall(msgspec.Struct, frozen=True):
+class ExpectedCall(Struct, frozen=True):
     """A call to come, `gap_s` after the end of the one before, or after now for the first.
 
     `in_range_s` says of each server in range of it for how much of that time, up to the call, it will have been. It
@@ -73,8 +72,7 @@ class _LegUnderWay:
     begun_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class NextLeg:
+class NextLeg(Struct, frozen=True):
     """The way from the waypoint where the drone is to the next one."""
 
     start: Position
@@ -82,16 +80,14 @@ class NextLeg:
     leg: Leg
 
 
-@dataclass(frozen=True, slots=True)
-class _Entries:
+class _Entries(Struct, frozen=True):
     """The servers in whose range a leg ends, and how far from its start it enters those where it does not begin."""
 
     servers: Sequence[str]
     entered_m: Sequence[tuple[str, float]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Way:
+class _Way(Struct, frozen=True):
     """A leg to come, and the hold at its end: how long both take, and how long after its start it enters ranges.
 
     A range in which the leg begins is left out.
@@ -267,7 +263,9 @@ class MissionModel:
                     self._ways.clear()
                 leg = self._leg(distance_m(place, waypoint.position), speed_m_s)
                 way = self._way_of(leg, place, waypoint.position)
-                way = self._ways[index, speed_m_s] = replace(way, duration_s=way.duration_s + waypoint.hold_s)
+                way = self._ways[index, speed_m_s] = structs.replace(
+                    way, duration_s=way.duration_s + waypoint.hold_s
+                )
             yield waypoint.position, way
             place = waypoint.position
 

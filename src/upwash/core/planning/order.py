@@ -11,7 +11,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+from msgspec import Struct
 
 from upwash.core.geo import Position, Reach, Waypoint, ground_distance_m
 from upwash.core.knowledge.estimates import Estimates
@@ -26,8 +28,7 @@ _SAME_LINE = 0.25  # of the distance to the nearest waypoint: places less far of
 _Lines = list[list[Waypoint]]
 
 
-@dataclass(frozen=True, slots=True)
-class Sweep:
+class Sweep(Struct, frozen=True):
     """All waypoints of a field, line by line, each line the other way."""
 
     number: int
@@ -112,8 +113,7 @@ def _lines(across_m: Sequence[float], same_m: float) -> list[int]:
 LEAST_SAVED = 0.02  # of the given order's time: what is less is within what a forecast can be wrong by
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(Struct, frozen=True):
     """The waypoints in the order in which they are flown, each with its index of the plan.
 
     `why` says so in words, "" where nothing but the given order was asked for; `sweep` is the number of the sweep
@@ -125,8 +125,7 @@ class Order:
     sweep: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Forecaster:
+class Forecaster(Struct, frozen=True):
     """Foretells how long a mission takes over waypoints in some order, from above where the vehicle stands.
 
     `home_s` is how long it takes from a waypoint to the ground at the mission's end.

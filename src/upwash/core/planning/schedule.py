@@ -21,16 +21,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter, ge, le
 from types import MappingProxyType
 from typing import NamedTuple
 
-import msgspec
+from msgspec import Struct
 
 
-class Offer(msgspec.Struct, frozen=True, gc=False):
+class Offer(Struct, frozen=True, gc=False):
     """A server in whose range a call will be made, and the delay of the call there.
 
     `head_start_s` is how long before the call its check can begin: the time in range since the call before, which is
@@ -42,7 +41,7 @@ class Offer(msgspec.Struct, frozen=True, gc=False):
     head_start_s: float
 
 
-class ComingCall(msgspec.Struct, frozen=True):
+class ComingCall(Struct, frozen=True):
     """A call that will be made `gap_s` after the end of the one before; the first, so long after now."""
 
     local_s: float
@@ -50,8 +49,7 @@ class ComingCall(msgspec.Struct, frozen=True):
     offers: Sequence[Offer]
 
 
-@dataclass(frozen=True, slots=True)
-class CheckTimes:
+class CheckTimes(Struct, frozen=True):
     """How long a check of a server takes; its services are known to run for `runs_for_s` from now."""
 
     stopped_s: float
@@ -59,15 +57,14 @@ class CheckTimes:
     runs_for_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Schedule:
+class Schedule(Struct, frozen=True):
     """The server to be on at each call, if any, and the delay of all the calls, waits included."""
 
     servers: Sequence[str | None]
     total_s: float
 
 
-class _Label(msgspec.Struct, gc=False):
+class _Label(Struct, gc=False):
     """One way to get through the calls so far."""
 
     cost_s: float
@@ -78,7 +75,7 @@ class _Label(msgspec.Struct, gc=False):
     before: _Label | None
 
 
-class _Useful(msgspec.Struct, gc=False):
+class _Useful(Struct, gc=False):
     """A server that may be part of the best schedule, and its bit in sets of servers that were started."""
 
     check: CheckTimes

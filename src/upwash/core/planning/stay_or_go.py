@@ -15,8 +15,9 @@ Laws:
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import Literal, TypeAlias
+
+from msgspec import Struct
 
 from upwash.core.planning.legs import Leg
 
@@ -25,8 +26,7 @@ _WINDOW = 40  # answers
 _DEMANDS, _ANSWERS = 1, 4  # that are taken to have been, before there are any
 
 
-@dataclass(frozen=True, slots=True)
-class Outlook:
+class Outlook(Struct, frozen=True):
     """The way to the next waypoint, with the photo there, and how long the open call takes from now on.
 
     It takes `stay_s` where the drone stays, and `go_s` where it goes, which may cost it the server.
@@ -51,8 +51,7 @@ class Outlook:
         return max(self.go_s, photographed_s) + self.leg.duration_s - self.photo_s - self.stay_s
 
 
-@dataclass(frozen=True, slots=True)
-class StayVerdict:
+class StayVerdict(Struct, frozen=True):
     """Whether the drone goes, why, and what that follows from; None where nothing was reckoned."""
 
     goes: bool

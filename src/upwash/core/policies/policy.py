@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from msgspec import Struct
+
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import Operation
 from upwash.core.planning.forecast import Forecast
 
 
-@dataclass(frozen=True, slots=True)
-class Option:
+class Option(Struct, frozen=True):
     """A server in range that may be used; `mean_call_s` is the mean delay of the drone's calls with it ready.
 
     One that is `full` had no slot for the drone, as far as is known.
@@ -28,8 +29,7 @@ class Option:
     full: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Situation:
+class Situation(Struct, frozen=True):
     """What a selection is decided on.
 
     `options` are in the order of the server table, without those that are blacklisted, or gain too little for a slot
@@ -45,16 +45,14 @@ class Situation:
     forecast: Forecast | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Coming:
+class Coming(Struct, frozen=True):
     """The server that the drone goes on to, and in how long at the earliest."""
 
     server: str
     in_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(Struct, frozen=True):
     """The server to have selected from now on, if any, and why; and the one after it, where one is foreseen."""
 
     server: str | None
@@ -62,8 +60,7 @@ class Choice:
     coming: Coming | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CallInputs:
+class CallInputs(Struct, frozen=True):
     """What an invocation is decided on, while a server is selected and in range.
 
     `local_s` and `remote_s` are the operation's estimates; `check_expected_s` is the estimate of the check under
@@ -80,8 +77,7 @@ class CallInputs:
     is_first: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Lightened:
+class Lightened(Struct, frozen=True):
     """A call that runs as another operation than was asked for, as the mission was expected to end too late."""
 
     operation: Operation
@@ -90,8 +86,7 @@ class Lightened:
     finish_by_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(Struct, frozen=True):
     """What a call was decided on, as it was then: enough to make the decision again.
 
     `server` is the one in use, None where there is none; its state, the number of its check and the estimates are
@@ -165,8 +160,7 @@ class Policy(Protocol):
         """Wait, remote or local?"""
 
 
-@dataclass(frozen=True, slots=True)
-class Deadline:
+class Deadline(Struct, frozen=True):
     """How long a remote call may take.
 
     Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound. A deadline
@@ -184,8 +178,7 @@ class Deadline:
         return max(self.least_s, min(self.factor * remote_s, local_s))
 
 
-@dataclass(frozen=True, slots=True)
-class WaitRule:
+class WaitRule(Struct, frozen=True):
     """Waits for a server that is being checked where that is expected to pay off (eq. 3.5)."""
 
     gain_wait: float = 0.25
@@ -220,8 +213,7 @@ def with_slots(options: Sequence[Option]) -> Sequence[Option]:
     return [option for option in options if not option.full] or options
 
 
-@dataclass(frozen=True, slots=True)
-class LocalOnly:
+class LocalOnly(Struct, frozen=True):
     """Never offloads: the thesis's no-offload reference."""
 
     name: str = "local-only"
@@ -236,8 +228,7 @@ class LocalOnly:
         return Local("local-only policy")
 
 
-@dataclass(frozen=True, slots=True)
-class Opportunistic:
+class Opportunistic(Struct, frozen=True):
     """Takes any server in range, first come, and never compares them: the thesis's naive reference."""
 
     wait: WaitRule = WaitRule()
@@ -258,8 +249,7 @@ class Opportunistic:
         return self.wait.decide(call)
 
 
-@dataclass(frozen=True, slots=True)
-class LocationAware:
+class LocationAware(Struct, frozen=True):
     """The thesis's policy: the fastest server in range, if it is faster than the drone (eqs. 3.2 to 3.4)."""
 
     gain_switch: float = 0.25

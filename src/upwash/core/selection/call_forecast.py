@@ -11,7 +11,8 @@ One pass over the calls, so that hundreds of them can be looked at before each c
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.geo import Position
 from upwash.core.knowledge.estimates import Estimates
@@ -21,8 +22,7 @@ from upwash.core.planning.mission_model import ExpectedCall
 from upwash.core.policies.policy import CallInputs, Local, Option, Policy, Remote, Situation
 
 
-@dataclass(frozen=True, slots=True)
-class CallPlace:
+class CallPlace(Struct, frozen=True):
     """Where a call is made: with that server selected, if any, which is ready in so long."""
 
     server: str | None = None

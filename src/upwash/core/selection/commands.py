@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import Change
 from upwash.core.selection.recovery import Probing
 
 
-@dataclass(frozen=True, slots=True)
-class Leave:
+class Leave(Struct, frozen=True):
     """Give up the server: drop what is under way there, leave its network.
 
     `check` is the latest check, or probe, of the server, here and in the other commands: the cause that logs name.
@@ -21,8 +21,7 @@ class Leave:
     check: int
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(Struct, frozen=True):
     """Join the server's network, in `join_limit_s` at most, and ask for its availability."""
 
     server: str
@@ -30,8 +29,7 @@ class Check:
     join_limit_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Probe:
+class Probe(Struct, frozen=True):
     """Ask the server, which failed, for a sign of life, after the pauses that `probing` allows; join it for that.
 
     The first pause is `alone_s` at least; joining may take `join_limit_s`.
@@ -44,8 +42,7 @@ class Probe:
     probing: Probing
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(Struct, frozen=True):
     """Ask the daemon to start the services that do not run; it may take `limit_s`."""
 
     server: str
@@ -53,8 +50,7 @@ class Start:
     limit_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Prepare:
+class Prepare(Struct, frozen=True):
     """Have the server of that check ask its peer to start the services, and to hold a slot until it is there."""
 
     server: str
@@ -64,8 +60,7 @@ class Prepare:
     hold_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Full:
+class Full(Struct, frozen=True):
     """To be logged: the server has no slot for the drone, for which so many wait now; it goes on asking."""
 
     server: str
@@ -73,8 +68,7 @@ class Full:
     waiting: int
 
 
-@dataclass(frozen=True, slots=True)
-class ServerPaused:
+class ServerPaused(Struct, frozen=True):
     """To be logged: the server leaves a service alone that keeps failing, and is left out for as long."""
 
     server: str
@@ -83,8 +77,7 @@ class ServerPaused:
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class ExpectedTimes:
+class ExpectedTimes(Struct, frozen=True):
     """To be logged: when the mission is expected at each waypoint and over, as it is asked for.
 
     Where it is to `finish_by_s`, `lightest_s` is when it is over with every call lighter.
@@ -96,8 +89,7 @@ class ExpectedTimes:
     finish_by_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Mapped:
+class Mapped(Struct, frozen=True):
     """To be logged: what is known now of a server at a place."""
 
     server: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
@@ -10,13 +10,15 @@ from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.way_home import EnergyFacts
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
+class Event(Struct, frozen=True):
+    """Something that happened."""
+
+
+class Tick(Event, frozen=True):
     """A period is over, or a border of a range was crossed: time to look again."""
 
 
-@dataclass(frozen=True, slots=True)
-class MissionBegun:
+class MissionBegun(Event, frozen=True):
     """The mission's time begins: the vehicle is armed, or was found in the air. This is what it says of itself.
 
     `pace` is how it flies on average, None where that is not known.
@@ -26,8 +28,7 @@ class MissionBegun:
     pace: Pace | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CheckAnswered:
+class CheckAnswered(Event, frozen=True):
     """The daemon answered that the server is available; whether all wanted services run there already.
 
     `peers` are the servers that it can have prepared. So many drones wait for a slot there.
@@ -39,24 +40,21 @@ class CheckAnswered:
     waiting: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class SlotRefused:
+class SlotRefused(Event, frozen=True):
     """The server serves as many drones as it can; so many wait for a slot, and the drone asks again."""
 
     check: int
     waiting: int
 
 
-@dataclass(frozen=True, slots=True)
-class LeaseRenewed:
+class LeaseRenewed(Event, frozen=True):
     """The server keeps its slot for the drone; so many others wait for one."""
 
     check: int
     waiting: int
 
 
-@dataclass(frozen=True, slots=True)
-class SlotTaken:
+class SlotTaken(Event, frozen=True):
     """The server, READY by that check, gave the drone's slot to another one; a call was refused for it, or none."""
 
     check: int
@@ -64,15 +62,13 @@ class SlotTaken:
     in_call: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ServicesStarted:
+class ServicesStarted(Event, frozen=True):
     """The daemon started the services and gave their endpoints."""
 
     check: int
 
 
-@dataclass(frozen=True, slots=True)
-class ServerUnusable:
+class ServerUnusable(Event, frozen=True):
     """The server could not be joined, did not answer in time, is unavailable or could not start a service.
 
     The first two leave it `unreached`. Where it leaves a service alone for a pause, it is left out for as long.
@@ -84,8 +80,7 @@ class ServerUnusable:
     pause_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class ProbePaused:
+class ProbePaused(Event, frozen=True):
     """The server that is probed leaves a service alone for a pause, and is left out for as long."""
 
     check: int
@@ -93,47 +88,41 @@ class ProbePaused:
     pause_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class ProbeAnswered:
+class ProbeAnswered(Event, frozen=True):
     """A server that had failed gave a sign of life, it and the wanted services that run there, or not all do."""
 
     check: int
     running: bool
 
 
-@dataclass(frozen=True, slots=True)
-class ProbeUnanswered:
+class ProbeUnanswered(Event, frozen=True):
     """A server that had failed has given no sign of life until the next question is due."""
 
     check: int
 
 
-@dataclass(frozen=True, slots=True)
-class NetworkGone:
+class NetworkGone(Event, frozen=True):
     """The network that was joined for the check is no longer connected."""
 
     check: int
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class PeerPrepared:
+class PeerPrepared(Event, frozen=True):
     """A server holds a slot and starts its services, as the daemon `by` has asked it to."""
 
     server: str
     by: str
 
 
-@dataclass(frozen=True, slots=True)
-class LocalCallEnded:
+class LocalCallEnded(Event, frozen=True):
     """A call ran on the drone."""
 
     operation: Operation
     delay_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteCallEnded:
+class RemoteCallEnded(Event, frozen=True):
     """A call ran on a server; `late` where the drone's own service had answered it before."""
 
     server: str
@@ -142,8 +131,7 @@ class RemoteCallEnded:
     late: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteCallFailed:
+class RemoteCallFailed(Event, frozen=True):
     """A call to a server got no usable answer; `check` is the check that made the server READY.
 
     `late` where the drone's own service had answered it before.
@@ -155,16 +143,14 @@ class RemoteCallFailed:
     late: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteCallRaised:
+class RemoteCallRaised(Event, frozen=True):
     """A server says that the service raised in a call, which is made on the drone before that is believed."""
 
     server: str
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteFaultTested:
+class RemoteFaultTested(Event, frozen=True):
     """A call that raised on a server, as that says, was made on the drone; `confirmed` where it raised there too.
 
     `check` is the check that made the server READY, and `delay_s` how long it took to say so.
@@ -178,8 +164,7 @@ class RemoteFaultTested:
     confirmed: bool
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteCallCut:
+class RemoteCallCut(Event, frozen=True):
     """A call was cut off by its deadline after `waited_s`, on a server that turned out to be alive: it is slow."""
 
     server: str
@@ -187,8 +172,7 @@ class RemoteCallCut:
     waited_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Reached:
+class Reached(Event, frozen=True):
     """Whether a server without a range answered a call from that position, as far as its link is concerned.
 
     It answered, or was given up, after `delay_s`; request and reply have so many bytes.
@@ -202,8 +186,7 @@ class Reached:
     size_bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class LegBegun:
+class LegBegun(Event, frozen=True):
     """The drone leaves for a place, at that ground speed; None for the one it flew at before.
 
     It goes `back` to a waypoint whose calls are over.
@@ -214,50 +197,17 @@ class LegBegun:
     back: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class LegEnded:
+class LegEnded(Event, frozen=True):
     """The drone is where its leg led to."""
 
 
-@dataclass(frozen=True, slots=True)
-class TargetUnknown:
+class TargetUnknown(Event, frozen=True):
     """Where the drone goes next is not known: it takes off, holds, returns or lands."""
 
 
-@dataclass(frozen=True, slots=True)
-class DescentBegun:
+class DescentBegun(Event, frozen=True):
     """The drone begins to return or to land: the mission needs no server, unless it calls again."""
 
 
-@dataclass(frozen=True, slots=True)
-class NoMoreCalls:
+class NoMoreCalls(Event, frozen=True):
     """No call will come any more."""
-
-
-Event = (
-    Tick
-    | MissionBegun
-    | CheckAnswered
-    | SlotRefused
-    | LeaseRenewed
-    | SlotTaken
-    | ServicesStarted
-    | ServerUnusable
-    | ProbePaused
-    | ProbeAnswered
-    | ProbeUnanswered
-    | NetworkGone
-    | PeerPrepared
-    | LocalCallEnded
-    | RemoteCallEnded
-    | RemoteCallFailed
-    | RemoteCallRaised
-    | RemoteFaultTested
-    | RemoteCallCut
-    | Reached
-    | LegBegun
-    | LegEnded
-    | TargetUnknown
-    | DescentBegun
-    | NoMoreCalls
-)

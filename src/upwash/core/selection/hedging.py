@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.operation import Operation
 
@@ -17,16 +18,14 @@ _EXCEEDS_BY_S = 0.001  # or calls that all take equally long would each be hedge
 _FEW = 2.0  # times the longest delay known stands in for a quantile that so few cannot tell
 
 
-@dataclass(frozen=True, slots=True)
-class Hedge:
+class Hedge(Struct, frozen=True):
     """The drone's own service starts `after_s` into a remote call; the server may answer until `deadline_s`."""
 
     after_s: float
     deadline_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Delays:
+class Delays(Struct, frozen=True):
     """The latest delays of one operation on one server."""
 
     values_s: tuple[float, ...] = ()

@@ -20,9 +20,8 @@ Each call is judged anew, by the measurements until then. Where calls run is for
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.ranges import AreaIndex
@@ -36,8 +35,7 @@ from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.vehicle.way_home import UNKNOWN, EnergyFacts, descent_s, time_home_s
 
 
-@dataclass(frozen=True, slots=True)
-class LighterSettings:
+class LighterSettings(Struct, frozen=True):
     """By when the mission is to be over, and the lighter operation of each that has one."""
 
     finish_by_s: float

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.operation import Operation
 
@@ -27,8 +28,7 @@ _SLOW_SHARE = 30
 _LONGEST_BETWEEN_TRIALS_S = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class Probing:
+class Probing(Struct, frozen=True):
     """The pauses between questions to a server that failed: the first one, and the longest."""
 
     first_s: float = 0.5
@@ -43,8 +43,7 @@ class Probing:
             pause_s = min(self.longest_s, _GROWTH * pause_s)
 
 
-@dataclass(frozen=True, slots=True)
-class ServerFailures:
+class ServerFailures(Struct, frozen=True):
     """What a server did lately."""
 
     count: int = 0
@@ -61,8 +60,7 @@ class ServerFailures:
         return min(2.0 ** (self.count - 2), _LONGEST_PAUSE_S) if self.count > 1 else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Doubt:
+class _Doubt(Struct, frozen=True):
     """An operation whose last call on a server failed, or took longer than one on the drone."""
 
     since_s: float

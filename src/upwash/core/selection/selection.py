@@ -20,7 +20,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+from msgspec import Struct, structs
 
 from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.coverage import MeasuredPlace
@@ -31,36 +33,10 @@ from upwash.core.operation import Operation
 from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
+from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
-from upwash.core.selection.events import (
-    CheckAnswered,
-    DescentBegun,
-    Event,
-    LeaseRenewed,
-    LegBegun,
-    LegEnded,
-    LocalCallEnded,
-    MissionBegun,
-    NetworkGone,
-    NoMoreCalls,
-    PeerPrepared,
-    ProbeAnswered,
-    ProbePaused,
-    ProbeUnanswered,
-    Reached,
-    RemoteCallCut,
-    RemoteCallEnded,
-    RemoteCallFailed,
-    RemoteCallRaised,
-    RemoteFaultTested,
-    ServerUnusable,
-    ServicesStarted,
-    SlotRefused,
-    SlotTaken,
-    TargetUnknown,
-    Tick,
-)
+from upwash.core.selection.events import Event
 from upwash.core.selection.mission_times import Lighter, LighterSettings, Timetable
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery
@@ -70,8 +46,7 @@ _READY = frozenset({State.READY})
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
 
 
-@dataclass(frozen=True, slots=True)
-class SelectionSettings:
+class SelectionSettings(Struct, frozen=True):
     """How long the machine remembers, and how many servers it may have selected at a time.
 
     Where there is `probing`, `blacklist_s` does not count. A server where others wait for a slot is used only where
@@ -176,7 +151,7 @@ class Selection:
     def handle(self, event: Event, *, now_s: float, position: Position) -> list[Effect]:
         """Takes in what happened by now, with the drone at the position; returns what is to be done."""
         table, radios, planning = self._table, self._radios, self._planning
-        if isinstance(event, MissionBegun):
+        if isinstance(event, events.MissionBegun):
             return self._begin(event, now_s, position)
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
@@ -210,7 +185,7 @@ class Selection:
         decision, effects = self._placement.decide(operation, now_s)
         self._planning.decided(decision, operation, now_s)
         if lightened is not None:
-            decision = replace(decision, inputs=replace(decision.inputs, lightened=lightened))
+            decision = replace(decision, inputs=structs.replace(decision.inputs, lightened=lightened))
         return decision, effects
 
     def fall_back(self, operation: Operation, *, now_s: float, position: Position) -> Lightened | None:
@@ -250,7 +225,7 @@ class Selection:
         self._locate(position, now_s)
         return self._planning.outlook(now_s)
 
-    def _begin(self, event: MissionBegun, now_s: float, position: Position) -> list[Effect]:
+    def _begin(self, event: events.MissionBegun, now_s: float, position: Position) -> list[Effect]:
         self._planning.mission.begun(event.pace)
         foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
         if self._lighter is not None:
@@ -267,72 +242,72 @@ class Selection:
         """Learns from what happened; returns what it changes by itself, before the policy is asked."""
         match event:
             # What the radios report concerns the mission only once a server changes its state.
-            case Tick():  # the first case, as it is by far the most frequent
+            case events.Tick():  # the first case, as it is by far the most frequent
                 return []
-            case CheckAnswered(check):
+            case events.CheckAnswered(check):
                 return self._asked(check, position, answered=True) + self._check_answered(event, now_s)
-            case ServicesStarted(check):
+            case events.ServicesStarted(check):
                 server = self._radios.selected_by(check, CHECKING)
                 return [self._ready(server, Trigger.STARTED, now_s)] if server else []
-            case SlotRefused(check, waiting):
+            case events.SlotRefused(check, waiting):
                 return self._slot_refused(check, waiting, now_s)
-            case LeaseRenewed(check, waiting):
+            case events.LeaseRenewed(check, waiting):
                 server = self._radios.selected_by(check, _READY)
                 if server is None:
                     return []
                 server.contended_s = now_s if waiting else -math.inf
-            case SlotTaken():
+            case events.SlotTaken():
                 return self._turn_over(event, now_s)
-            case ServerUnusable(check, why, unreached, pause_s):
+            case events.ServerUnusable(check, why, unreached, pause_s):
                 asked = self._asked(check, position, answered=False) if unreached else []
                 return asked + self._server_failed(
                     check, CHECKING, Trigger.CHECK_FAILED, why, now_s, pause_s=pause_s
                 )
-            case NetworkGone(check, why):
+            case events.NetworkGone(check, why):
                 asked = self._asked(check, position, answered=False)
                 return asked + self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
-            case ProbeAnswered() | ProbePaused():
+            case events.ProbeAnswered() | events.ProbePaused():
                 return self._probe_answered(event, now_s)
-            case ProbeUnanswered(check):
+            case events.ProbeUnanswered(check):
                 return self._probed_in_vain(check, position)
-            case PeerPrepared(name, by):
+            case events.PeerPrepared(name, by):
                 return self._prepared(self.servers[name], by, now_s)
-            case LegBegun() | LegEnded() | TargetUnknown():
+            case events.LegBegun() | events.LegEnded() | events.TargetUnknown():
                 self._planning.mission_goes_on(event, position, now_s)
                 return []
-            case DescentBegun():
+            case events.DescentBegun():
                 self._planning.mission.lost()
                 self._comes_down = True
-            case NoMoreCalls():
+            case events.NoMoreCalls():
                 self._ended = True
-            case LocalCallEnded(operation, delay_s):
+            case events.LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
                 self._planning.answered(now_s)
-            case RemoteCallEnded(name, operation, delay_s, late):
+            case events.RemoteCallEnded(name, operation, delay_s, late):
                 self._learn_remote(name, operation, delay_s, now_s, late=late)
                 if not late:
                     self._planning.answered(now_s)
-            case RemoteCallCut(name, operation, waited_s):
+            case events.RemoteCallCut(name, operation, waited_s):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s)
-            case RemoteCallFailed(name, check, why, late):
+            case events.RemoteCallFailed(name, check, why, late):
                 self._planning.changed = True
                 if not late:
                     self._planning.under_way = Local(why)
                 return self._call_failed(name, check, why, now_s)
-            case RemoteCallRaised(_, why):
+            case events.RemoteCallRaised(_, why):
                 self._planning.under_way = Local(why)
-            case RemoteFaultTested(name, check, operation, delay_s, why, confirmed):
+            case events.RemoteFaultTested(name, check, operation, delay_s, why, confirmed):
                 self._planning.changed = True
                 if not confirmed:
                     return self._call_failed(name, check, why, now_s)
                 self._learn_remote(name, operation, delay_s, now_s, late=True)
-            case Reached():
+            case events.Reached():
                 self._planning.changed = True
                 return self._reached(event)
         self._planning.changed = True
         return []
 
-    def _check_answered(self, answer: CheckAnswered, now_s: float) -> list[Effect]:
+    def _check_answered(self, answer: events.CheckAnswered, now_s: float) -> list[Effect]:
         server = self._radios.selected_by(answer.check, CHECKING)
         if server is None:
             return []
@@ -358,7 +333,7 @@ class Selection:
         server.full_s = server.contended_s = now_s
         return [Full(server.name, check, waiting)] if is_news else []
 
-    def _turn_over(self, event: SlotTaken, now_s: float) -> list[Effect]:
+    def _turn_over(self, event: events.SlotTaken, now_s: float) -> list[Effect]:
         server = self._radios.selected_by(event.check, _READY)
         if server is None:  # it was left since
             return []
@@ -374,11 +349,13 @@ class Selection:
             return self._call_failed(server.name, event.check, event.why, now_s)
         return self._radios.ask_again(server, event.why, now_s)
 
-    def _probe_answered(self, answer: ProbeAnswered | ProbePaused, now_s: float) -> list[Effect]:
+    def _probe_answered(
+        self, answer: events.ProbeAnswered | events.ProbePaused, now_s: float
+    ) -> list[Effect]:
         server = self._radios.probed_by(answer.check)
         if server is None:
             return []
-        if isinstance(answer, ProbePaused):
+        if isinstance(answer, events.ProbePaused):
             paused = ServerPaused(server.name, answer.check, answer.pause_s, answer.why)
             return [paused, *self._radios.leave_out(server, answer.pause_s, now_s)]
         trigger = Trigger.PROBED_RUNNING if answer.running else Trigger.PROBED
@@ -462,7 +439,7 @@ class Selection:
             return []
         return [Mapped(server.name, coverage.asked(server.name, position, answered=answered))]
 
-    def _reached(self, event: Reached) -> list[Effect]:
+    def _reached(self, event: events.Reached) -> list[Effect]:
         """Enters on its map what a call came to there; one in vain costs the drone's own computing too."""
         coverage = self.estimates.coverage
         if coverage is None:

@@ -16,10 +16,9 @@ Laws:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
-import msgspec
+from msgspec import Struct
 
 from upwash.core.geo import Position, distance_m
 from upwash.errors import AutopilotOverruled
@@ -149,8 +148,7 @@ TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
 the program's, that it is disarmed, is sent elsewhere, or restarts before the claim."""
 
 
-@dataclass(frozen=True, slots=True)
-class Control:
+class Control(Struct, frozen=True):
     """Who has the vehicle, since when, and why."""
 
     owner: Owner
@@ -166,7 +164,7 @@ class Control:
         return f"{_WHO[self.owner]}: {self.why}"
 
 
-class Heartbeat(msgspec.Struct, frozen=True, gc=False):
+class Heartbeat(Struct, frozen=True, gc=False):
     """What one heartbeat says, and what is known with it.
 
     `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` is whether it stands, and

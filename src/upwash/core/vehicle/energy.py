@@ -18,6 +18,8 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from upwash.core.geo import Position, Velocity, ground_distance_m
 from upwash.core.vehicle.way_home import (
     LOOK_S,
@@ -43,8 +45,7 @@ _LEAST_M_S = 0.5  # below this it stands
 _WIND_KEPT_S = 600.0  # for so long a slow leg tells of the wind
 
 
-@dataclass(frozen=True, slots=True)
-class FlightReport:
+class FlightReport(Struct, frozen=True):
     """What is known of a vehicle in flight at one moment; `leg_speed_m_s` is what the leg under way was told."""
 
     time_s: float
@@ -55,16 +56,14 @@ class FlightReport:
     wind: Velocity | None = None  # of the air over the ground
 
 
-@dataclass(frozen=True, slots=True)
-class Reserve:
+class Reserve(Struct, frozen=True):
     """What has to be left at touchdown: the seconds of flight, and the percent, that a person asked for."""
 
     seconds: float
     percent: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Margin:
+class Margin(Struct, frozen=True):
     """What is left against what is needed, in percent; `rate_percent_s` is None while nothing tells it."""
 
     left_percent: float
@@ -176,8 +175,7 @@ class Consumption:
         return max(before_percent - percent + _STEP_PERCENT, 0.0) / flown_s if flown_s >= _LEAST_S else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class _SlowLeg:
+class _SlowLeg(Struct, frozen=True):
     """A stretch that was flown steadily, and slower than it was told."""
 
     time_s: float

@@ -8,15 +8,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.geo import Circle, Position, ground_distance_m
 
 _ON_THE_BORDER_M = 1e-3  # ten times finer than the steps in which plans give coordinates
 
 
-@dataclass(frozen=True, slots=True)
-class Polygon:
+class Polygon(Struct, frozen=True):
     """An area between straight borders; the last corner is joined to the first."""
 
     corners: tuple[Position, ...]
@@ -59,8 +59,7 @@ class Polygon:
                 yield crossing
 
 
-@dataclass(frozen=True, slots=True)
-class AreaUnion:
+class AreaUnion(Struct, frozen=True):
     """Joined areas: a place has to be in at least one of them."""
 
     areas: tuple[Polygon | Circle, ...]
@@ -74,8 +73,7 @@ class AreaUnion:
         return _contain_leg(self.areas, start, end)
 
 
-@dataclass(frozen=True, slots=True)
-class Fence:
+class Fence(Struct, frozen=True):
     """One area of a geofence, by the name that messages call it."""
 
     name: str

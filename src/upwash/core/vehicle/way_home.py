@@ -11,7 +11,8 @@ never too little.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.geo import Position, Velocity, ground_distance_m
 from upwash.core.planning.legs import Leg
@@ -21,8 +22,7 @@ _LEAST_SHARE = 1 / 3  # of the speed of returns: it flew out against the wind th
 LOOK_S = 2.0  # between two looks at the battery, and until the vehicle is told
 
 
-@dataclass(frozen=True, slots=True)
-class WayHome:
+class WayHome(Struct, frozen=True):
     """How a vehicle returns and lands, once told to."""
 
     altitude_m: float  # it climbs so high before it returns
@@ -42,8 +42,7 @@ PX4 = WayHome(30.0, 2.5, 5.0, 1.0, 8.0, 1.5, 10.0, 0.5)
 UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
 
 
-@dataclass(frozen=True, slots=True)
-class EnergyFacts:
+class EnergyFacts(Struct, frozen=True):
     """What a vehicle says of its battery's stages and of its way home; None where it does not.
 
     `home` is where it returns to. `guessed` lists its parameters that are not known; a usual value stands for each.

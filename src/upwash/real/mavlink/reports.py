@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
+from msgspec import structs
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity
@@ -138,7 +139,7 @@ class ReportingAutopilot(ABC):
     @property
     def energy(self) -> EnergyFacts:
         """By its parameters, once `limits` has read them; by the firmware's own defaults until then."""
-        return replace(self._energy, home=self._tracker.home)
+        return structs.replace(self._energy, home=self._tracker.home)
 
     @property
     def pace(self) -> Pace | None:

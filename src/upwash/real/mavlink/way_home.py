@@ -7,7 +7,8 @@ counts in metres. PX4's parameters are in metres and in shares of a full battery
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
 from upwash.real.mavlink.parameters import QuantityValues, VehicleQuantity
