@@ -58,13 +58,15 @@ areas = st.lists(
 )
 
 
-@given(areas, places)
-def test_no_area_that_reaches_so_near_is_left_out(areas: list[Reach], place: Position) -> None:
-    near = AreaIndex(areas).near(place)
+@given(areas, places, st.one_of(st.just(0.0), st.floats(0.0, 10_000.0)))
+def test_no_area_that_reaches_so_near_is_left_out(
+    areas: list[Reach], place: Position, within_m: float
+) -> None:
+    near = AreaIndex(areas).near(place, within_m)
     reaching = [
         number
         for number, area in enumerate(areas)
-        if isinstance(area, Measured) or ground_distance_m(place, area.centre) <= area.radius_m
+        if isinstance(area, Measured) or ground_distance_m(place, area.centre) <= area.radius_m + within_m
     ]
     assert set(reaching) <= set(near)
     assert near == sorted(set(near))
@@ -72,6 +74,6 @@ def test_no_area_that_reaches_so_near_is_left_out(areas: list[Reach], place: Pos
 
 def test_of_a_line_of_servers_few_are_looked_at() -> None:
     line = [Circle(Position(150.0 * number, 0.0), 100.0) for number in range(1_000)]
-    near = AreaIndex(line).near(Position(75_000.0, 20.0))
+    near = AreaIndex(line).near(Position(75_000.0, 20.0), within_m=20.0)
     assert 500 in near
     assert len(near) < 5

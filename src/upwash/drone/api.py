@@ -243,7 +243,7 @@ class Vehicle:
 
     @contextlib.contextmanager
     def _settling(self, answer: AnswerAction[Any]) -> Iterator[AnswerAction[Any]]:
-        """It is not open meanwhile, as what is done about it flies, too; it still is after an error before that."""
+        """Close the answer meanwhile, as acting on it flies too; reopen it if that fails before it is over."""
         self._thread.require_turn()
         self._open = None
         try:
@@ -306,7 +306,7 @@ class Vehicle:
             await asyncio.sleep(hold_s)
 
     async def _until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
-        """Begins to fly; returns whether it has arrived, or else, flying on, once the answer is there."""
+        """Begin to fly; return True on arrival, or False, still flying, when the answer is there."""
         leg = self._leg = begin(verb)
         try:
             await first(asyncio.wait([leg]), demand.pending._answered())
@@ -324,7 +324,7 @@ class Vehicle:
             await leg
 
     async def _stop_short_of(self, target: Position) -> None:
-        """Brakes, or ends the leg where that would lead beyond it: what lies there nobody has looked at."""
+        """Brake; end the leg instead if braking would lead beyond its target, where nobody has looked."""
         here, stopping_place = self._autopilot.position, self._autopilot.stopping_place
         if distance_m(here, stopping_place) > distance_m(here, target):
             await self._rest_of_leg()

@@ -181,7 +181,7 @@ class Calling:
         )
 
     def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
-        """Tells with how much the server answered where the drone was, if it did, after all else of the call."""
+        """Report after the call how fast the server answered at the drone's place, if it did."""
         call, server = attempt.call, attempt.server
         if not self._decisions.estimates.is_measured(server):
             return
@@ -192,7 +192,7 @@ class Calling:
         )
 
     def _doubt(self, attempt: Attempt, said: ReportedFault) -> None:
-        """Notes what the server says that the service raised; the mission hears only what the drone's own raises."""
+        """Note the reported exception; the mission gets exceptions of the drone's own service alone."""
         server, rival = attempt.server, attempt.rival
         operation = str(attempt.call.operation)
         self._journal.record(
@@ -231,7 +231,7 @@ class CallAnswer(Struct, frozen=True):
 
 @dataclass(slots=True)
 class _Computing:
-    """The drone's own service at a call: first it may have to be done with an earlier one."""
+    """The drone's own service at a call, once it is done with earlier calls."""
 
     call: Invocation
     asked_s: float
@@ -240,7 +240,7 @@ class _Computing:
 
 
 class _Loser(Struct, frozen=True):
-    """What still runs of a call that is answered; `service` is the drone's own that is busy with it, if one is."""
+    """The rest of an answered call; `service` is the drone's own service that is busy with it."""
 
     task: asyncio.Task[Any]
     service: str | None = None
@@ -289,7 +289,6 @@ class Racing:
     # --- hedging --------------------------------------------------------------------------------------------
 
     def _plan_hedge(self, decision: Remote, operation: Operation) -> Hedge | None:
-        """None where there is no hedging, no budget left for it, or a loser that still runs."""
         local_s = self._decisions.estimates.local_s(operation)
         if self._hedging is None or local_s is None or any(not each.task.done() for each in self._losers):
             return None
@@ -327,22 +326,18 @@ class Racing:
     # --- the race -------------------------------------------------------------------------------------------
 
     async def _fall_back(self, call: Invocation, attempt: Attempt) -> CallAnswer:
-        """Has the drone compute a call that the server has not answered.
-
-        What the server says that the service raised is tested by the same call, which is not made lighter.
-        """
+        """Compute on the drone. A reported exception is tested with the same call, never a lighter one."""
         if attempt.said is None and call.lightened is None:
             call = call.lighter(self._decisions.fall_back(call.operation))
         return await self._answer_onboard(call, instead_of=attempt)
 
     async def _answer_onboard(self, call: Invocation, *, instead_of: Attempt | None = None) -> CallAnswer:
-        """Has the drone compute the call, and each server that is of use before the drone is done."""
         return await self._race(call, self._begin_onboard(call), instead_of)
 
     async def _race(self, call: Invocation, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
         """The first answer of the drone's own service and of servers.
 
-        `attempt` is the last one at a server, which is over, or under way where it has a `reply`.
+        `attempt` is the last attempt at a server; it is under way if it has a `reply`.
         """
         overtaking = False
         try:
@@ -381,7 +376,7 @@ class Racing:
         return computing
 
     async def _overtaken(self, computing: _Computing) -> Remote | None:
-        """Which server is to be at the call too, as soon as one is of use; None where the drone is done before."""
+        """The next server that becomes of use while the drone computes; None if the drone is done first."""
         if not self._decisions.overtakes:
             return None
         while not computing.task.done():
@@ -393,7 +388,6 @@ class Racing:
         return None
 
     def _done_onboard(self, reply: Any, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
-        """The drone's own answer, which was first; `attempt` is the last one at a server, if any was made."""
         began_s = computing.asked_s if computing.began_s is None else computing.began_s
         delay_s = now_s() - began_s
         late = attempt is not None and attempt.reply is not None and not attempt.reply.done()
@@ -412,7 +406,6 @@ class Racing:
         )
 
     def _won(self, attempt: Attempt, computing: _Computing) -> CallAnswer:
-        """The server's answer, which was first."""
         assert attempt.reply is not None  # noqa: S101 - it has answered
         ended_s, call = now_s(), computing.call
         began_s = ended_s if computing.began_s is None else computing.began_s
@@ -438,7 +431,7 @@ class Racing:
 
 
 async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any] | None:
-    """The one that answers first; None once the remote one has failed before that."""
+    """The task that answers first; None if the remote task fails before that."""
     first: asyncio.Future[asyncio.Task[Any] | None] = asyncio.get_running_loop().create_future()
 
     def note(ended: asyncio.Task[Any]) -> None:

@@ -140,7 +140,6 @@ class Decisions:
     def _decided(
         self, operation: Operation, decision: Decision, effects: Sequence[Effect], position: Position
     ) -> None:
-        """Logs a decision with what it was made of, enough to make it again."""
         self._perform(effects)
         if effects:
             self.server_left.set()
@@ -274,7 +273,7 @@ class Background:
                 self._decisions.tell(Tick())
 
     def _set_alarm(self) -> None:
-        """Has the next look made at the end of the first period by which something can have changed."""
+        """Schedule a look at the end of the first period in which something can have changed."""
         due_s = -math.inf if self._silent else self._decisions.next_look_s() - _ROUNDING_S
         if due_s == self._due_s and self._alarm is not None:
             return
@@ -285,7 +284,6 @@ class Background:
             self._alarm = loop.call_at(self._look_s(max(due_s, loop.time())), self._decisions.server_left.set)
 
     def _look_s(self, due_s: float) -> float:
-        """The end of the first period, counted from the last look, that is no earlier."""
         look_s = self._looked_s + self._period_s
         while look_s < due_s:
             look_s += self._period_s

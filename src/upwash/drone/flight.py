@@ -164,7 +164,6 @@ class Flight:
         self.has_ended = True
 
     def _planned(self) -> schema.Planned:
-        """What a reader of the log needs to draw the flight on a map."""
         mission = self._config.mission
         home = mission.home
         order = [each.index for each in self._order.waypoints]
@@ -236,7 +235,7 @@ class Flight:
             self._last_words.append((asyncio.get_running_loop().time(), news))
 
     async def _take_vehicle(self) -> None:
-        """Refuses to begin a mission in the air, and takes up one that was broken off there."""
+        """Refuse to begin a mission in the air; take up a mission that was broken off there."""
         autopilot = self._ports.autopilot
         flies = await autopilot.in_the_air()
         if flies and self._done is None:
@@ -251,7 +250,7 @@ class Flight:
         await self._set_dead_man(flies=flies)
 
     async def _set_dead_man(self, *, flies: bool) -> None:
-        """Has the autopilot miss this program; where it cannot, only a vehicle that flies already goes on."""
+        """Arm the dead man's switch; if that fails, only a vehicle that flies already goes on."""
         settings, journal = self._config.autopilot, self._ports.journal
         if (
             settings.dead_man_s is None or settings.on_failure == "hold"
@@ -270,7 +269,7 @@ class Flight:
             journal.record(schema.DeadManFailed(why=str(error)))
 
     async def _release_dead_man(self) -> None:
-        """Says goodbye, unless the vehicle is left hovering: then the autopilot is to bring it down."""
+        """Release the dead man's switch, unless it must bring down a hovering vehicle."""
         autopilot = self._ports.autopilot
         if autopilot.stands or not autopilot.control.is_ours:
             await autopilot.dead_man.release()
@@ -297,7 +296,7 @@ class Flight:
             await self._end(f"the mission ended {where}")
 
     async def _stands_disarmed(self) -> bool:
-        """Stops the motors of a vehicle that the mission has left on the ground; whether they stand."""
+        """Disarm a vehicle that the mission left on the ground; return whether it stands disarmed."""
         autopilot = self._ports.autopilot
         if self._vehicle.in_the_air or not (autopilot.stands and autopilot.control.is_ours):
             return False
@@ -338,7 +337,7 @@ class Flight:
         return _come_down if self._vehicle.in_the_air else _stay_down
 
     def _require_control(self) -> None:
-        """Says what ended the mission where the vehicle was lost to somebody: not what the verb then raised."""
+        """Raise AutopilotOverruled if the vehicle was lost, whatever the verb raised."""
         control = self._ports.autopilot.control
         if not control.is_ours:
             since_s = control.since_s - _WORDS_BEFORE_S
@@ -346,7 +345,6 @@ class Flight:
             raise AutopilotOverruled("mission", str(control), "; ".join(dict.fromkeys(words)))
 
     async def _end(self, why: str) -> None:
-        """Ends what is under way safely, while the vehicle is ours; follows it to the ground otherwise."""
         autopilot, journal = self._ports.autopilot, self._ports.journal
         if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.armed):
             self._stop_following.clear()
@@ -361,7 +359,6 @@ class Flight:
             await follow(autopilot, journal, until=self._stop_following)
 
     async def _watch_battery(self) -> None:
-        """Stops the mission at the reserve, unless it is bringing the vehicle to the ground already."""
         vehicle, default_m_s = self._vehicle, self._config.mission.ground_speed_m_s
         watch = ReserveWatch(
             self._config,
@@ -374,7 +371,7 @@ class Flight:
         self._end_at_reserve(await watch.reached())
 
     def _end_unwatched(self, defect: Exception) -> None:
-        """Ends the mission as the reserve does: a drone does not fly on without that watch."""
+        """End the mission as the reserve does: a drone does not fly on without that watch."""
         why = f"a defect has ended the watch of the reserve: {type(defect).__name__}: {defect}"
         trace = "".join(traceback.format_exception(defect))
         self._ports.journal.record(schema.BatteryWatchFailed(why=why, trace=trace))
@@ -451,7 +448,6 @@ def _offloading(
 
 
 def _why(error: BaseException) -> str:
-    """What an error says, in words for those that say nothing."""
     if isinstance(error, asyncio.CancelledError):
         return "the program was stopped at once"
     return str(error) or type(error).__name__

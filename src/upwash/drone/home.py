@@ -64,7 +64,7 @@ class PlannedHome(Struct, frozen=True):
             yield f"the vehicle stands {away_m:.0f} m from the plan's home, and returns to its own home"
 
     def _apart_m(self, limits: VehicleLimits) -> float:
-        """How much higher or lower the vehicle's home is; 0 where one of them is not known."""
+        """How far apart the homes are in height; 0 if one of them is not known."""
         if self.above_sea_m is None or limits.home_above_sea_m is None:
             return 0.0
         return abs(self.above_sea_m - limits.home_above_sea_m)
@@ -136,7 +136,7 @@ def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWa
 def _counted_from_sea(
     above: AltitudesAboveSea, waypoints: tuple[PlannedWaypoint, ...], takeoff_m: float
 ) -> Iterator[tuple[str, float, float]]:
-    """What it is, and its altitudes above the sea and above home."""
+    """What it is, its altitude above the sea, and its altitude above home."""
     if above.takeoff_m is not None:
         yield "the take-off", above.takeoff_m, takeoff_m
     for waypoint in waypoints:

@@ -168,7 +168,6 @@ class Offloading:
 
 
 def _lost(answer: CallAnswer) -> str:
-    """Why a call that was sent to a server was answered on the drone."""
     if answer.remote_fault:
         return f"it raised there, which was {answer.remote_fault}"
     return "no usable answer, so" if answer.fell_back else "late, and sooner"
@@ -231,7 +230,7 @@ class FailSafeOffloading:
                 self._fail(error)
 
     async def _end(self, background: asyncio.Task[Any]) -> None:
-        """Leaves the server, unless the background fails before or meanwhile: it is what leaves."""
+        """Leave the server, unless the background, which would leave it, has failed."""
         if background.done():
             return
         try:
@@ -253,5 +252,4 @@ class FailSafeOffloading:
 
 
 def _is_defect(error: Exception) -> bool:
-    """Whether it is none of the errors that a call may end with."""
     return isinstance(error, TransitionError) or not isinstance(error, UpwashError)

@@ -77,8 +77,6 @@ class _Running:
 
 
 class _OnboardService:
-    """One service of the drone and its instance."""
-
     def __init__(
         self,
         spec: InstanceSpec,
@@ -125,7 +123,7 @@ class _OnboardService:
         await end(self._life)
 
     def _give_up(self, defect: Exception) -> None:
-        """Fails every call from now on, as nothing starts the service again."""
+        """Fail every call from now on: nothing starts the service again."""
         why = (
             f"{self._spec.service} is not watched any more, after a defect: {type(defect).__name__}: {defect}"
         )
@@ -150,7 +148,6 @@ class _OnboardService:
             raise
 
     async def _live(self, running: _Running) -> None:
-        """Starts the service again whenever it has ended, until cancelled."""
         while True:
             try:
                 how = await running.instance.exited()

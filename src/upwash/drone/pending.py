@@ -116,7 +116,6 @@ class Pending(Generic[T]):
         self._calls.note(schema.Demanded(waypoint=self._waypoint, failed=self._call.failure))
 
     async def _answered(self) -> None:
-        """Returns once the answer is there, or will never be."""
         await self._call.over()
 
     def _answer(self) -> T:
@@ -221,7 +220,7 @@ class Calls:
 
 
 def _take_note(call: asyncio.Task[Any]) -> None:
-    """Has asyncio not complain of a failure that no mission asks for."""
+    """Keep asyncio from complaining of a failure that no mission asks for."""
     if not call.cancelled():
         call.exception()
 
@@ -315,7 +314,6 @@ class AnswerAction(Generic[T]):
         self._finish(waited_s)
 
     def _finish(self, waited_s: float) -> None:
-        """Takes the answer, and acts where it demands it; raises what the call raises."""
         self.is_over = True
         errand = self._errand
         demanded = self._demand.holds()

@@ -146,7 +146,6 @@ def endpoints(
 def _lighter(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
 ) -> LighterSettings | None:
-    """The configured end of the mission and the lighter operation of each; None without `mission.finish_by_s`."""
     mission, by_s = config.mission, finish_by_s(config)
     if by_s is None:
         return None
@@ -249,7 +248,6 @@ def order_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
 
 
 def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
-    """The best one that the plan's geofence allows."""
     mission, estimates = config.mission, make_estimates(config, specs)
     given, fences = waypoints(mission), geofence(mission)
     beliefs = mission_beliefs(config, specs, estimates, given)
@@ -278,7 +276,7 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
 
 
 def _home_s(config: DroneConfig, place: Position, start: Position) -> float:
-    """To the ground, as the simulated vehicle flies it: without a profile in the same time from everywhere."""
+    """Time to the ground of the simulated vehicle; without a profile the same from everywhere."""
     profile = config.vehicle.profile
     if profile is None or ending(config.mission) == "land":
         return config.vehicle.return_and_land_s

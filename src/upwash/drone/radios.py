@@ -103,12 +103,11 @@ class RadioWorker:
                 self.session = self.cut = self._errand = self._message = self._watch = None
 
     async def _pause(self) -> None:
-        """Drops what is under way with the server, without leaving it."""
+        """Drop all work at the server, without leaving it."""
         await end(self._message, self._errand, self._watch)
         self._message = self._errand = self._watch = None
 
     def _session_at(self, server: str) -> ServerSession:
-        """The session that goes on there, or a new one."""
         if self.session is None or self._session_with != server:
             self.session = ServerSession(self._endpoints[server], network=self._network, dialer=self._dialer)
             self._session_with = server
@@ -128,7 +127,7 @@ class RadioWorker:
             await self._keep_lease(session, check)
 
     async def _with_slot(self, ask: Callable[[], Awaitable[T]], check: int) -> T:
-        """What the server answers once it has a slot for the drone, however often it has to be asked."""
+        """Ask until the server has a slot for the drone."""
         while True:
             try:
                 return await ask()
@@ -137,7 +136,6 @@ class RadioWorker:
                 await asyncio.sleep(refusal.ask_again_s)
 
     async def _keep_lease(self, session: ServerSession, check: int) -> None:
-        """Returns when the drone's turn is over."""
         before = 0
 
         def renewed(waiting: int) -> None:
@@ -160,7 +158,7 @@ class RadioWorker:
             self._journal.record(schema.Joined(server=command.server, network=network, check=command.check))
 
     async def _probe(self, session: ServerSession, command: Probe) -> None:
-        """Returns at the first sign of life; a question that is not answered yet keeps the next one from nothing."""
+        """Return at the first reply. Questions overlap: an unanswered one does not delay the next."""
         asking: set[asyncio.Task[events.ProbeAnswered | events.ProbePaused]] = set()
         asked = False
         try:
@@ -205,7 +203,7 @@ class RadioWorker:
         await self._keep_lease(session, command.check)
 
     async def _prepare(self, session: ServerSession, command: Prepare) -> None:
-        """Costs nothing but the message: whether the next server can be used, its own check tells."""
+        """Send the message and no more: the next server's own check tells whether it can be used."""
         try:
             await session.prepare(
                 self._endpoints[command.peer], arrives_in_s=command.arrives_in_s, hold_s=command.hold_s
@@ -222,7 +220,7 @@ def _failed(check: int, error: NetworkError | LinkError) -> events.ServerUnusabl
 
 
 async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T | None:
-    """What the first of them returns, none of which raises more than a LinkError; None after that time."""
+    """The result of the first task that raises no LinkError; None after that time."""
     loop = asyncio.get_running_loop()
     until_s, left = loop.time() + within_s, set(tasks)
     while (left_s := until_s - loop.time()) > 0:

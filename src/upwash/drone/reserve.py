@@ -84,7 +84,7 @@ class ReserveWatch:
         return ""
 
     def _before_flight(self, energy: FlightEnergy, percent: float | None) -> Margin | None:
-        """On the ground there is no way home; None once it has flown, as then the mission ends by itself."""
+        """The margin on the ground; None after the flight, when the mission ends by itself."""
         if percent is None or self._has_flown:
             return None
         self._home = self._autopilot.position
@@ -116,7 +116,7 @@ class ReserveWatch:
         return now
 
     def _tell(self, now: Margin, time_s: float) -> None:
-        """Logs the margin when it is first known, has changed by much, was not told for long, or is used up."""
+        """Log the margin when it is first known, has changed by much, is a minute old, or is used up."""
         if now.rate_percent_s is None:
             return
         if self._told is not None and not now.turn_back:

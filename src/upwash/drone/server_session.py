@@ -276,7 +276,6 @@ class ServerSession:
         return answered
 
     async def _dial_daemon(self) -> Link:
-        """A link to the daemon, where it is now; raises Unreachable where that is not known."""
         if self._server.finder is not None:
             self._address = await self._server.finder(self._server.name)
         return self._dialer.dial(self._address, server=self._server.name)
@@ -326,7 +325,7 @@ class ServerSession:
         return await daemon.request(path, msgspec.msgpack.encode(message), timeout_s=timeout_s)
 
     async def _dial(self, service: str, endpoint: str) -> None:
-        """Has a link to the instance; the one that there is stays, if it leads there."""
+        """Open a link to the instance, unless there is one to that address."""
         address = resolve(endpoint, self._address)
         if address == self._addresses.get(service) and service in self._instances:
             return
@@ -339,6 +338,5 @@ class ServerSession:
 
 
 async def _connected(instance: Link) -> None:
-    """Returns once the instance gives a sign of life; raises LinkError."""
     with contextlib.suppress(Refused):  # which is an answer too
         await instance.request(HEALTH_CHECK, b"", timeout_s=_ANSWER_S)

@@ -127,7 +127,7 @@ class Site(Struct, frozen=True):
             yield f"the way home from waypoint {last.index}", f"it {why}"
 
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
-        """The places that are nearer to the fence than the vehicle's margin, where it may overshoot."""
+        """Places within the vehicle's margin of the fence, where it may overshoot."""
         names, margin_m = limits.names, limits.margin_m
         spots = [(f"waypoint {each.index}", each.position.altitude_m) for each in self.waypoints]
         for what, altitude_m in [("the take-off", self.takeoff_m), *spots]:
@@ -151,7 +151,6 @@ def require_altitude(limits: VehicleLimits, altitude_m: float, *, step: str) -> 
 
 
 def _outside_altitudes(limits: VehicleLimits, altitude_m: float) -> str:
-    """Why the vehicle's own fence does not allow the altitude above home; empty where it does."""
     if limits.highest_m is not None and altitude_m >= limits.highest_m:
         return f"it is {altitude_m:g} m up, the fence ends at {limits.names.highest} = {limits.highest_m:g} m"
     if limits.lowest_m is not None and altitude_m <= limits.lowest_m:
@@ -160,7 +159,6 @@ def _outside_altitudes(limits: VehicleLimits, altitude_m: float) -> str:
 
 
 def _outside_areas(limits: VehicleLimits, place: Position) -> str:
-    """Why the vehicle's own fence does not allow the place on the ground; empty where it does."""
     fence = breached_by_position(limits.fences, place)
     if fence is None:
         return ""
@@ -172,13 +170,12 @@ def _outside_areas(limits: VehicleLimits, place: Position) -> str:
 
 
 def _crossed_areas(limits: VehicleLimits, start: Position, end: Position) -> str:
-    """What of the vehicle's own fence a straight way crosses; empty where it crosses nothing."""
     fence = breached_by_leg(limits.fences, start, end)
     return "" if fence is None else f"{'leaves' if fence.inclusion else 'crosses'} {fence.name}"
 
 
 def _home(limits: VehicleLimits, vehicle: Position) -> Position:
-    """Where the vehicle returns to: home, and where it does not tell that, where it stands."""
+    """The vehicle's home; where it stands, if it does not report that."""
     return vehicle if limits.home is None else limits.home
 
 

@@ -581,7 +581,6 @@ class AdmissionController:
         return Denied(why, pause_s=pause_s)
 
     def _paused(self, name: str, services: Iterable[str], drone: Client, now_s: float) -> Denied | None:
-        """Refuses a service that is left alone, as it keeps failing."""
         for service in services:
             pause_s = self.pause_s(name, [service], drone, now_s=now_s)
             if pause_s > 0:
@@ -600,7 +599,7 @@ class AdmissionController:
         return f"{drone.name} has no lease on {name}" if lease is None or lease.drone != drone else ""
 
     def _impostor(self, name: str, drone: Client, now_s: float) -> Denied | None:
-        """A peer cannot take the lease from a drone that came itself, under another certificate."""
+        """Refuse a peer that asks for a drone which holds a lease itself, under another certificate."""
         lease = self._servers[name].leases.of(drone.name)
         if lease is None or lease.held_by or lease.drone == drone:
             return None
@@ -624,7 +623,6 @@ class AdmissionController:
     def _lease(
         self, name: str, services: Iterable[str], drone: Client, now_s: float
     ) -> tuple[Denied | None, list[Command]]:
-        """Whether the drone has a lease now, which lasts anew, or may not have one."""
         commands = self._end_leases(now_s)
         denied = self._deny(name, services, drone, now_s)
         if denied is None and drone.name not in self._servers[name].leases:
@@ -637,14 +635,13 @@ class AdmissionController:
         return denied, commands
 
     def _no_room(self, name: str, drone: Client, now_s: float) -> str:
-        """Why no slot can be held for the drone, which is on its way; those that are here come first."""
+        """Why no slot can be held for a drone on its way: drones that are here come first."""
         server = self._servers[name]
         if drone.name in server.leases or server.has_room(now_s=now_s):
             return ""
         return f"{name} has no free slot: {len(server.leases)} of {server.slots} in use"
 
     def _too_many(self, name: str, drone: Client, peer: str) -> str:
-        """Why no more slots are held for that peer: others would have none left."""
         server = self._servers[name]
         others = server.leases.held_by(peer, except_for=drone.name)
         most = max(1, server.slots // 2)

@@ -18,14 +18,14 @@ _MISTRUST_HOLDS = 10  # for how many times the longest hold it is refused then
 
 @dataclass(slots=True)
 class _Missed:
-    """How many drones in a row that a peer expected did not come, and when that was noticed last."""
+    """The drones in a row that a peer announced and that did not come, and when the last one failed to."""
 
     times: int = 0
     last_s: float = -math.inf
 
 
 class _SentAhead(Struct, frozen=True):
-    """A peer was asked to hold a slot for a drone until then; without that it holds one until `otherwise_s`."""
+    """A slot that a peer was asked to hold for a drone; if it refuses, an earlier slot until `otherwise_s`."""
 
     peer: str
     until_s: float

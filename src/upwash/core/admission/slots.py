@@ -79,7 +79,7 @@ class MeasuredSlots:
         return f"a drone keeps {service} busy for {100 * share:.0f} % of its time"
 
     def _known(self) -> list[str]:
-        """The services that are measured, or all where none is: one that nobody calls says nothing."""
+        """The measured services, or all if none is measured: a service without calls says nothing."""
         measured = [service for service in self._lanes if self._share_of(service) is not None]
         return sorted(measured or self._lanes)
 

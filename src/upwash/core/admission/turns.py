@@ -132,14 +132,14 @@ class Turns:
         return account
 
     def _dismiss(self, now_s: float) -> None:
-        """Those that miss three questions wait no more."""
+        """Drop drones that missed three questions."""
         for account in self._accounts.values():
             if account.waits_since_s is not None and now_s - account.asked_s > _PATIENCE_S:
                 account.waits_since_s = None
         self._forget()
 
     def _forget(self) -> None:
-        """With nobody there every account is worth the same; else who has been gone longest is forgotten first."""
+        """Without drones all accounts are worth the same; of absent drones the longest absent are forgotten."""
         absent = [name for name, each in self._accounts.items() if not each.is_present]
         if len(absent) == len(self._accounts):
             self._accounts.clear()

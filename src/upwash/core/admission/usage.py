@@ -64,7 +64,7 @@ class _Slot:
 
 
 def _taken_up(used: DroneUsage | TeamUsage, held_s: float, now_s: float) -> _Use:
-    """With the slot time that was over by then: slots that were held go on, or ended there."""
+    """Count the slot time until then: slots held now go on here."""
     called_s = None if used.called_ago_s is None else now_s - used.called_ago_s
     return _Use(used.slot_s - held_s, used.calls, used.computed_s, called_s)
 
@@ -149,11 +149,9 @@ class Usage:
         ]
 
     def _held_s(self, drone: str, now_s: float) -> float:
-        """For how long it has had the slot that it has."""
         return now_s - self._slots[drone].since_s if drone in self._slots else 0.0
 
     def _seen(self, drone: str) -> tuple[_Use, _Use]:
-        """What is known of the drone and of its team."""
         team = team_of(drone)
         use, of_team = self._drones.setdefault(drone, _Use()), self._teams.setdefault(team, _Use())
         self._drones.move_to_end(drone)

@@ -112,7 +112,6 @@ class Coverage:
         return place
 
     def _here(self, server: str, position: Position) -> MeasuredPlace:
-        """The place of that position, a new one where there is none."""
         nearest = self.at(server, position)
         if nearest is not None and ground_distance_m(nearest.position, position) <= SAME_M:
             return nearest
@@ -133,5 +132,5 @@ class Coverage:
 
 
 def _square(position: Position) -> tuple[int, int]:
-    """Of a grid so coarse that what is near lies in one of the nine squares around."""
+    """The square of a grid so coarse that near places lie in the nine squares around."""
     return math.floor(position.east_m / NEAR_M), math.floor(position.north_m / NEAR_M)

@@ -247,7 +247,7 @@ class Estimates:
         return next_s
 
     def _measured_s(self, server: str, operation: Operation, at: Position | None) -> float | None:
-        """What a call from that place comes to by the coverage; None where that knows nothing of it."""
+        """The delay of a call from that place by the coverage; None if it is not known."""
         position = at or self._here
         if self.coverage is None or position is None:
             return None

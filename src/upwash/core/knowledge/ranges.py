@@ -36,15 +36,18 @@ class AreaIndex:
                 for square in squares:
                     self._in_square[square].append(number)
 
-    def near(self, place: Position) -> list[int]:
-        """The numbers of all areas around the place, and of few others, in order."""
-        if len(self._all) <= _FEW:
+    def near(self, place: Position, within_m: float = 0.0) -> list[int]:
+        """The numbers of all areas within that distance of the place, and of few others, in order."""
+        squares = self._squares(place, within_m) if len(self._all) > _FEW else None
+        if squares is None:
             return self._all
-        square = int(place.east_m // self._side_m), int(place.north_m // self._side_m)
-        return sorted({*self._wide, *self._in_square.get(square, ())})
+        found = set(self._wide)
+        for square in squares:
+            found.update(self._in_square.get(square, ()))
+        return sorted(found)
 
     def _squares(self, centre: Position, radius_m: float) -> list[tuple[int, int]] | None:
-        """The squares around a circle; None where they are too many."""
+        """The squares around a circle; None if there are too many."""
         if (2 * radius_m / self._side_m + 2) ** 2 > _MOST_SQUARES:
             return None
         east, north = self._steps(centre.east_m, radius_m), self._steps(centre.north_m, radius_m)
@@ -87,7 +90,7 @@ class Ranges:
         return [name for name in due if self._look(name, position)]
 
     def _look(self, name: str, position: Position) -> bool:
-        """Looks at one area; whether its border was crossed since it was last looked at."""
+        """Whether the border of the area was crossed since the last look."""
         area = self._areas[name]
         to_border_m = (
             abs(ground_distance_m(area.centre, position) - area.radius_m)

@@ -61,7 +61,6 @@ def make_forecast(
 
 
 def _gains(name: str, expected: Sequence[ExpectedCall], estimates: Estimates, local_s: float) -> bool:
-    """Whether a call there is faster than on the drone, at one of the places where calls are expected."""
     if not estimates.is_measured(name):
         return estimates.mean_call_s(name) < local_s
     return any(estimates.mean_call_s(name, call.position) < local_s for call in expected)

@@ -81,17 +81,14 @@ class NextLeg(Struct, frozen=True):
 
 
 class _Entries(Struct, frozen=True):
-    """The servers in whose range a leg ends, and how far from its start it enters those where it does not begin."""
+    """The servers that are in range at the end of a leg, and where the leg enters the ranges it does not begin in."""
 
     servers: Sequence[str]
     entered_m: Sequence[tuple[str, float]]
 
 
 class _Way(Struct, frozen=True):
-    """A leg to come, and the hold at its end: how long both take, and how long after its start it enters ranges.
-
-    A range in which the leg begins is left out.
-    """
+    """A leg to come with the hold at its end: its duration, and when it enters ranges it does not begin in."""
 
     duration_s: float
     servers: Sequence[str]  # in whose range it ends
@@ -238,7 +235,6 @@ class MissionModel:
             yield ExpectedCall(step.operation, gap_s, in_range_s, place)
 
     def _rest_of_way(self, way: _LegUnderWay, position: Position) -> _Stop:
-        """How long the rest of the leg takes, and for how much of that the drone will have been in which ranges."""
         leg = way.leg
         flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
         rest_s = leg.duration_s - flown_s + self._hold_s()
@@ -279,11 +275,10 @@ class MissionModel:
         return Leg(length_m, speed_m_s, fmean(self._accelerations_m_s2), self._settling_s)
 
     def _hold_s(self) -> float:
-        """How long the drone hovers where it is or flies to, once it is there."""
         return 0.0 if self._index is None or self._is_back else self._plan[self._index].hold_s
 
     def _find(self, target: Position) -> int | None:
-        """The waypoint that is flown to: the next one there, or an earlier one."""
+        """The next waypoint at the target, or else an earlier waypoint there."""
         following = 0 if self._index is None else self._index + 1
         order = itertools.chain(range(following, len(self._plan)), range(following))
         return next((index for index in order if self._plan[index].position == target), None)
@@ -307,9 +302,9 @@ class MissionModel:
 
 @dataclass(slots=True)
 class _Stop:
-    """An arrival, `gap_s` after the call before, in range of these servers.
+    """An arrival, `gap_s` after the call before, in range of `servers`.
 
-    Those that are `entered` on the way will have been in range for that time by then, the others for the whole gap.
+    The `entered` servers will have been in range for that time by then, the others for the whole gap.
     """
 
     gap_s: float

@@ -80,7 +80,7 @@ def _swept(lines: _Lines, *, from_last: bool, from_end: bool) -> Iterator[Waypoi
 
 
 def _rows(given: Sequence[Waypoint]) -> _Lines:
-    """The rows from the south to the north, each from the west to the east; none where there is no full grid."""
+    """Rows from south to north, each from west to east; none without a full grid."""
     if len(given) < 2:
         return []
     # In a full grid the waypoint nearest to any other one is its neighbour in a row or in a column.
@@ -102,7 +102,7 @@ def _rows(given: Sequence[Waypoint]) -> _Lines:
 
 
 def _lines(across_m: Sequence[float], same_m: float) -> list[int]:
-    """The number of the line that each place lies on, counted in the order of where they lie across the lines."""
+    """The number of the line that each place lies on, counted across the lines."""
     numbers = [0] * len(across_m)
     in_order = sorted(range(len(across_m)), key=across_m.__getitem__)
     for before, each in itertools.pairwise(in_order):

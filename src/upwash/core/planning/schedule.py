@@ -65,7 +65,7 @@ class Schedule(Struct, frozen=True):
 
 
 class _Label(Struct, gc=False):
-    """One way to get through the calls so far."""
+    """One way through the calls so far."""
 
     cost_s: float
     ready_in_s: float  # what is left of the server's check
@@ -76,7 +76,7 @@ class _Label(Struct, gc=False):
 
 
 class _Useful(Struct, gc=False):
-    """A server that may be part of the best schedule, and its bit in sets of servers that were started."""
+    """A server that may be part of the best schedule, and its bit in sets of started servers."""
 
     check: CheckTimes
     bit: int
@@ -84,7 +84,7 @@ class _Useful(Struct, gc=False):
 
 
 class _Stage(NamedTuple):
-    """A call, what passes before it but for calls, its useful offers, and what all calls after it take at least."""
+    """A call, the gaps before it, its useful offers, and the least delay of all later calls."""
 
     call: ComingCall
     begins_s: float  # without its own gap
@@ -131,7 +131,6 @@ def quickest(
 
 
 def _stages(calls: Sequence[ComingCall], useful: Mapping[str, _Useful]) -> tuple[Sequence[_Stage], float]:
-    """The calls with the offers that count, and what all of them take at least."""
     begins_s = list(itertools.accumulate((call.gap_s for call in calls), initial=0.0))
     stages, least_s = [], 0.0
     for call, begin_s in zip(reversed(calls), begins_s[-2::-1], strict=True):
@@ -147,7 +146,7 @@ def _useful(
     server: str | None,
     peers: Mapping[str, frozenset[str]],
 ) -> dict[str, _Useful]:
-    """The servers that are better than each other one at some call, and the one that is selected."""
+    """The selected server, and each server that is better than every other at some call."""
     tracks: dict[str, _Track] = {}
     for number, call in enumerate(calls):
         for offer in call.offers:
@@ -176,7 +175,7 @@ def _useful(
 
 
 def _rank(track: _Track) -> tuple[int, float]:
-    """First the servers that are in range of most calls, then the fast ones."""
+    """Sort servers in range of most calls first, then fast servers."""
     in_range = list(filter(math.isfinite, track[0]))
     return -len(in_range), sum(in_range)
 
@@ -190,7 +189,7 @@ def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
 
 
 def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]) -> bool:
-    """Whether it has all the peers that the other has, and is prepared by all that prepare the other."""
+    """Whether it has all peers of the other server and is prepared by all that prepare the other."""
     nobody = frozenset[str]()
     has_them = peers.get(other, nobody) - {server} <= peers.get(server, nobody)
     return has_them and all(
@@ -208,7 +207,7 @@ def _through(
     stays: bool,
     most_labels: int | None,
 ) -> list[_Label]:
-    """The labels after the last call that come to no more than `most_s`, if there are any."""
+    """The labels after the last call that cost at most `most_s`."""
     labels = [first]
     for stage in stages:
         labels = _over(
@@ -230,10 +229,7 @@ def _over(
     gain_wait: float,
     stays: bool,
 ) -> list[_Label]:
-    """The labels after one more call: without a server, with the same one, or with another.
-
-    Those are left out that lead to more than `most_s`.
-    """
+    """The labels after one more call, without a server, with the same or another, that can end within `most_s`."""
     call, begins_s, offers, then_s = stage
     local_s, gap_s = call.local_s, call.gap_s
     most_s -= then_s
@@ -279,7 +275,7 @@ def _served(
     longest_s: float,
     most_s: float,
 ) -> list[_Served]:
-    """What a call comes to, at most `most_s`, that is made with so much of the server's check left."""
+    """The cost of the call for each arrival with the rest of its check, at most `most_s`."""
     served: list[_Served] = []
     call_s, told_s, bit = offer.call_s, useful.told_s, useful.bit
     ready_s = min(local_s, call_s)
@@ -297,7 +293,7 @@ def _served(
 
 
 def _cheapest(labels: Sequence[_Label]) -> Sequence[_Label]:
-    """The cheapest label, and the cheapest that has started something else."""
+    """The cheapest label, and the cheapest label that has started another service."""
     if len(labels) == 1:
         return labels
     first = min(labels, key=_cost_and_rest)
@@ -306,7 +302,7 @@ def _cheapest(labels: Sequence[_Label]) -> Sequence[_Label]:
 
 
 def _unbeaten(served: list[_Served]) -> list[_Served]:
-    """What no cheaper one at the same server beats in what is left of the check or in what was started."""
+    """Drop arrivals that a cheaper arrival beats in the rest of the check and in started services."""
     if len(served) <= 1:
         return served
     best: list[_Served] = []

@@ -54,7 +54,7 @@ class LookAhead:
         return Choice(following, f"{gains}, {saved_s:.1f} s less than with {current} kept")
 
     def _holds(self, under_way: Decision | None, forecast: Forecast) -> bool:
-        """Whether a call goes on there, or the check, which is of use later, while a call goes on elsewhere."""
+        """Whether a remote call is under way, or a check that ends during a call elsewhere."""
         return isinstance(under_way, Remote) or (under_way is not None and forecast.ready_in_s > 0)
 
     def _quickest(self, forecast: Forecast, current: str | None, *, stays: bool = False) -> Schedule:
@@ -78,7 +78,6 @@ class LookAhead:
 
 
 def _coming(schedule: Schedule, forecast: Forecast, current: str) -> Coming | None:
-    """The server that the schedule changes to, and when its range is entered."""
     at_s = 0.0
     for call, server in zip(forecast.calls, schedule.servers, strict=True):
         at_s += call.gap_s

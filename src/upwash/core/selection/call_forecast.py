@@ -105,7 +105,6 @@ class CallForecast:
         return place.ready_in_s + remote_s
 
     def _server(self, current: str | None, call: ExpectedCall, at_s: float) -> str | None:
-        """The server that the policy has selected when the call is made."""
         usable = [name for name in call.in_range_s if self._unusable_s.get(name, 0.0) <= at_s]
         usable.sort(key=lambda name: -call.in_range_s[name])
         at = call.position if any(self._estimates.is_measured(name) for name in usable) else None

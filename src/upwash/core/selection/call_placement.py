@@ -60,7 +60,6 @@ class CallPlacement:
         return replace(decision, inputs=inputs), []
 
     def _inputs(self, operation: Operation, now_s: float) -> Inputs:
-        """What is known now."""
         server, local_s = self._radios.in_use, self._estimates.local_s(operation)
         if server is None:
             return Inputs(local_s)
@@ -111,7 +110,7 @@ class CallPlacement:
     def _on_trial(
         self, server: Server, operation: Operation, local_s: float, now_s: float
     ) -> Decision | None:
-        """Where a call runs for which the server is in doubt; None where it is not."""
+        """Where a call runs if its server is in doubt; None if it is not."""
         name, usual_s = server.name, self._estimates.usual_s(server.name, operation)
         if self._recovery is None or not self._recovery.in_doubt(name, operation):
             return None

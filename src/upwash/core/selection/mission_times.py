@@ -153,7 +153,6 @@ class Timetable:
     def _times(
         self, calls: Sequence[ExpectedCall], now_s: float, takeoff_s: float
     ) -> tuple[Sequence[float], float]:
-        """When the drone is at each waypoint, and landed."""
         stop = self._beliefs.stop
         placing = self._planning.placing(now_s)
         reached_s: list[float] = []

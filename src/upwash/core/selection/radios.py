@@ -170,7 +170,6 @@ class Radios:
         return self._count - len(self.selected) - len(self.probed)
 
     def _replace(self, others: Sequence[Server], server: Server, why: str, now_s: float) -> list[Effect]:
-        """Leaves the others for the server."""
         return [effect for other in others for effect in self.leave(other, f"{server.name} {why}", now_s)]
 
     def _check(self, server: Server, why: str, now_s: float) -> list[Effect]:

@@ -61,7 +61,7 @@ class ServerFailures(Struct, frozen=True):
 
 
 class _Doubt(Struct, frozen=True):
-    """An operation whose last call on a server failed, or took longer than one on the drone."""
+    """An operation whose last call on a server failed, or was slower than on the drone."""
 
     since_s: float
     last_s: float

@@ -239,7 +239,7 @@ class Selection:
     # --- what arrives ---------------------------------------------------------------------------------------
 
     def _take_in(self, event: Event, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912
-        """Learns from what happened; returns what it changes by itself, before the policy is asked."""
+        """Learn from the event; return its own effects, before the policy is asked."""
         match event:
             # What the radios report concerns the mission only once a server changes its state.
             case events.Tick():  # the first case, as it is by far the most frequent
@@ -420,7 +420,7 @@ class Selection:
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)
 
     def _probed_in_vain(self, check: int, position: Position) -> list[Effect]:
-        """Enters it on the map once for a place, however often the server is probed from there."""
+        """Enter it on the map once for each place."""
         server, coverage = self._radios.probed_by(check), self.estimates.coverage
         if server is None or coverage is None or server.name not in coverage.servers:
             return []
@@ -433,14 +433,13 @@ class Selection:
         return [Mapped(server.name, place)]
 
     def _asked(self, check: int, position: Position, *, answered: bool) -> list[Effect]:
-        """Enters on its map whether the server answered a check there, where it has no range."""
         server, coverage = self._radios.selected_by(check), self.estimates.coverage
         if server is None or coverage is None or server.name not in coverage.servers:
             return []
         return [Mapped(server.name, coverage.asked(server.name, position, answered=answered))]
 
     def _reached(self, event: events.Reached) -> list[Effect]:
-        """Enters on its map what a call came to there; one in vain costs the drone's own computing too."""
+        """Enter the delay of the call on the map; a failed call costs the drone's own computing too."""
         coverage = self.estimates.coverage
         if coverage is None:
             return []
@@ -455,7 +454,6 @@ class Selection:
     # --- which server now? ----------------------------------------------------------------------------------
 
     def _select(self, now_s: float, position: Position) -> list[Effect]:
-        """Asks the policy, and gives the radios the roles that it wants."""
         radios, planning = self._radios, self._planning
         planning.changed = False
         choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
@@ -478,7 +476,7 @@ class Selection:
         return effects
 
     def _is_worth_keeping(self, server: Server | None, now_s: float) -> bool:
-        """Whether calls are still to go to the server in use; else the next one, once in use, can be waited for."""
+        """Whether calls still go to the server in use; else they can wait for the next server."""
         return (
             server is not None
             and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()

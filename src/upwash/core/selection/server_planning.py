@@ -159,7 +159,6 @@ class ServerPlanning:
 
     @property
     def _slow_for_s(self) -> float:
-        """How long after its last slow call a server gets another chance."""
         if self._recovery is not None and self._radios.in_use is None:
             return min(self._retry_s, REST_S)
         return self._retry_s
@@ -244,7 +243,6 @@ class ServerPlanning:
         ]
 
     def _short_of_slots(self, now_s: float) -> frozenset[tuple[str, bool, bool]]:
-        """The servers in range that have no slot, or others that wait for one: time alone ends either."""
         return frozenset(
             (server.name, server.is_full(now_s), server.is_contended(now_s))
             for server in self._table.in_range
@@ -259,7 +257,7 @@ class ServerPlanning:
         return local_s - self._estimates.mean_call_s(server.name) > self._gain_slot * local_s
 
     def _is_worth_trials(self, server: Server | None, now_s: float) -> TypeGuard[Server]:
-        """Whether the server in use is slower than the drone by its last calls alone, so that it gets trials."""
+        """Whether the server in use is slow by its last calls alone."""
         return (
             self._recovery is not None
             and server is not None
@@ -283,7 +281,6 @@ class ServerPlanning:
         )
 
     def _banned(self, now_s: float) -> Iterator[tuple[str, float]]:
-        """The servers that cannot be used now, and for how much longer."""
         for server in self._table.blacklisted:
             yield server.name, self._banned_s(server, now_s)
         for server in self._table.in_range:
@@ -295,6 +292,5 @@ class ServerPlanning:
                 yield server.name, FULL_S
 
     def _banned_s(self, server: Server, now_s: float) -> float:
-        """For how much longer the server will be blacklisted, as far as is known."""
         left_s = server.since_s + server.left_alone_s - now_s
         return left_s if self._recovery is None else max(REST_S, left_s)

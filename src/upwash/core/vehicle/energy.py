@@ -99,7 +99,6 @@ class Margin(Struct, frozen=True):
 
     @property
     def _floor(self) -> str:
-        """The highest of what makes the floor, in words."""
         if self.floor_percent == self.reserve_s_percent:
             return f"{self.reserve.seconds:g} s of reserve {self.reserve_s_percent:.0f} %"
         if self.floor_percent == self.reserve.percent:
@@ -169,14 +168,14 @@ class Consumption:
         return max(rates) or None
 
     def _most_since(self, begun: tuple[float, float]) -> float:
-        """What is lost since, a second: at most what the reports say and the step that comes next."""
+        """The loss per second, at most: the reported loss and the next step of the report."""
         (begun_s, before_percent), (now_s, percent) = begun, self._recent[-1]
         flown_s = now_s - begun_s
         return max(before_percent - percent + _STEP_PERCENT, 0.0) / flown_s if flown_s >= _LEAST_S else 0.0
 
 
 class _SlowLeg(Struct, frozen=True):
-    """A stretch that was flown steadily, and slower than it was told."""
+    """A stretch flown steadily, and slower than commanded."""
 
     time_s: float
     east: float  # the direction, of length 1
@@ -222,7 +221,6 @@ class Wind:
         return max(0.0, slow_m_s, self._reported_against_m_s(east, north, speed_m_s))
 
     def _most_m_s(self) -> float:
-        """What the wind takes at most, in any direction."""
         reported_m_s = (
             math.hypot(self._reported.east_m_s, self._reported.north_m_s) if self._reported else 0.0
         )
@@ -247,7 +245,6 @@ class Wind:
 
 
 def _changed(before: tuple[float, Velocity, float], now: tuple[float, Velocity, float]) -> bool:
-    """Whether the leg was told another speed since, or the vehicle has another."""
     (_, past, past_told_m_s), (_, velocity, told_m_s) = before, now
     east_m_s, north_m_s = velocity.east_m_s - past.east_m_s, velocity.north_m_s - past.north_m_s
     return told_m_s != past_told_m_s or math.hypot(east_m_s, north_m_s) > _STEADY_M_S

@@ -137,7 +137,7 @@ def _single(area: Polygon | Circle | AreaUnion) -> tuple[Polygon | Circle, ...]:
 
 
 def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Position) -> bool:
-    """Whether each place of the leg lies within one of the areas: it does all the way between two borders, or not."""
+    """Whether the areas together contain the leg: between two crossings of borders one place stands for all."""
     shares = sorted({0.0, 1.0, *(share for area in areas for share in _met_at(area, start, end))})
     halfway = ((before + after) / 2 for before, after in itertools.pairwise(shares))
     places = (_along(start, end, share) for share in (0.0, *halfway, 1.0))
@@ -161,7 +161,7 @@ def _to_border_m(area: Polygon | Circle, position: Position) -> float:
 
 
 def _clearly_apart(start: Position, end: Position, corner: Position, following: Position) -> bool:
-    """Whether a leg and a side lie in separate rectangles: quick to say of nearly all of a large plan's."""
+    """Whether a leg and a side lie in separate rectangles, a quick test for large plans."""
     return (
         max(start.east_m, end.east_m) + _ON_THE_BORDER_M < min(corner.east_m, following.east_m)
         or max(corner.east_m, following.east_m) + _ON_THE_BORDER_M < min(start.east_m, end.east_m)
@@ -178,7 +178,6 @@ def _along(start: Position, end: Position, share: float) -> Position:
 
 
 def _nearest_share(position: Position, start: Position, end: Position) -> float:
-    """How far along the line, from 0 to 1, it is nearest to the position."""
     east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
     squared = east_m**2 + north_m**2
     if squared == 0:
@@ -188,7 +187,6 @@ def _nearest_share(position: Position, start: Position, end: Position) -> float:
 
 
 def _circle_met_at(circle: Circle, start: Position, end: Position) -> Iterator[float]:
-    """How far along the leg, from 0 to 1, it crosses the circle."""
     length_m = ground_distance_m(start, end)
     if length_m == 0:
         return
@@ -212,7 +210,7 @@ def _distance_to_line_m(position: Position, start: Position, end: Position) -> f
 
 
 def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
-    """How far along the leg it crosses the side between two corners; None where it does not, or is parallel."""
+    """How far along the leg, from 0 to 1, it crosses the side; None if it does not or is parallel."""
     east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
     side_east_m, side_north_m = following.east_m - corner.east_m, following.north_m - corner.north_m
     slant = east_m * side_north_m - north_m * side_east_m

@@ -145,7 +145,6 @@ class WayDown:
         return climbs_s + leg.duration_s - leg.reached_s(flown_m)
 
     def _descent_s(self, altitude_m: float) -> float:
-        """Of a vehicle that sinks already, or is about to."""
         way = self._way
         slowly_m = min(max(altitude_m, 0.0), way.slowly_below_m)
         return max(altitude_m - slowly_m, 0.0) / way.descent_m_s + slowly_m / way.landing_m_s
