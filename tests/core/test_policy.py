@@ -14,6 +14,8 @@ from upwash.core.policies.names import make_policy
 from upwash.core.policies.policy import (
     CallInputs,
     Deadline,
+    Inputs,
+    Lightened,
     Local,
     LocalOnly,
     LocationAware,
@@ -25,6 +27,7 @@ from upwash.core.policies.policy import (
     Wait,
     WaitRule,
 )
+from upwash.eventlog import schema
 
 JUST_BELOW_8 = math.nextafter(8.0, 0.0)
 
@@ -256,3 +259,9 @@ def test_with_one_operation_location_aware_is_the_thesis_to_the_letter(
         mean_s["here"], {name: mean_s[name] for name in believed_s}, in_range, current, gain_switch
     )
     assert LocationAware(gain_switch=gain_switch).choose(seen).server == expected
+
+
+def test_the_inputs_of_a_decision_are_fields_of_its_log_event() -> None:
+    assert Inputs().facts.keys() <= set(schema.Decided.__struct_fields__)
+    lightened = Lightened(HEAVY, HEAVY, 1.0, 1.0)
+    assert lightened.facts.keys() <= set(schema.Call.__struct_fields__)

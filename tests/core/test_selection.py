@@ -694,10 +694,10 @@ def test_a_decision_has_the_inputs_that_it_was_made_from_though_it_leaves_the_se
     decision, commands = machine.decide(HEAVY, now_s=20.0, position=NOWHERE)
     assert written(commands) == ["s1 READY AVL-R", "leave s1"]
     known = decision.inputs
-    assert (known.server, known.state, known.check) == ("s1", State.READY, 1)
+    assert (known.selected, known.state, known.check) == ("s1", State.READY, 1)
     assert (known.local_s, known.remote_s) == (local_s, remote_s)
     decision, _ = machine.decide(HEAVY, now_s=20.0, position=NOWHERE)
-    assert (decision.inputs.server, decision.inputs.local_s) == (None, local_s)
+    assert (decision.inputs.selected, decision.inputs.local_s) == (None, local_s)
 
 
 def test_a_check_says_how_long_its_parts_may_take() -> None:

@@ -361,7 +361,7 @@ def leaves_two_waypoints() -> contextlib.AbstractContextManager[object]:
     def further(self: AnswerAction[Any], place: Waypoint | Position) -> None:
         fly_on(self, place)
         if not self.is_over:
-            self._wings._fly(Position(position_of(place).east_m + 30.0, 0.0, position_of(place).altitude_m))
+            self._vehicle.fly(Position(position_of(place).east_m + 30.0, 0.0, position_of(place).altitude_m))
 
     return patch.object(AnswerAction, "fly_on", further)
 
@@ -463,10 +463,10 @@ def chance_from_outside() -> contextlib.AbstractContextManager[object]:
 def hedging_budget_ignored() -> contextlib.AbstractContextManager[object]:
     """What the drone computes for nothing is not counted."""
 
-    def forget(self: Hedging, local_s: float) -> None:
+    def forget(self: Hedging, *_: object, **__: object) -> None:
         pass
 
-    return patch.object(Hedging, "added", forget)
+    return patch.object(Hedging, "overtaken", forget)
 
 
 def both_answers_delivered() -> contextlib.AbstractContextManager[object]:

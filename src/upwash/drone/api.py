@@ -14,7 +14,16 @@ from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.coming_down import ComingDown
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload, Photographer
-from upwash.drone.pending import AnswerAction, AnswerActions, Calls, Demand, DemandedAction, Pending, index_of
+from upwash.drone.pending import (
+    AnswerAction,
+    AnswerActions,
+    Calls,
+    Demand,
+    DemandedAction,
+    Pending,
+    VehicleVerbs,
+    index_of,
+)
 from upwash.drone.site import Site, require_altitude
 from upwash.errors import AutopilotError, UsageError
 from upwash.eventlog import schema
@@ -117,7 +126,7 @@ class Vehicle:
         return self._ground_speed_m_s
 
     def _take_up(self) -> None:
-        """The vehicle is in the air, where another program left it: for the flight to say, not for a mission."""
+        """The vehicle is in the air, where another program left it."""
         self._in_the_air = self._found_flying = True
         self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
@@ -234,7 +243,7 @@ class Vehicle:
         try:
             goes_on = not unless.holds()
             if not goes_on:  # before it brakes: who takes the vehicle then has it with this left undone
-                unless.pending._note_demand()
+                unless.note()
         except BaseException:
             self._thread.call(self._stop_short_of(position_of(place)))
             raise
@@ -309,7 +318,7 @@ class Vehicle:
         """Begin to fly; return True on arrival, or False, still flying, when the answer is there."""
         leg = self._leg = begin(verb)
         try:
-            await first(asyncio.wait([leg]), demand.pending._answered())
+            await first(asyncio.wait([leg]), demand.answered())
         except asyncio.CancelledError:
             await self._end_leg()
             raise
@@ -393,6 +402,21 @@ class Vehicle:
             self._journal.record(before(position=rounded(self._autopilot.position)))
         await verb()
         self._journal.record(after(position=rounded(self._autopilot.position)))
+
+
+class VehicleHandle:
+    """What a flight does with its vehicle, and a mission cannot."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.settle = vehicle._settle
+        self.end_leg = vehicle._end_leg
+        self.take_up = vehicle._take_up
+        self.verbs = VehicleVerbs(
+            place=lambda: vehicle.place,
+            position=lambda: vehicle.position,
+            fly=vehicle._fly,
+            leave_open=vehicle._leave_open,
+        )
 
 
 class User:

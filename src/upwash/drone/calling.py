@@ -92,7 +92,7 @@ class Calling:
         radios: RadioWorkers,
         onboard: OnboardServices,
         journal: Journal,
-        hedging: Hedging | None,
+        hedging: Hedging,
     ) -> None:
         self._decisions = decisions
         self._radios = radios
@@ -142,8 +142,7 @@ class Calling:
             return None
         if attempt.late:
             self._journal.record(schema.Dropped(operation=str(operation), place=server))
-        if self._hedging is not None:
-            self._hedging.answered(server, operation, delay_s)
+        self._hedging.answered(server, operation, delay_s)
         self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late))
         self._reached(attempt, delay_s, len(answer))
         return reply
@@ -174,7 +173,7 @@ class Calling:
             self._journal.record(
                 schema.RemoteFailed(server=server, check=attempt.check, why=f"{server}: {why}")
             )
-        elif self._hedging is not None:
+        else:
             self._hedging.answered(server, operation, said.delay_s)
         self._decisions.tell(
             events.RemoteFaultTested(server, attempt.check, operation, said.delay_s, why, confirmed)
@@ -249,9 +248,7 @@ class _Loser(Struct, frozen=True):
 class Racing:
     """Answers calls, each once."""
 
-    def __init__(
-        self, decisions: Decisions, calling: Calling, journal: Journal, hedging: Hedging | None
-    ) -> None:
+    def __init__(self, decisions: Decisions, calling: Calling, journal: Journal, hedging: Hedging) -> None:
         self._decisions = decisions
         self._calling = calling
         self._journal = journal
@@ -260,14 +257,13 @@ class Racing:
 
     async def answer(self, decision: Decision, call: Invocation) -> CallAnswer:
         """The answer to a call that runs where the decision says, or on the drone when that fails."""
-        local_s = self._decisions.estimates.local_s(call.operation)
-        if self._hedging is not None and local_s is not None:
-            self._hedging.count(local_s)
+        self._hedging.called(call.operation)
         if not isinstance(decision, Remote):
             return await self._answer_onboard(call)
         if decision.raced:
             return await self._answer_onboard(call, instead_of=self._begin_at_server(call, decision))
-        if (hedge := self._plan_hedge(decision, call.operation)) is not None:
+        is_busy = any(not each.task.done() for each in self._losers)
+        if (hedge := self._hedging.plan(decision, call.operation, is_busy=is_busy)) is not None:
             return await self._answer_hedged(decision, hedge, call)
         attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
         reply = await self._calling.at_server(attempt)
@@ -287,12 +283,6 @@ class Racing:
         await end(*(each.task for each in self._losers))
 
     # --- hedging --------------------------------------------------------------------------------------------
-
-    def _plan_hedge(self, decision: Remote, operation: Operation) -> Hedge | None:
-        local_s = self._decisions.estimates.local_s(operation)
-        if self._hedging is None or local_s is None or any(not each.task.done() for each in self._losers):
-            return None
-        return self._hedging.plan(decision.server, operation, local_s=local_s, deadline_s=decision.deadline_s)
 
     async def _answer_hedged(self, decision: Remote, hedge: Hedge, call: Invocation) -> CallAnswer:
         attempt = self._begin_at_server(call, replace(decision, deadline_s=hedge.deadline_s))
@@ -318,9 +308,8 @@ class Racing:
             )
         )
         answer = await self._race(call, self._begin_onboard(call), attempt)
-        in_time = hedge.after_s + answer.onboard_s <= decision.deadline_s
-        if self._hedging is not None and answer.server == decision.server and in_time:
-            self._hedging.added(self._decisions.estimates.local_s(call.operation) or 0.0)
+        if answer.server == decision.server:
+            self._hedging.overtaken(hedge, decision, call.operation, onboard_s=answer.onboard_s)
         return structs.replace(answer, hedged_s=hedge.after_s)
 
     # --- the race -------------------------------------------------------------------------------------------

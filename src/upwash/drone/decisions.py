@@ -12,6 +12,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NoReturn
 
+from msgspec.structs import asdict
+
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Change
@@ -144,7 +146,6 @@ class Decisions:
         if effects:
             self.server_left.set()
         self.looked_after()
-        known = decision.inputs
         self._journal.record(
             schema.Decided(
                 operation=str(operation),
@@ -154,14 +155,8 @@ class Decisions:
                 at_most_s=decision.at_most_s if isinstance(decision, Wait) else None,
                 raced=isinstance(decision, Remote) and decision.raced,
                 why=decision.why,
-                local_s=known.local_s,
-                selected=known.server,
-                state=known.state,
-                check=known.check,
-                remote_s=known.remote_s,
-                check_s=known.check_s,
-                check_elapsed_s=known.check_elapsed_s,
                 position=position,
+                **decision.inputs.facts,
             )
         )
 
@@ -170,23 +165,17 @@ class Decisions:
             match effect:
                 case Change():
                     self._record_change(effect)
-                case Full(server, check, waiting):
-                    self._journal.record(schema.NoSlot(server=server, check=check, waiting=waiting))
-                case ServerPaused(server, check, pause_s, why):
-                    self._journal.record(schema.LeftOut(server=server, check=check, pause_s=pause_s, why=why))
+                case Full():
+                    self._journal.record(schema.NoSlot(**asdict(effect)))
+                case ServerPaused():
+                    self._journal.record(schema.LeftOut(**asdict(effect)))
                 case Mapped(server, place):
                     self._journal.record(
                         schema.PlaceMeasured(server=server, place=schema.MeasuredRecord.of(place))
                     )
-                case ExpectedTimes(reached_s, as_asked_s, lightest_s, finish_by_s):
-                    self._journal.record(
-                        schema.Foreseen(
-                            finish_by_s=finish_by_s,
-                            as_asked_s=as_asked_s,
-                            lightest_s=lightest_s,
-                            reached_s=[round(each_s, 1) for each_s in reached_s],
-                        )
-                    )
+                case ExpectedTimes(reached_s):
+                    facts = asdict(effect) | {"reached_s": [round(each_s, 1) for each_s in reached_s]}
+                    self._journal.record(schema.Foreseen(**facts))
                 case _:
                     self._send(effect)
         if effects:

@@ -16,7 +16,7 @@ from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
-from upwash.drone.api import Drone, Mission, User, Vehicle
+from upwash.drone.api import Drone, Mission, User, Vehicle, VehicleHandle
 from upwash.drone.coming_down import ComingDown, Descent, end_safely, follow
 from upwash.drone.home import planned_home
 from upwash.drone.mission import MissionThread, mission_failed
@@ -127,6 +127,7 @@ class Flight:
             ),
             tell=self._offloading.tell,
         )
+        self._handle = VehicleHandle(self._vehicle)
         self._ends: ComingDown | None = None  # how the flight is ended safely, while it is
         self._descent = Descent(ports.autopilot, doing=lambda: self._ends or self._vehicle.coming_down)
         self._calls = Calls(
@@ -246,7 +247,7 @@ class Flight:
             )
         await autopilot.claim(resumes=self._done is not None)
         if flies:
-            self._vehicle._take_up()
+            self._handle.take_up()
         await self._set_dead_man(flies=flies)
 
     async def _set_dead_man(self, *, flies: bool) -> None:
@@ -321,7 +322,7 @@ class Flight:
             raise mission_failed(error) from error
         finally:
             await end(watch)
-            await self._vehicle._end_leg()
+            await self._handle.end_leg()
             await self._calls.close()
         self._require_control()
         if self._stopped is not None:  # though the mission made nothing of it
@@ -329,7 +330,7 @@ class Flight:
 
     def _fly_program(self) -> None:
         self._program()(self._drone())
-        self._vehicle._settle()
+        self._handle.settle()
 
     def _program(self) -> Mission:
         if self._plan or self._done is None:
@@ -398,7 +399,7 @@ class Flight:
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,
             errands=AnswerActions(
-                self._vehicle,
+                self._handle.verbs,
                 self._calls,
                 rule=StayRule(self._config.policy.stay_or_go),
                 outlook=self._offloading.outlook,

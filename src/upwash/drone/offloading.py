@@ -45,7 +45,7 @@ class Offloading:
         dialer: Dialer,
         onboard: OnboardServices,
         journal: Journal,
-        hedging: Hedging | None = None,
+        hedging: Hedging,
     ) -> None:
         self._journal = journal
         self._radios = RadioWorkers(
@@ -125,9 +125,6 @@ class Offloading:
         self._journal.record(
             schema.Call(
                 operation=str(answer.call.operation),
-                asked=str(operation) if lightened else "",
-                forecast_s=lightened.forecast_s if lightened else None,
-                finish_by_s=lightened.finish_by_s if lightened else None,
                 place=name_of(answer.server),
                 check=answer.attempt.check if answer.attempt is not None else None,
                 decision=why,
@@ -140,6 +137,7 @@ class Offloading:
                 hedged_s=answer.hedged_s,
                 queued_s=answer.queued_s or None,
                 remote_fault=answer.remote_fault,
+                **(lightened.facts if lightened else {}),
             )
         )
         return answer.reply

@@ -15,6 +15,8 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
+from msgspec import Struct
+
 from upwash.core.geo import Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook, StayRule
@@ -130,6 +132,14 @@ class Demand(Generic[T]):
         self._question = question
         self._holds: bool | None = None  # once it was asked
 
+    async def answered(self) -> None:
+        """Return when the answer is there, or will never be; for the loop."""
+        await self.pending._answered()
+
+    def note(self) -> None:
+        """Log the answer's demand, before the drone flies back to its waypoint."""
+        self.pending._note_demand()
+
     def holds(self) -> bool:
         """Whether the answer, which is there, makes the question true; the question is asked once."""
         if self._holds is None:
@@ -233,22 +243,24 @@ def index_of(place: Place | None) -> int | None:
     return place.index if isinstance(place, Waypoint) else None
 
 
-class Wings(Protocol):
-    """What flies, as far as it matters here."""
+class VehicleVerbs(Struct, frozen=True):
+    """What settling an answer does with the vehicle.
 
-    @property
-    def place(self) -> Place | None:
-        """Where it was last sent to."""
+    `fly` returns False, at rest on the way, if the answer demands something before the arrival. `leave_open` has the
+    verbs that follow settle the answer.
+    """
 
-    @property
-    def position(self) -> Position:
-        """Where it is."""
+    place: Callable[[], Place | None]  # where it was last sent to
+    position: Callable[[], Position]
+    fly: FlyVerb
+    leave_open: Callable[[AnswerAction[Any]], None]
 
-    def _fly(self, place: Place, *, unless: Demand[Any] | None = None, back: bool = False) -> bool:
-        """Flies there; False, at rest on the way, where the answer demands something before the arrival."""
 
-    def _leave_open(self, answer: AnswerAction[Any]) -> None:
-        """The answer is settled by the verbs that follow."""
+class FlyVerb(Protocol):
+    """Flies to a place; `back` to a waypoint whose calls are over."""
+
+    def __call__(self, place: Place, *, unless: Demand[Any] | None = None, back: bool = False) -> bool:
+        """Return whether it has arrived."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,25 +283,27 @@ class DemandedAction(Generic[T]):
 
 
 class AnswerAction(Generic[T]):
-    """One errand, from the call on until it is done."""
+    """One action, from the call on until it is done."""
 
-    def __init__(self, errand: DemandedAction[T], wings: Wings, calls: Calls, rule: StayRule) -> None:
-        self._errand = errand
-        self._wings = wings
+    def __init__(
+        self, action: DemandedAction[T], vehicle: VehicleVerbs, calls: Calls, rule: StayRule
+    ) -> None:
+        self._action = action
+        self._vehicle = vehicle
         self._calls = calls
         self._rule = rule
-        self._demand = errand.pending.demands(errand.demands)
+        self._demand = action.pending.demands(action.demands)
         self.is_away = False  # whether the drone has left the waypoint
         self.is_over = False
 
     def settle(self) -> None:
         """Waits for the answer; does what it demands, at its waypoint, and returns to where the drone is."""
-        here, waited_s = self._wings.place, self._errand.pending._wait()
+        here, waited_s = self._vehicle.place(), self._action.pending._wait()
         if self.is_away and self._demand.holds():
-            self._errand.pending._note_demand()
+            self._action.pending._note_demand()
             self._come_back(waited_s)
             if here is not None:
-                self._wings._fly(here)
+                self._vehicle.fly(here)
         else:
             self._finish(waited_s)
 
@@ -297,67 +311,67 @@ class AnswerAction(Generic[T]):
         """Flies one leg with the answer open; before another one the drone waits for it."""
         if self.is_away:
             self.settle()
-            self._wings._fly(place)
+            self._vehicle.fly(place)
             return
         self.is_away = True
-        if not self._wings._fly(place, unless=self._demand):
+        if not self._vehicle.fly(place, unless=self._demand):
             self._come_back(0.0)
-            self._wings._fly(place)
-        elif self._errand.pending.done():  # in the moment of the arrival, or demanding nothing
+            self._vehicle.fly(place)
+        elif self._action.pending.done():  # in the moment of the arrival, or demanding nothing
             self.settle()
 
     def _come_back(self, waited_s: float) -> None:
-        errand = self._errand
-        self._calls.note(schema.TurnedBack(waypoint=errand.waypoint, position=self._wings.position))
-        if errand.place is not None:
-            self._wings._fly(errand.place, back=True)
+        action = self._action
+        self._calls.note(schema.TurnedBack(waypoint=action.waypoint, position=self._vehicle.position()))
+        if action.place is not None:
+            self._vehicle.fly(action.place, back=True)
         self._finish(waited_s)
 
     def _finish(self, waited_s: float) -> None:
         self.is_over = True
-        errand = self._errand
+        action = self._action
         demanded = self._demand.holds()
         self._rule.answered(demanded=demanded)
-        errand.pending._take(waited_s, demanded=demanded)
+        action.pending._take(waited_s, demanded=demanded)
         if not demanded:
             return
         try:
-            answer = errand.pending._answer()
+            answer = action.pending._answer()
         except Exception as error:
-            if errand.failed is None:
+            if action.failed is None:
                 raise
-            errand.failed(error)
+            action.failed(error)
         else:
-            errand.act(answer)
-        self._calls.note(schema.Acted(waypoint=errand.waypoint))
+            action.act(answer)
+        self._calls.note(schema.Acted(waypoint=action.waypoint))
 
 
 class AnswerActions:
     """Has each answer settled, at once or on the way, as the rule says; for the mission's thread."""
 
     def __init__(
-        self, wings: Wings, calls: Calls, *, rule: StayRule, outlook: Callable[[], Outlook | None]
+        self, vehicle: VehicleVerbs, calls: Calls, *, rule: StayRule, outlook: Callable[[], Outlook | None]
     ) -> None:
-        self._wings = wings
+        self._vehicle = vehicle
         self._calls = calls
         self._rule = rule
         self._outlook = outlook
 
-    def run(self, errand: DemandedAction[Any]) -> None:
+    def run(self, action: DemandedAction[Any]) -> None:
         """Waits for the answer and does what it demands, or leaves that open and returns."""
-        answer = AnswerAction(errand, self._wings, self._calls, self._rule)
-        if self._goes(errand):
-            self._wings._leave_open(answer)
+        answer = AnswerAction(action, self._vehicle, self._calls, self._rule)
+        if self._goes(action):
+            self._vehicle.leave_open(answer)
         else:
             answer.settle()
 
-    def _goes(self, errand: DemandedAction[Any]) -> bool:
-        if self._rule.manner == "stay" or errand.pending.done():
+    def _goes(self, action: DemandedAction[Any]) -> bool:
+        if self._rule.manner == "stay" or action.pending.done():
             return False
         verdict = self._calls.on_loop(lambda: self._rule.decide(self._outlook()))
         self._calls.note(
             schema.StayOrGo(
-                waypoint=errand.waypoint,
+                waypoint=action.waypoint,
                 goes=verdict.goes,
                 why=verdict.why,
                 chance=verdict.chance,

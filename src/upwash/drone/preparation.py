@@ -70,19 +70,20 @@ def make_selection(
     )
 
 
-def make_hedging(config: DroneConfig, offline: Estimates) -> Hedging | None:
-    """The configured hedging, with estimates from before the first call; None without `policy.hedging`."""
+def make_hedging(config: DroneConfig, estimates: Estimates) -> Hedging:
+    """The configured hedging, from estimates before the first call; without `policy.hedging` it hedges no call."""
     hedge = config.policy.hedging
     if hedge is None:
-        return None
+        return Hedging(estimates)
     return Hedging(
+        estimates,
         quantile=hedge.quantile,
         budget=hedge.budget,
         offline_s={
             server.name: {
                 operation: delay_s
-                for operation in offline.operations
-                if (delay_s := offline.remote_s(server.name, operation)) is not None
+                for operation in estimates.operations
+                if (delay_s := estimates.remote_s(server.name, operation)) is not None
             }
             for server in config.servers
         },

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 from msgspec import Struct
+from msgspec.structs import asdict
 
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import Operation
@@ -85,23 +86,35 @@ class Lightened(Struct, frozen=True):
     forecast_s: float
     finish_by_s: float
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Why the call runs as another operation, by name, as a log has it of each call."""
+        return {"asked": str(self.asked), "forecast_s": self.forecast_s, "finish_by_s": self.finish_by_s}
+
 
 class Inputs(Struct, frozen=True):
-    """What a call was decided on, as it was then: enough to make the decision again.
+    """The facts that a call's decision was made from: enough to make it again.
 
-    `server` is the one in use, None where there is none; its state, the number of its check and the estimates are
-    None then too. `check_s` is what its check takes, of which `check_elapsed_s` are over. `lightened` where all
-    that is of another operation than was asked for.
+    `selected` is the server in use. Without one it is None, and so are its `state`, the number of its `check`, and
+    the estimates. `check_s` is the expected time of its check, and `check_elapsed_s` the part that is over. If the
+    call is `lightened`, all this is of the lighter operation.
     """
 
     local_s: float | None = None
-    server: str | None = None
+    selected: str | None = None
     state: State | None = None
     check: int | None = None
     remote_s: float | None = None
     check_s: float | None = None
     check_elapsed_s: float | None = None
     lightened: Lightened | None = None
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The inputs by name, as a log has them of each decision."""
+        facts = asdict(self)
+        del facts["lightened"]
+        return facts
 
 
 _UNKNOWN = Inputs()  # of a decision by itself, as policies make them

@@ -1,1 +1,16 @@
-"""The drone-side machine: events in, commands out (thesis sections 3.2 to 3.4)."""
+"""The drone's machine: events in, commands out (thesis sections 3.2 to 3.4).
+
+    events             what happens        ─┐
+    selection          takes an event      ─┼─► server_planning: which server now
+    commands           what must be done   ◄┘   call_placement: where a call runs
+
+Laws stand at the top of selection.py (the machine), radios.py (roles of servers) and recovery.py (after failures).
+
+    server_planning    asks the policy, and has a peer prepare the next server
+    call_placement     local, remote, or wait
+    call_forecast      where the calls to come will run
+    mission_times      when the mission is at each waypoint and over; which calls run lighter
+    hedging            when the drone computes a late call itself
+
+What is ugly: the parts share `Server` objects and change them, so that one event has one order of effects.
+"""

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from msgspec import Struct
 
+from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
+from upwash.core.policies.policy import Remote
 
 _WINDOW_LENGTH = 100  # delays; 19 are needed to tell a p95, 99 a p99
 _EXCEEDS_BY_S = 0.001  # or calls that all take equally long would each be hedged as they are answered
@@ -43,14 +46,21 @@ class Delays(Struct, frozen=True):
 
 
 class Hedging:
-    """Plans the hedges of one drone and keeps the account of the work that they add.
+    """Plan the hedges of one drone, within its budget of extra work.
 
-    `offline_s` is what was believed of each operation on each server before the first contact.
+    `offline_s` has the delays believed of each operation on each server before the first contact. Without a budget no
+    call is hedged.
     """
 
     def __init__(
-        self, *, quantile: float, budget: float, offline_s: Mapping[str, Mapping[Operation, float]]
+        self,
+        estimates: Estimates,
+        *,
+        quantile: float = 0.0,
+        budget: float = 0.0,
+        offline_s: Mapping[str, Mapping[Operation, float]] = MappingProxyType({}),
     ) -> None:
+        self._estimates = estimates
         self._quantile = quantile
         self._budget = budget
         self._offline_s = offline_s
@@ -58,27 +68,30 @@ class Hedging:
         self._calls_s = 0.0  # what all calls so far would have taken on the drone
         self._extra_s = 0.0
 
-    def count(self, local_s: float) -> None:
-        """A call begins that would take so long on the drone."""
-        self._calls_s += local_s
+    def called(self, operation: Operation) -> None:
+        """A call begins: the budget grows by a share of its time on the drone."""
+        self._calls_s += self._estimates.local_s(operation) or 0.0
 
-    def plan(self, server: str, operation: Operation, *, local_s: float, deadline_s: float) -> Hedge | None:
-        """The hedge of a remote call with that ordinary deadline; None where the budget is used up.
+    def plan(self, decision: Remote, operation: Operation, *, is_busy: bool) -> Hedge | None:
+        """The hedge of a remote call; None if an earlier loser keeps the drone busy, or the budget is used up.
 
-        The server may go on for as long as the drone is expected to: its answer is no use only after that.
+        The server may take as long as the drone is expected to: after that its answer is of no use.
         """
-        if self._extra_s >= self._budget * self._calls_s:
+        local_s = self._estimates.local_s(operation)
+        if is_busy or local_s is None or self._extra_s >= self._budget * self._calls_s:
             return None
+        server, deadline_s = decision.server, decision.deadline_s
         delays = self._delays.get((server, operation), Delays())
         late_s = delays.quantile_s(self._quantile, offline_s=self._offline_s[server][operation])
         after_s = min(late_s + _EXCEEDS_BY_S, deadline_s)
         return Hedge(after_s, max(deadline_s, after_s + local_s))
 
     def answered(self, server: str, operation: Operation, delay_s: float) -> None:
-        """Learns from a remote call that was answered."""
+        """Learn from a remote call that was answered."""
         delays = self._delays.get((server, operation), Delays())
         self._delays[server, operation] = delays.observe(delay_s)
 
-    def added(self, local_s: float) -> None:
-        """Counts a call that the drone was at, and that the server answered within the ordinary deadline."""
-        self._extra_s += local_s
+    def overtaken(self, hedge: Hedge, decision: Remote, operation: Operation, *, onboard_s: float) -> None:
+        """The server answered first, `onboard_s` after the drone began: extra work within the usual deadline."""
+        if hedge.after_s + onboard_s <= decision.deadline_s:
+            self._extra_s += self._estimates.local_s(operation) or 0.0
