@@ -263,5 +263,6 @@ def test_with_one_operation_location_aware_is_the_thesis_to_the_letter(
 
 def test_the_inputs_of_a_decision_are_fields_of_its_log_event() -> None:
     assert Inputs().facts.keys() <= set(schema.Decided.__struct_fields__)
-    lightened = Lightened(HEAVY, HEAVY, 1.0, 1.0)
+    operation = Operation("detector", "process_photo")
+    lightened = Lightened(operation, operation, 1.0, 1.0)
     assert lightened.facts.keys() <= set(schema.Call.__struct_fields__)
