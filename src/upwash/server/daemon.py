@@ -1,4 +1,4 @@
-"""PROGRAM: the edge daemon. Answers drones, starts and stops service instances, and admits what it can hold."""
+"""PROGRAM: the edge daemon, which answers drones, and starts and stops service instances."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import msgspec
 
@@ -28,50 +28,24 @@ from upwash.core.admission.limits import NO_LIMITS, Limits
 from upwash.core.admission.usage import LeaseEnded
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, Refused
 from upwash.ports import AnsweredCall, Dialer, Instance, InstanceSpec, Program, Runtime
-from upwash.rpc.protocol import (
-    AVAILABILITY,
-    DENY,
-    HOLD,
-    LEAVE,
-    PREPARE,
-    START,
-    STATUS,
-    AvailabilityReply,
-    AvailabilityRequest,
-    CertificateStatus,
-    DenyReply,
-    DenyRequest,
-    HoldReply,
-    HoldRequest,
-    LeaveReply,
-    LeaveRequest,
-    PrepareRequest,
-    StartReply,
-    StartRequest,
-    StatusReply,
-    StatusRequest,
-    decode_reply,
-    decode_request,
-)
+from upwash.rpc import protocol
 from upwash.support.background import beside, start
 from upwash.support.text import printable
-
-R = TypeVar("R")
 
 _log = logging.getLogger("upwash.server")
 _usage = logging.getLogger("upwash.usage")
 _LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 _WATCH_S = 5.0  # between two looks at whether an instance is of use
-_LAST_CALLS_S = 2.0  # for what an instance of no use computes beside
-_STOP_S = 30.0  # for an instance to be gone, which a process in the kernel's hands never is
+_LAST_CALLS_S = 2.0  # for the other calls of an instance of no use
+_STOP_S = 30.0  # for an instance to be gone; a process that waits in the kernel may never be
 
 
 @dataclass(frozen=True, slots=True)
 class Image:
     """A service that can be started: its program, the least times of its calls and its start, and its methods.
 
-    An instance computes calls in so many `lanes` at a time. Another `version` is other code, or other files of it.
+    An instance computes as many calls at a time as it has `lanes`. The `version` changes with its code and files.
     """
 
     program: Program
@@ -85,14 +59,14 @@ class Image:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """How a daemon stands: its servers, how often each has refused somebody, and the certificates it relies on.
+    """The state of a daemon: its servers, the refusals of each, and its certificates.
 
     `at_door` are connections that were refused before any request.
     """
 
     servers: Sequence[ServerStatus]
     refused: Mapping[str, int]
-    certificates: Sequence[CertificateStatus]
+    certificates: Sequence[protocol.CertificateStatus]
     at_door: Sequence[DoorStatus]
 
 
@@ -105,19 +79,8 @@ class Observer:
     answered: Callable[[InstanceSpec, AnsweredCall], None] = lambda *_: None
 
 
-def _route(
-    request: type[R], answer: Callable[[R, Client], Awaitable[msgspec.Struct]]
-) -> Callable[[bytes, Client], Awaitable[bytes]]:
-    """Decodes a request, has it answered, and encodes the reply; raises Refused for another request's body."""
-
-    async def handle(body: bytes, client: Client) -> bytes:
-        return msgspec.msgpack.encode(await answer(decode_request(body, request), client))
-
-    return handle
-
-
 def _used(lease: LeaseEnded) -> str:
-    """What the log says at the end of a lease."""
+    """The log's text for the end of a lease."""
     if lease.held_by:
         return (
             f"{lease.drone} did not come: a slot was held for {lease.slot_s:.1f} s, as {lease.held_by} asked"
@@ -129,7 +92,7 @@ def _used(lease: LeaseEnded) -> str:
 
 
 class EdgeServer:
-    """One daemon: `host` decides, `runtime` runs, `images` says what each service is, `dialer` leads to its peers."""
+    """A daemon: `host` decides, `runtime` runs the services in `images`, `dialer` connects to peers."""
 
     def __init__(
         self,
@@ -141,7 +104,7 @@ class EdgeServer:
         start_timeout_s: float,
         drain_s: float,
         peers: Mapping[str, str] = MappingProxyType({}),
-        certificates: Sequence[CertificateStatus] = (),
+        certificates: Sequence[protocol.CertificateStatus] = (),
         at_door: Callable[[], Sequence[DoorStatus]] = tuple,
         observer: Observer = Observer(),
     ) -> None:
@@ -157,31 +120,31 @@ class EdgeServer:
         self._certificates = certificates
         self._began_s = self._now_s()
         self._held = asyncio.Event()  # a slot, perhaps for less than a lease
-        self._used = asyncio.Event()  # by somebody, since nobody had a slot and nothing ran
+        self._used = asyncio.Event()  # wakes run() from idle
         self._defect: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._instances: dict[StartInstance, Instance] = {}
-        self._begun: dict[StartInstance, Image] = {}  # what each that starts, runs or stops was started from
+        self._begun: dict[StartInstance, Image] = {}  # of each instance that starts, runs or stops
         self._lives: dict[int, asyncio.Task[None]] = {}  # by instance number, from start to end
         self._endings: dict[int, asyncio.Task[None]] = {}  # of those that have to stop
         self._settled: dict[int, asyncio.Future[str]] = {}  # why it is not ready; "" when it is
-        self._routes = {
-            AVAILABILITY: _route(AvailabilityRequest, self._availability),
-            START: _route(StartRequest, self._start),
-            LEAVE: _route(LeaveRequest, self._leave),
-            DENY: _route(DenyRequest, self._deny),
-            PREPARE: _route(PrepareRequest, self._prepare),
-            HOLD: _route(HoldRequest, self._hold),
-            STATUS: _route(StatusRequest, self._status),
+        self._routes: Mapping[str, tuple[type[Any], Callable[[Any, Client], Awaitable[msgspec.Struct]]]] = {
+            protocol.AVAILABILITY: (protocol.AvailabilityRequest, self._availability),
+            protocol.START: (protocol.StartRequest, self._start),
+            protocol.LEAVE: (protocol.LeaveRequest, self._leave),
+            protocol.DENY: (protocol.DenyRequest, self._deny),
+            protocol.PREPARE: (protocol.PrepareRequest, self._prepare),
+            protocol.HOLD: (protocol.HoldRequest, self._hold),
+            protocol.STATUS: (protocol.StatusRequest, self._status),
         }
 
     async def handle(self, path: str, body: bytes, client: Client) -> bytes:
-        """Answers one request; raises Refused for what is not understood or not this client's to ask."""
+        """The reply to a request; raises Refused for an invalid request, or one that this client may not make."""
         if not client.name:
             raise Refused("this request names no drone")
-        answer = self._routes.get(path)
-        if answer is None:
+        if path not in self._routes:
             raise Refused(f"no such request: {printable(path)}")
-        return await answer(body, client)
+        request, answer = self._routes[path]
+        return msgspec.msgpack.encode(await answer(protocol.decode_request(body, request), client))
 
     async def reload(
         self,
@@ -189,9 +152,9 @@ class EdgeServer:
         *,
         images: Mapping[str, Image],
         revoked: frozenset[str],
-        certificates: Sequence[CertificateStatus] = (),
+        certificates: Sequence[protocol.CertificateStatus] = (),
     ) -> None:
-        """From now on the same servers offer this, with these images, to all but the revoked certificates."""
+        """Have the same servers offer this from now on, except to the revoked certificates."""
         self._certificates = certificates
         self._images = images
         outdated = frozenset(
@@ -203,7 +166,7 @@ class EdgeServer:
         await self._perform(self._host.offer(offers, outdated=outdated))
 
     async def take_up(self, server: str, drones: Sequence[Client], services: Sequence[str]) -> None:
-        """Serves whom another daemon served before; returns when the services run that ran there.
+        """Serve the drones of another daemon; returns when the services that ran there run here.
 
         Raises InstanceError for a service that does not start: the other daemon still has it.
         """
@@ -212,16 +175,16 @@ class EdgeServer:
             raise InstanceError(f"the daemon before stays, whose services run: {'; '.join(faults)}")
 
     def take_up_usage(self, server: str, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage]) -> None:
-        """Goes on from what the daemon before counted, once `take_up` has its drones."""
+        """Continue the counts of the daemon before, after `take_up`."""
         self._host.take_up_usage(server, drones, teams, now_s=self._now_s())
 
     async def emptied(self) -> None:
-        """Returns once no drone has a slot any more."""
+        """Return once no drone has a slot any more."""
         while any(self._host.leases(each.name) for each in self.standing().servers):  # noqa: ASYNC110 - they end by time
             await asyncio.sleep(_LEAST_LOOK_S)
 
     def standing(self) -> Snapshot:
-        """How it stands now."""
+        """The daemon's state now."""
         return Snapshot(
             self._host.servers(now_s=self._now_s()),
             dict(self._host.refused_times),
@@ -230,19 +193,19 @@ class EdgeServer:
         )
 
     def seen(self, server: str, drone: str) -> None:
-        """The daemon saw for itself that the drone, known by `Client.key`, is calling: its lease is renewed."""
+        """Renew the lease of a drone, known by `Client.key`, whose calls passed the door."""
         self._host.seen(server, drone, now_s=self._now_s())
 
     async def drain(self, why: str) -> None:
-        """Refuses whatever is new for that reason; returns when the calls under way have ended, or had their time."""
+        """Refuse new requests for that reason; returns when the calls in progress have ended, or had `drain_s`."""
         await self._perform(self._host.close(why))
         await asyncio.gather(*self._endings.values())
         await self._perform(self._host.end_leases(now_s=self._now_s()))
 
     async def run(self) -> NoReturn:
-        """Ends leases and idle instances as their time comes, until cancelled.
+        """End leases and idle instances when they are due, until cancelled.
 
-        Raises the failure of an instance's life or end that is no InstanceError: what it leaves is not known.
+        Raises a failure of an instance's life or end that is no InstanceError: its state is unknown then.
         """
         async with beside(self._end_in_time(), name="the ends of leases"):
             await asyncio.shield(self._defect)
@@ -268,7 +231,7 @@ class EdgeServer:
             self._held.clear()
 
     async def close(self) -> None:
-        """Ends every instance; returns when none is left."""
+        """End every instance; returns when none is left."""
         self._host.close("this daemon has ended")  # or a start that waits would start another
         for ending in self._endings.values():
             ending.cancel()
@@ -277,14 +240,16 @@ class EdgeServer:
             self._cut(number)
         await asyncio.gather(*lives, return_exceptions=True)
 
-    async def _availability(self, request: AvailabilityRequest, drone: Client) -> AvailabilityReply:
+    async def _availability(
+        self, request: protocol.AvailabilityRequest, drone: Client
+    ) -> protocol.AvailabilityReply:
         answer, commands = self._host.availability(
             request.server, request.services, drone, now_s=self._now_s()
         )
         await self._perform(commands)
         match answer:
             case Available(endpoints, waiting):
-                return AvailabilityReply(
+                return protocol.AvailabilityReply(
                     available=True,
                     endpoints=dict(endpoints),
                     lease_s=self._host.settings.lease_s,
@@ -294,7 +259,7 @@ class EdgeServer:
             case Denied(why, waiting, ask_again_s, is_news, pause_s):
                 if is_news:
                     _log.info("%s: no place for %s: %s", request.server, drone.name, why)
-                return AvailabilityReply(
+                return protocol.AvailabilityReply(
                     available=False,
                     reason=printable(why),
                     waiting=waiting,
@@ -302,15 +267,15 @@ class EdgeServer:
                     pause_s=pause_s,
                 )
 
-    async def _start(self, request: StartRequest, drone: Client) -> StartReply:
+    async def _start(self, request: protocol.StartRequest, drone: Client) -> protocol.StartReply:
         while True:
             answer, commands = self._host.start(request.server, request.service, drone, now_s=self._now_s())
             await self._perform(commands)
             match answer:
                 case ServiceRunning(endpoint):
-                    return StartReply(endpoint=endpoint)
+                    return protocol.StartReply(endpoint=endpoint)
                 case Denied(why, waiting, ask_again_s, _, pause_s):
-                    return StartReply(
+                    return protocol.StartReply(
                         reason=printable(why), waiting=waiting, ask_again_s=ask_again_s, pause_s=pause_s
                     )
                 case StartPending(number, stopping):
@@ -320,43 +285,43 @@ class EdgeServer:
                         now_s = self._now_s()
                         self._host.refused(request.server, drone.name, why, now_s=now_s)
                         pause_s = self._host.pause_s(request.server, [request.service], drone, now_s=now_s)
-                        return StartReply(reason=printable(why), pause_s=pause_s)
+                        return protocol.StartReply(reason=printable(why), pause_s=pause_s)
 
-    async def _leave(self, request: LeaveRequest, drone: Client) -> LeaveReply:
+    async def _leave(self, request: protocol.LeaveRequest, drone: Client) -> protocol.LeaveReply:
         await self._perform(self._host.leave(request.server, drone, now_s=self._now_s()))
-        return LeaveReply()
+        return protocol.LeaveReply()
 
-    async def _deny(self, request: DenyRequest, drone: Client) -> DenyReply:
+    async def _deny(self, request: protocol.DenyRequest, drone: Client) -> protocol.DenyReply:
         await self._perform(self._host.deny(request.server, request.services, drone, now_s=self._now_s()))
-        return DenyReply()
+        return protocol.DenyReply()
 
-    async def _prepare(self, request: PrepareRequest, drone: Client) -> HoldReply:
-        """Passes the drone's wish on to the peer; says why where it cannot, or the peer will not."""
+    async def _prepare(self, request: protocol.PrepareRequest, drone: Client) -> protocol.HoldReply:
+        """Pass the request on to the peer; the reply has the reason if that fails."""
         for_s = request.arrives_in_s + request.hold_s
         denied, commands = self._host.send_ahead(
             request.server, request.peer, drone, for_s=for_s, now_s=self._now_s()
         )
         await self._perform(commands)
         if denied is not None:
-            return HoldReply(held=False, reason=printable(denied.why))
-        hold = HoldRequest(request.peer, drone.name, drone.certificate, request.services, for_s)
+            return protocol.HoldReply(held=False, reason=printable(denied.why))
+        hold = protocol.HoldRequest(request.peer, drone.name, drone.certificate, request.services, for_s)
         try:
             reply = await self._ask_peer(hold)
         except LinkError as error:  # it may have heard it all the same
-            return HoldReply(held=False, reason=printable(str(error)))
+            return protocol.HoldReply(held=False, reason=printable(str(error)))
         if not reply.held:
             self._host.not_held(request.peer, drone)
         return reply
 
-    async def _ask_peer(self, hold: HoldRequest) -> HoldReply:
+    async def _ask_peer(self, hold: protocol.HoldRequest) -> protocol.HoldReply:
         link = self._dialer.dial(self._peers[hold.server], server=hold.server)
         try:
-            reply = await link.request(HOLD, msgspec.msgpack.encode(hold), timeout_s=_PEER_S)
+            reply = await link.request(protocol.HOLD, msgspec.msgpack.encode(hold), timeout_s=_PEER_S)
         finally:
             await link.close()
-        return decode_reply(reply, HoldReply, sender=hold.server)
+        return protocol.decode_reply(reply, protocol.HoldReply, sender=hold.server)
 
-    async def _hold(self, request: HoldRequest, peer: Client) -> HoldReply:
+    async def _hold(self, request: protocol.HoldRequest, peer: Client) -> protocol.HoldReply:
         answer, commands = self._host.hold(
             request.server,
             request.services,
@@ -368,18 +333,18 @@ class EdgeServer:
         await self._perform(commands)
         if isinstance(answer, Denied):
             _log.info("%s: nothing held for %s: %s", request.server, request.drone, answer.why)
-            return HoldReply(held=False, reason=printable(answer.why))
+            return protocol.HoldReply(held=False, reason=printable(answer.why))
         self._held.set()
         _log.info("%s: a slot is held for %s, as %s asked", request.server, request.drone, peer.name)
-        return HoldReply(held=True)
+        return protocol.HoldReply(held=True)
 
-    async def _status(self, _: StatusRequest, client: Client) -> StatusReply:
+    async def _status(self, _: protocol.StatusRequest, client: Client) -> protocol.StatusReply:
         now_s = self._now_s()
         shown = self._host.show(client, now_s=now_s)
         if isinstance(shown, Denied):
             raise Refused(shown.why)
         servers, refusals = shown
-        return StatusReply(
+        return protocol.StatusReply(
             up_s=now_s - self._began_s,
             servers=servers,
             refusals=refusals,
@@ -408,7 +373,7 @@ class EdgeServer:
                     self._endings[number] = start(self._end(command), name=name, failed=self._fail)
 
     async def _end(self, stop: StopInstance) -> None:
-        """Lets an instance end the calls under way, then stops it."""
+        """Let an instance end the calls in progress, then stop it."""
         instance = self._instances.get(StartInstance(stop.server, stop.service, stop.number))
         if stop.why and not self._host.closing:
             _log.warning("stopping %s@%s: %s", stop.service, stop.server, stop.why)
@@ -425,13 +390,13 @@ class EdgeServer:
             self._cut(stop.number)
 
     def _cut(self, number: int) -> None:
-        """Has the life of that instance end, unless it does already: twice would cut its end short."""
+        """End the life of that instance, unless it is ending: a second cancellation would cut its end short."""
         life = self._lives.get(number)
         if life is not None and not life.cancelling():
             life.cancel()
 
     async def _admit(self, command: Admit) -> None:
-        """Tells all instances at once: one that takes its time over it holds up no other."""
+        """Inform all instances at once, so that a slow instance does not delay the others."""
         await asyncio.gather(
             *(
                 self._tell_whom(start, instance, command)
@@ -533,10 +498,10 @@ class EdgeServer:
         return self._host.gone(start.server, start.service, start.number, why, now_s=self._now_s())
 
     async def _watch(self, start: StartInstance, instance: Instance) -> NoReturn:
-        """Has the instance replaced once it is of no use; until cancelled."""
+        """Have the instance replaced once it is of no use; until cancelled."""
         while True:
             await asyncio.sleep(_WATCH_S)
-            # First a sign of life, behind which all earlier reports come: this program may have stood still itself.
+            # The reply comes after all earlier reports: this program may have been suspended itself.
             with contextlib.suppress(TimeoutError, InstanceError):
                 async with asyncio.timeout(_WATCH_S):
                     await instance.health()
