@@ -114,11 +114,8 @@ def _verdict(rows: Sequence[ComparedPolicy]) -> str:
         return "no policy completed a mission"
     best = min(flown, key=lambda row: row.mean_s)
     others = sum(row is not best and _is_alike(row, best) for row in flown)
-    alike = (
-        f"; {others} more {'is' if others == 1 else 'are'} as quick within the margin of error"
-        if others
-        else ""
-    )
+    verb = "is" if others == 1 else "are"
+    alike = f"; {others} more {verb} as quick within the margin of error" if others else ""
     return (
         f"{best.policy} is quickest: {_minutes(best.mean_s)} min, {_above_bound(best)} above the theoretical minimum "
         f"of {_minutes(best.bound_s)}{alike}"
@@ -130,8 +127,9 @@ def _is_alike(row: ComparedPolicy, best: ComparedPolicy) -> bool:
 
 
 def _interval(row: ComparedPolicy) -> str:
-    margin = f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else ""
-    return f"{_minutes(row.mean_s)}{margin}" if row.completed else "-"
+    if not row.completed:
+        return "-"
+    return _minutes(row.mean_s) + (f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else "")
 
 
 def _above_bound(row: ComparedPolicy) -> str:
@@ -143,13 +141,12 @@ def _completed(row: ComparedPolicy) -> str:
 
 
 def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
-    """Tables with a row for each scenario: minutes, and what else is known of fleets, late answers and energy."""
+    """Tables with a row for each scenario: minutes, and what is known of fleets, late answers and energy."""
     policies = list(dict.fromkeys(row.policy for row in rows))
-    yield f"| minutes | bound | {' | '.join(policies)} |"
-    yield f"|---|---|{'---|' * len(policies)}"
+    yield from _heading("minutes", "bound", *policies)
     for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
         own = list(group)
-        yield f"| {scenario} | {_minutes(own[0].bound_s)} | {' | '.join(map(_cell, own))} |"
+        yield _line(scenario, _minutes(own[0].bound_s), *map(_cell, own))
     further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
         ("worst minutes, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
         ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),
@@ -159,18 +156,24 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
         known = [row for row in rows if value(row) is not None]
         if known:
             yield ""
-            yield f"| {title} | {' | '.join(policies)} |"
-            yield f"|---|{'---|' * len(policies)}"
-            for scenario, each in itertools.groupby(known, key=lambda row: row.scenario):
-                yield f"| {scenario} | {' | '.join(map(cell, each))} |"
+            yield from _heading(title, *policies)
+            for scenario, group in itertools.groupby(known, key=lambda row: row.scenario):
+                yield _line(scenario, *map(cell, group))
+
+
+def _heading(*titles: str) -> tuple[str, str]:
+    return _line(*titles), f"|{'---|' * len(titles)}"
+
+
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def _cell(row: ComparedPolicy) -> str:
     if not row.completed:
-        return f"0 of {row.missions} completed"
-    margin = f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else ""
-    ended = "" if row.completed == row.missions else f", {row.completed} of {row.missions} completed"
-    return f"{_minutes(row.mean_s)}{margin} ({100 * (row.mean_s / row.bound_s - 1):+.1f} %){ended}"
+        return f"{_completed(row)} completed"
+    ended = "" if row.completed == row.missions else f", {_completed(row)} completed"
+    return f"{_interval(row)} ({100 * (row.mean_s / row.bound_s - 1):+.1f} %){ended}"
 
 
 def _fleet_cell(row: ComparedPolicy) -> str:

@@ -1,4 +1,4 @@
-"""upwash profile: measures what a service's calls cost, and prints the part of a configuration that says so."""
+"""upwash profile: measures what a service's calls cost, and prints that part of a configuration."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Make the files that were asked for."""
+    """Make the wanted files."""
     files: list[tuple[Path | None, Writer]] = [
         (options.out, _in_utf8(functools.partial(write_page, photos=options.photos))),
         (options.csv, _in_utf8(write_csv)),

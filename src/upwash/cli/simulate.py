@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.cli.arguments import add_figures, add_policy, figures_of, warn_of_plans
-from upwash.core.planning.bound import Bound, FleetBound
+from upwash.core.planning.bound import Bound
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.kept import lines_of
@@ -89,10 +89,7 @@ def _run_fleet(options: argparse.Namespace) -> None:
         drones = {name: _as_object(simulation) for name, simulation in fleet.drones.items()}
         _print_json({"drones": drones} | {name: getattr(fleet, name) for name in _PRINTED_OF_FLEET})
     else:
-        console = Console(markup=False)
-        console.print(_drone_table(fleet))
-        for line in _together(fleet):
-            say(line, console)
+        _print_fleet(fleet)
     if options.log is not None:
         for name, simulation in fleet.drones.items():
             log = options.log.with_name(f"{options.log.stem}-{name}{options.log.suffix}")
@@ -148,18 +145,24 @@ def _beside(simulation: Simulation, bound: Bound) -> str:
     return f"{minimum}; {_beyond(bound.with_joins_s, time_s)}, with the time that joining networks takes"
 
 
-def _drone_table(fleet: FleetSimulation) -> Table:
+def _print_fleet(fleet: FleetSimulation) -> None:
+    """Print a row for each drone, and the results of all together."""
+    console = Console(markup=False)
     table = Table(box=None, padding=(0, 2))
     for title in ("drone", "policy"):
         table.add_column(title, overflow="fold", min_width=len("location-aware"))
     for title in ("mission time", "saved", "on servers"):
         table.add_column(title, justify="right", no_wrap=True)
-    for name, each in fleet.drones.items():
-        time = f"{each.mission_time_s:.1f} s" if each.completed else "vanished" if each.vanished else "failed"
+    for name, drone in fleet.drones.items():
+        time = (
+            f"{drone.mission_time_s:.1f} s" if drone.completed else "vanished" if drone.vanished else "failed"
+        )
         saved = f"{fleet.saved_s[name]:.1f} s" if name in fleet.saved_s else "-"
-        remote = f"{sum(each.totals.remote.values())} of {each.totals.calls}"
-        table.add_row(*map(Text, (name, each.policy, time, saved, remote)))
-    return table
+        remote = f"{sum(drone.totals.remote.values())} of {drone.totals.calls}"
+        table.add_row(*map(Text, (name, drone.policy, time, saved, remote)))
+    console.print(table)
+    for line in _together(fleet):
+        say(line, console)
 
 
 def _together(fleet: FleetSimulation) -> Iterator[str]:
@@ -169,18 +172,17 @@ def _together(fleet: FleetSimulation) -> Iterator[str]:
     yield f"mission time: mean {fleet.mean_s:.1f} s, worst {fleet.worst_s:.1f} s"
     if fleet.jain is not None:
         yield f"fairness {fleet.jain:.3f} (Jain's index of what each saved: 1 where all saved the same)"
-    left_out = [name for name, each in fleet.drones.items() if not each.completed]
+    left_out = [name for name, drone in fleet.drones.items() if not drone.completed]
     if left_out:
         yield f"not counted, as they did not complete their missions: {', '.join(left_out)}"
     if fleet.bound is not None:
-        yield _beside_all(fleet.mean_s, fleet.bound)
-
-
-def _beside_all(mean_s: float, bound: FleetBound) -> str:
-    return (
-        f"theoretical minimum of the mean {_beyond(bound.free_s, mean_s)}, with every server ready at once and for "
-        f"each drone alone; {_beyond(bound.shared_s, mean_s)}, with what the servers can compute at a time"
-    )
+        free, shared = (
+            _beyond(least_s, fleet.mean_s) for least_s in (fleet.bound.free_s, fleet.bound.shared_s)
+        )
+        yield (
+            f"theoretical minimum of the mean {free}, with every server ready at once and for each drone alone; "
+            f"{shared}, with what the servers can compute at a time"
+        )
 
 
 def _beyond(least_s: float, time_s: float) -> str:

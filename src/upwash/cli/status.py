@@ -24,12 +24,14 @@ from upwash.core.admission.clients import (
     TeamUsage,
 )
 from upwash.core.admission.limits import Limits
+from upwash.eventlog.narration import counted
 from upwash.launch.status import ask_status
 from upwash.rpc.protocol import CertificateStatus, StatusReply
 from upwash.support.sentences import say
 
 _SOON_DAYS = 30
 _MOST_SHOWN = 20
+_USAGE = ("slots in all", "calls", "computing", "last call")
 _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
 
@@ -58,7 +60,7 @@ def run(options: argparse.Namespace) -> bool:
 
 
 def print_status(status: StatusReply, console: Console) -> None:
-    """Prints the servers with drones and instances, the limits, the last refusals, and the certificates' ends."""
+    """Print the servers with drones and instances, the limits, the last refusals, and the certificates' ends."""
     say(f"up for {_duration(status.up_s)}", console)
     if status.closing:
         say(Text(status.closing, style="bold red"), console)
@@ -66,21 +68,20 @@ def print_status(status: StatusReply, console: Console) -> None:
         _print_server(server, console)
     _print_limits(status.limits, console)
     _print_refusals(status.refusals, console)
-    for each in status.at_door:
-        times = _counted(each.times, "connection", "connections")
-        reason = each.reason.replace("_", " ")
+    for door in status.at_door:
+        times = counted(door.times, "connection")
+        reason = door.reason.replace("_", " ")
         say(
-            Text(f"at the door {times} refused, {reason}: last {each.last}, {_duration(each.ago_s)} ago"),
+            Text(f"at the door {times} refused, {reason}: last {door.last}, {_duration(door.ago_s)} ago"),
             console,
         )
     _print_certificates(status.certificates, console)
 
 
 def _print_server(server: ServerStatus, console: Console) -> None:
-    waiting = sum(each.waits_s is not None for each in server.accounts)
-    crowd = f", {_counted(waiting, 'drone waits', 'drones wait')}" if waiting else ""
-    used = f"{len(server.leases)} of {server.slots} slots in use"
-    say(f"\n{server.name}: {used}{crowd}", console)
+    waiting = sum(account.waits_s is not None for account in server.accounts)
+    queue = f", {waiting} {'drone waits' if waiting == 1 else 'drones wait'}" if waiting else ""
+    say(f"\n{server.name}: {len(server.leases)} of {server.slots} slots in use{queue}", console)
     if server.slots_why:  # of a daemon that knows turns
         say(Text(f"  {_slots_and_turns(server)}"), console)
     for line in (*_holders(server), *_waiting(server)):
@@ -89,26 +90,29 @@ def _print_server(server: ServerStatus, console: Console) -> None:
         console.print(_instances(server))
     _print_usage(server, console)
     for instance in server.instances:
+        service = instance.service
         if instance.failures:
             say(Text(f"  {_failed(instance)}", style="yellow"), console)
         if instance.renewed:
-            times = _counted(instance.renewed, "time", "times")
-            say(Text(f"  {instance.service}: another version took over {times}"), console)
+            times = counted(instance.renewed, "time")
+            say(Text(f"  {service}: another version took over {times}"), console)
         if instance.not_renewed:
-            say(Text(f"  {_not_renewed(instance)}", style="yellow"), console)
+            why = f"the former version serves on, as the new one did not start: {instance.not_renewed}"
+            say(Text(f"  {service}: {why}", style="yellow"), console)
 
 
 def _slots_and_turns(server: ServerStatus) -> str:
-    slots = f"{_counted(server.slots, 'slot', 'slots')}, as {server.slots_why}"
+    slots = f"{counted(server.slots, 'slot')}, as {server.slots_why}"
     if server.turn_s is None:
         return f"{slots}; turns have no end"
-    ended = f", {_counted(server.turns_ended, 'has', 'have')} ended so far" if server.turns_ended else ""
+    have = "has" if server.turns_ended == 1 else "have"
+    ended = f", {server.turns_ended} {have} ended so far" if server.turns_ended else ""
     return f"{slots}; a turn lasts {_duration(server.turn_s)}{ended}"
 
 
 def _holders(server: ServerStatus) -> Iterator[str]:
-    """The drones that have a slot, by name."""
-    accounts = {each.drone: each for each in server.accounts}
+    """A line for each drone that has a slot, by name."""
+    accounts = {account.drone: account for account in server.accounts}
     for lease in server.leases:
         account = accounts.get(lease.drone)
         since = ""
@@ -120,10 +124,14 @@ def _holders(server: ServerStatus) -> Iterator[str]:
 
 
 def _waiting(server: ServerStatus) -> Iterator[str]:
-    """The drones that wait for a slot, in the order in which they get one."""
-    waiting = [(each, each.waits_s) for each in server.accounts if each.waits_s is not None]
-    for account, waits_s in sorted(waiting, key=lambda each: (each[0].had_s, -each[1], each[0].drone)):
-        yield f"{account.drone}: waits for {_duration(waits_s)}, {_counts_as(account)}"
+    """A line for each drone that waits for a slot, the next one first."""
+    waiting = [
+        (account.had_s, -account.waits_s, account.drone, account)
+        for account in server.accounts
+        if account.waits_s is not None
+    ]
+    for _, waits_s, drone, account in sorted(waiting, key=lambda entry: entry[:3]):
+        yield f"{drone}: waits for {_duration(-waits_s)}, {_counts_as(account)}"
 
 
 def _counts_as(account: AccountStatus) -> str:
@@ -131,33 +139,31 @@ def _counts_as(account: AccountStatus) -> str:
 
 
 def _print_usage(server: ServerStatus, console: Console) -> None:
-    """What the latest drones used, and their teams, if a drone's name has one in it."""
-    latest = sorted(server.drones, key=lambda each: (each.holds_s is None, _ago_s(each), each.drone))
+    """Print what the latest drones used, and their teams, if a drone's name has a team in it."""
+    latest = sorted(server.drones, key=lambda usage: (usage.holds_s is None, _ago_s(usage), usage.drone))
     if latest:
-        table = _table("drone", "slot for", "slots in all", "calls", "computing", "last call")
-        for each in latest[:_MOST_SHOWN]:
-            table.add_row(
-                Text(each.drone), "" if each.holds_s is None else _duration(each.holds_s), *_used(each)
-            )
+        table = _table("drone", "slot for", *_USAGE)
+        for usage in latest[:_MOST_SHOWN]:
+            holds = "" if usage.holds_s is None else _duration(usage.holds_s)
+            table.add_row(Text(usage.drone), holds, *_used(usage))
         console.print(table)
     if len(latest) > _MOST_SHOWN:
         say(Text(f"  and {len(latest) - _MOST_SHOWN} more: see --json"), console)
-    if any(each.team != each.drone for each in server.drones):
-        table = _table("team", "slots", "slots in all", "calls", "computing", "last call")
-        for team in sorted(server.teams, key=lambda each: (-each.slots, _ago_s(each), each.team))[
-            :_MOST_SHOWN
-        ]:
+    if any(usage.team != usage.drone for usage in server.drones):
+        table = _table("team", "slots", *_USAGE)
+        teams = sorted(server.teams, key=lambda team: (-team.slots, _ago_s(team), team.team))
+        for team in teams[:_MOST_SHOWN]:
             table.add_row(Text(team.team), str(team.slots), *_used(team))
         console.print(table)
 
 
-def _used(each: DroneUsage | TeamUsage) -> tuple[str, str, str, str]:
-    ago = "" if each.called_ago_s is None else f"{_duration(each.called_ago_s)} ago"
-    return _duration(each.slot_s), str(each.calls), f"{each.computed_s:.1f} s", ago
+def _used(usage: DroneUsage | TeamUsage) -> tuple[str, str, str, str]:
+    ago = "" if usage.called_ago_s is None else f"{_duration(usage.called_ago_s)} ago"
+    return _duration(usage.slot_s), str(usage.calls), f"{usage.computed_s:.1f} s", ago
 
 
-def _ago_s(each: DroneUsage | TeamUsage) -> float:
-    return math.inf if each.called_ago_s is None else each.called_ago_s
+def _ago_s(usage: DroneUsage | TeamUsage) -> float:
+    return math.inf if usage.called_ago_s is None else usage.called_ago_s
 
 
 def _instances(server: ServerStatus) -> Table:
@@ -170,16 +176,11 @@ def _instances(server: ServerStatus) -> Table:
 
 
 def _failed(instance: InstanceStatus) -> str:
-    """How the last instances of a service failed, and what the daemon makes of that."""
-    times = _counted(instance.failures, "instance", "instances")
+    """How the last instances of a service failed, and what the daemon does about that."""
+    times = counted(instance.failures, "instance")
     paused = f"; left alone for another {_duration(instance.paused_s)}" if instance.paused_s else ""
     replaced = f"; {instance.replaced} replaced so far" if instance.replaced else ""
     return f"{instance.service}: {times} failed in a row, last: {instance.last_failure}{paused}{replaced}"
-
-
-def _not_renewed(instance: InstanceStatus) -> str:
-    """Which version serves, and why."""
-    return f"{instance.service}: the former version serves on, as the new one did not start: {instance.not_renewed}"
 
 
 def _print_limits(limits: Mapping[str, Limits], console: Console) -> None:
@@ -193,7 +194,7 @@ def _held(most: Limits) -> Iterator[str]:
     if most.memory_bytes is not None:
         yield f"{_size(most.memory_bytes)} of memory"
     if most.cpus is not None:
-        yield _counted(most.cpus, "processor", "processors")
+        yield counted(most.cpus, "processor")
     if most.processes is not None:
         yield f"{most.processes} processes"
     if most.disk_bytes is not None:
@@ -201,22 +202,21 @@ def _held(most: Limits) -> Iterator[str]:
 
 
 def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None:
-    if not refusals:
-        return
-    table = _table("last", "times", "server", "who", "why", title="refused")
-    for each in refusals:
-        ago = f"{_duration(each.ago_s)} ago"
-        table.add_row(ago, str(each.times), *map(Text, (each.server, each.client, each.why)))
-    console.print()
-    console.print(table)
+    if refusals:
+        table = _table("last", "times", "server", "who", "why", title="refused")
+        for refusal in refusals:
+            who = map(Text, (refusal.server, refusal.client, refusal.why))
+            table.add_row(f"{_duration(refusal.ago_s)} ago", str(refusal.times), *who)
+        console.print()
+        console.print(table)
 
 
 def _print_certificates(certificates: Sequence[CertificateStatus], console: Console) -> None:
     if certificates:
         console.print()
-    for each in certificates:
-        days = (each.expires - datetime.now(UTC)).days
-        line = f"certificate of {each.holder}: valid until {each.expires:%Y-%m-%d}, {days} days"
+    for certificate in certificates:
+        days = (certificate.expires - datetime.now(UTC)).days
+        line = f"certificate of {certificate.holder}: valid until {certificate.expires:%Y-%m-%d}, {days} days"
         say(Text(line, style="bold red" if days < _SOON_DAYS else ""), console)
 
 
@@ -225,10 +225,6 @@ def _table(*columns: str, title: str | None = None) -> Table:
     for column in columns:
         table.add_column(column)
     return table
-
-
-def _counted(number: int, one: str, several: str) -> str:
-    return f"{number} {one if number == 1 else several}"
 
 
 def _size(size_bytes: int) -> str:

@@ -39,7 +39,7 @@ from upwash.plans import Plan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
 _HOME = Position(0.0, 0.0)
-_MOST_DRONES = 1000  # that one simulation has been tried with
+_MOST_DRONES = 1000  # the largest simulation that was tried
 
 
 def problems(config: DroneConfig) -> Iterator[Problem]:
@@ -134,9 +134,9 @@ def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:
         key = f"mission.lighter.{asked}"
         if lighter in mission.lighter:
             yield key, f'"{lighter}" has a lighter key itself: name the one at the end for each'
-        delays = [each.local_call_s for each in services if asked in each.local_call_s]
+        delays = [service.local_call_s for service in services if asked in service.local_call_s]
         if not delays:
-            names = dict.fromkeys(name for each in services for name in each.local_call_s if name)
+            names = dict.fromkeys(name for service in services for name in service.local_call_s if name)
             yield key, unknown("profile key", asked, names)
         for local_call_s in delays:
             if lighter not in local_call_s:
@@ -204,10 +204,10 @@ def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
             "its altitude is above sea level, and mission.home is not the plan's home: give it above home",
         )
     places = waypoints(mission)
-    names = ["home", *(f"waypoint {each.index}" for each in places)]
-    items = ["plannedHomePosition", *(f"item {each.item}" for each in plan.waypoints)]
+    names = ["home", *(f"waypoint {waypoint.index}" for waypoint in places)]
+    items = ["plannedHomePosition", *(f"item {waypoint.item}" for waypoint in plan.waypoints)]
     fences = geofence(mission)
-    ends = [_HOME, *(each.position for each in places)]
+    ends = [_HOME, *(waypoint.position for waypoint in places)]
     for name, item, position in zip(names, items, ends, strict=True):
         if ground_distance_m(position, _HOME) > _FARTHEST_M:
             yield item, f"{name} is {ground_distance_m(position, _HOME) / 1000:.0f} km from home: check both"
@@ -222,7 +222,7 @@ def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
 
 
 def order_problems(config: DroneConfig) -> Iterator[Problem]:
-    """Whether one drone's waypoints can be flown in the order that is asked for, as far as the file says."""
+    """What keeps one drone's waypoints from being flown in the configured order, as far as the file says."""
     mission = config.mission
     if mission.order in ("given", "by-index"):  # which is given too, of a drone that is none of several
         return
@@ -235,7 +235,7 @@ def order_problems(config: DroneConfig) -> Iterator[Problem]:
         )
     elif isinstance(mission.order, int):
         sweep = sweeps[mission.order]
-        places = [_HOME, *(each.position for each in sweep.waypoints)]
+        places = [_HOME, *(waypoint.position for waypoint in sweep.waypoints)]
         if (fence := breached_by_way(geofence(mission), places)) is not None:
             yield (
                 "mission.order",
@@ -265,7 +265,7 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
             f"{turn_s:g} is shorter than truth.join_s = {join_s:g}: let a turn last longer than it takes to join",
         )
     if server.truth.peers:
-        others = [each.name for each in config.servers if each.name != server.name]
+        others = [other.name for other in config.servers if other.name != server.name]
         for name in server.truth.peers:
             if name not in others:
                 yield "truth.peers", unknown("other server", name, others)
@@ -300,7 +300,7 @@ def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Pr
 
 
 def _why_placed(server: ServerConfig) -> str:
-    """The key for which the server's place has to be known; "" where nobody needs to know it."""
+    """The key that needs the server's place; "" if none does."""
     if server.believed_range_m is not None:
         return "range_m"
     if server.truth.range_m is not None:
@@ -353,7 +353,7 @@ def _key_problems(key: str, service: ServiceConfig, by_key: Mapping[str, float])
 def _belief_problems(server: ServerConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
     """Whether every call that may go to the server has a believed delay and, in simulation, a true one."""
     named = {*server.processing_s, *server.remote_call_s}
-    offered = [each for each in services if each.name in named]
+    offered = [service for service in services if service.name in named]
     if not offered:
         yield "remote_call_s", "missing: give remote_call_s, or processing_s and bandwidth_bit_s (eq. 3.1)"
     for service in offered:

@@ -1,7 +1,7 @@
-"""The file in which a drone keeps, between its flights, what servers without a range came to at each place.
+"""The file that keeps, between flights, what a drone measured at each place of servers without a range.
 
-JSON, so that it can be looked at and mended. Positions in it are relative to a home of its own, as a later mission
-may have another one.
+The file is JSON, so that people can read and mend it. Its positions are relative to its own home: a later mission may
+have another home.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from upwash.errors import ConfigError
 from upwash.support.input_files import read_file, text_of, why_unreadable
 from upwash.support.output_files import write_file
 
-FORGOTTEN_AFTER = 5  # flights: a place where nothing is asked, as it never answered, gets another chance
+FORGOTTEN_AFTER = 5  # flights: a place that never answered is tried again after them
 
 _MOST_BYTES = 50_000_000
 _Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -60,7 +60,7 @@ class _Map(Struct, forbid_unknown_fields=True):
 
 
 class CoverageFile:
-    """A coverage map and the file that it was read from; one that is not there yet is empty."""
+    """A coverage map and its file; a missing file is an empty map."""
 
     # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
 
@@ -70,25 +70,25 @@ class CoverageFile:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no flight has measured anything yet."""
+        """Whether no flight has measured a place yet."""
         return not any(self._map.servers.values())
 
     @property
     def has_home(self) -> bool:
-        """Whether it knows where on the Earth its places are."""
+        """Whether the map knows where on the Earth its places are."""
         return self._map.home is not None
 
     def places(self, home: GeoPosition | None) -> dict[str, list[MeasuredPlace]]:
-        """What earlier flights have measured of each server, around that home; each time values of their own."""
+        """What earlier flights measured of each server, around that home; new values at each call."""
         shift = _shift(self._map.home, home)
         return {
-            server: [_place(each, shift) for each in places] for server, places in self._map.servers.items()
+            server: [_place(place, shift) for place in places] for server, places in self._map.servers.items()
         }
 
     def keep(self, coverage: Coverage, home: GeoPosition | None) -> None:
-        """Writes the map as it is after a flight from that home; raises NotWritten.
+        """Write the map after a flight from that home; raises NotWritten.
 
-        Servers that were not measured stay in it as they are; what no flight has measured lately is forgotten.
+        Servers that were not measured keep their places; places that no flight has measured for long are forgotten.
         """
         former = self.places(home)
         kept = {server: list(coverage.places(server)) for server in coverage.servers}
@@ -96,12 +96,11 @@ class CoverageFile:
             upwash_coverage=1,
             home=None if home is None else _Home(home.latitude_deg, home.longitude_deg),
             servers={
-                server: [_entry(each) for each in places if each.flights_ago <= FORGOTTEN_AFTER]
+                server: [_entry(place) for place in places if place.flights_ago <= FORGOTTEN_AFTER]
                 for server, places in (former | kept).items()
             },
         )
-        encoded = msgspec.json.format(msgspec.json.encode(content), indent=1)
-        write_file(self.file, encoded + b"\n")
+        write_file(self.file, msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n")
 
 
 def _read(file: Path) -> _Map:
@@ -113,13 +112,12 @@ def _read(file: Path) -> _Map:
         problem = f"no coverage map of upwash: {error}: restore the file, or delete it to begin anew"
         raise ConfigError(str(file), "", problem) from None
     except (OSError, ValueError) as error:
-        raise ConfigError(
-            str(file), "", f"cannot be read ({why_unreadable(error)}): name a readable file"
-        ) from None
+        problem = f"cannot be read ({why_unreadable(error)}): name a readable file"
+        raise ConfigError(str(file), "", problem) from None
 
 
 def _shift(before: _Home | None, home: GeoPosition | None) -> Position:
-    """Where the home of the file lies as seen from the mission's."""
+    """The position of the file's home, from the mission's home."""
     if before is None or home is None:
         return Position(0.0, 0.0)
     return LocalFrame(home).position(GeoPosition(before.latitude_deg, before.longitude_deg))
@@ -134,7 +132,7 @@ def _place(entry: _Place, shift: Position) -> MeasuredPlace:
         transfer_s=entry.transfer_s,
         flights_ago=entry.flights_ago + 1,
         came_to_s={
-            Operation(each.service, each.method, each.key): tuple(each.came_to_s) for each in entry.calls
+            Operation(calls.service, calls.method, calls.key): tuple(calls.came_to_s) for calls in entry.calls
         },
     )
 
@@ -150,7 +148,10 @@ def _entry(place: MeasuredPlace) -> _Place:
         flights_ago=place.flights_ago,
         calls=[
             _Calls(
-                operation.service, operation.method, operation.key, [round(each_s, 4) for each_s in came_to_s]
+                operation.service,
+                operation.method,
+                operation.key,
+                [round(delay_s, 4) for delay_s in came_to_s],
             )
             for operation, came_to_s in place.came_to_s.items()
         ],

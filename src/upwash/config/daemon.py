@@ -52,15 +52,12 @@ from upwash.errors import ConfigError
 
 _REVOKED = "revoked.txt"
 
-# Instances report a drone's calls once a second: a shorter lease could end between two of them.
+# Instances report a drone's calls once a second: a shorter lease could end between two reports.
 LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, in seconds")]
 
 
 class DaemonKeysConfig(KeysConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A daemon's certificates and key, and the list of the certificates that it refuses, if there is one.
-
-    A list that lies beside the authority, where `upwash keys` makes it, is meant without being named.
-    """
+    """A daemon's certificates and key, and the list of the certificates that it refuses."""
 
     revoked: FilePath | None = None
     """The list of certificates that are refused; default: `revoked.txt` beside `authority`, if it is there."""
@@ -174,7 +171,7 @@ class DaemonConfig(
 
 
 def read_daemon_config(path: Path) -> DaemonConfig:
-    """The configuration in the file; raises ConfigError for anything that could not be served."""
+    """The configuration in the file; raises ConfigError."""
     return daemon_config(read_document(path), path)
 
 

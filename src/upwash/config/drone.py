@@ -172,9 +172,9 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """The autopilot itself does what `on_failure` says after so long a silence of this program: [the dead
     man](vehicle.md#when-the-drones-computer-dies)."""
     arrival_distance_m: Positive = 1.0
-    """The vehicle has arrived that is so near, in metres."""
+    """Distance within which a waypoint counts as reached, in metres."""
     arrival_speed_m_s: Positive = 0.5
-    """And so slow, in metres per second."""
+    """Speed below which a waypoint counts as reached, in metres per second."""
 
 
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -201,7 +201,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     device: VideoSource | None = None
     """A video device's number or path, a stream's URL, or GStreamer's pipeline."""
     latency_s: NotNegative = 0.0
-    """So long after it was captured a device's frame arrives, in seconds: a stream's may be a second late."""
+    """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
     park_seed: Seed | None = None
     """Photos are rendered: what lies below the drone in the solar park of that seed."""
 
@@ -250,7 +250,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     period_s: Positive = 1.0
     """Between two looks at whether another server is better, in seconds."""
     blacklist_s: AtLeastOneSecond | None = None
-    """A server that failed is left alone for so long, in seconds; in place of `probe`."""
+    """How long a server that failed is left alone, in seconds; in place of `probe`."""
     probe: ProbeConfig | None = None
     """A server that failed is asked again after these pauses; default of `look-ahead`."""
     idle_s: NotNegative = 180.0
@@ -285,7 +285,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     @property
     def hedging(self) -> HedgeConfig | None:
-        """How calls are hedged, where they are."""
+        """How calls are hedged; None if they are not."""
         if isinstance(self.hedge, HedgeConfig):
             return self.hedge
         wanted = self.name == "look-ahead" if self.hedge is None else self.hedge
@@ -392,7 +392,7 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Simulation: the waypoints at which an answer demands something."""
+    """Simulation: the waypoints whose answers demand an action."""
 
     every: Count | None = None
     """At the waypoints i with `i % every == offset`."""
@@ -460,7 +460,7 @@ class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Simulation: something that goes wrong for a while: [faults](scenarios.md#faults)."""
+    """Simulation: a disturbance that lasts for a while: [faults](scenarios.md#faults)."""
 
     target: Text
     """A server's name, `link:` and a server's name, or `autopilot`."""
@@ -548,7 +548,7 @@ class DroneConfig(
 
 
 def unsigned_port(autopilot: AutopilotConfig) -> str:
-    """What anyone can do who reaches the port that the vehicle's messages come to; "" where that is nobody."""
+    """A warning if other computers can send messages in the vehicle's name to the drone's port; else ""."""
     kind, _, place = (autopilot.connection or "").partition(":")
     if kind != "udpin" or autopilot.signing_key is not None or is_on_this_machine(place):
         return ""

@@ -20,12 +20,12 @@ _OF_A_DAEMON = {"listen", "runtime", "lease_s", "allow_without_certificates"}
 
 
 def read_drone_config(path: Path) -> DroneConfig:
-    """The configuration in the file; raises ConfigError for anything that could not be flown or simulated."""
+    """The configuration in the file; raises ConfigError."""
     return drone_config(read_document(path), path)
 
 
 def drone_config(document: Document, file: Path) -> DroneConfig:
-    """The configuration that the document of that file says; raises ConfigError."""
+    """The configuration in the document of that file; raises ConfigError."""
     if "mission" not in document and (of_a_daemon := sorted(_OF_A_DAEMON & document.keys())):
         raise ConfigError(
             str(file), of_a_daemon[0], "this is a daemon's configuration: name the drone's file"
@@ -47,7 +47,7 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
 
 
 def _size_problems(document: Document) -> Iterator[Problem]:
-    """Too many calls that differ: each service at each server is checked, and planned with."""
+    """Too many kinds of calls: each service at each server is checked and planned."""
     tables = [document.get(name) for name in ("service", "server")]
     services, servers = (len(found) if isinstance(found, list) else 0 for found in tables)
     if services * servers > _MOST_PAIRS:
@@ -58,7 +58,7 @@ def _size_problems(document: Document) -> Iterator[Problem]:
 
 
 def refuse_several(config: DroneConfig, file: Path, *, what: str) -> None:
-    """Raises ConfigError where the file has several drones, and `what` is of one."""
+    """Raise ConfigError where the file has several drones; `what` needs one."""
     if config.drones:
         raise ConfigError(
             str(file),

@@ -1,7 +1,7 @@
-"""Puts msgspec's errors into words: which key, what was expected there, what was found.
+"""Put msgspec's errors into words: which key, what was expected there, what was found.
 
-Such an error names a path like `$.server[0].range_m`. What was expected is looked up in the types and what
-was found in the document, so that every message has the same shape.
+An error names a path such as `$.server[0].range_m`. The types tell what was expected and the document what was found,
+so that every message has the same shape.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LONGEST_SHOWN = 60
 
 
 def explained(error: ValidationError, document: Mapping[str, object], kind: type) -> Problem:
-    """The key that an error of msgspec's is about, and what to change there."""
+    """The key that an error of msgspec names, and what to change there."""
     message = str(error)
     said, _, path = message.rpartition(" - at `$") if " - at `$" in message else (message, "", "")
     key = path.removesuffix("`").removeprefix(".").replace("[...]", "")  # [...] is an entry of a map

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 
-import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
-from upwash.config.drone import DroneConfig, FleetDroneConfig, MissionConfig, PolicyConfig, ServiceConfig
+from upwash.config.drone import DroneConfig, FleetDroneConfig, MissionConfig
 from upwash.config.places import as_planned
 from upwash.core.planning.order import SWEEPS
 
@@ -16,16 +15,16 @@ _SEED_BYTES = 6  # of a seed that is derived: it fits every integer
 
 
 class Presence(Struct, frozen=True):
-    """From when on a drone is there, and when its computer is gone without a word; seconds of the simulation."""
+    """When a drone appears, and when its computer vanishes without a word; seconds of the simulation."""
 
     departs_s: float = 0.0
     vanishes_s: float | None = None
 
 
 def fleet_of(config: DroneConfig) -> tuple[DroneConfig, ...]:
-    """A configuration of its own for each drone of the file: that one alone where it has no `[[drone]]`.
+    """A configuration for each `[[drone]]` of the file; without any, the file's own alone.
 
-    The first one has the file's seed, and each other one a seed that follows from it and from the drone's name.
+    The first drone has the file's seed. Each other drone has a seed derived from it and from the drone's name.
     """
     if not config.drones:
         return (config,)
@@ -38,44 +37,30 @@ def presences(config: DroneConfig) -> tuple[Presence, ...]:
 
 
 def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConfig:
-    return msgspec.structs.replace(
+    digest = hashlib.sha256(
+        f"{config.seed}/{drone.name}".encode()
+    ).digest()  # whatever other drones there are
+    return replace(
         config,
         name=drone.name,
-        seed=config.seed if number == 0 else _seed(config.seed, drone.name),
-        mission=_mission(_ordered(config.mission, number), drone),
-        policy=_policy(config.policy, drone),
-        services=tuple(_service(service, drone.local_call_s) for service in config.services),
+        seed=config.seed if number == 0 else int.from_bytes(digest[:_SEED_BYTES]),
+        mission=_mission(config.mission, drone, number),
+        policy=replace(config.policy, name=drone.policy or config.policy.name),
+        services=tuple(
+            replace(
+                service, local_call_s={**service.local_call_s, **drone.local_call_s.get(service.name, {})}
+            )
+            for service in config.services
+        ),
         drones=(),
     )
 
 
-def _seed(seed: int, name: str) -> int:
-    """Differs from drone to drone, and does not hang on how many others there are."""
-    digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
-    return int.from_bytes(digest[:_SEED_BYTES])
-
-
-def _ordered(mission: MissionConfig, number: int) -> MissionConfig:
-    """With the drone's own sweep where the file has them by index."""
-    return msgspec.structs.replace(mission, order=number % SWEEPS) if mission.order == "by-index" else mission
-
-
-def _mission(mission: MissionConfig, drone: FleetDroneConfig) -> MissionConfig:
-    """The file's, over the drone's own waypoints where it has any; its own plan says how high and how fast."""
+def _mission(mission: MissionConfig, drone: FleetDroneConfig, number: int) -> MissionConfig:
+    """The file's mission with the drone's waypoints and sweep; its own plan says how high and how fast."""
+    if mission.order == "by-index":
+        mission = replace(mission, order=number % SWEEPS)
     if drone.grid is None and drone.waypoints_m is None and drone.plan is None:
         return mission
-    mission = msgspec.structs.replace(
-        mission, grid=drone.grid, waypoints_m=drone.waypoints_m, plan=drone.plan
-    )
+    mission = replace(mission, grid=drone.grid, waypoints_m=drone.waypoints_m, plan=drone.plan)
     return mission if drone.plan is None else as_planned(mission, drone.plan, named=("home",))
-
-
-def _policy(policy: PolicyConfig, drone: FleetDroneConfig) -> PolicyConfig:
-    return policy if drone.policy is None else msgspec.structs.replace(policy, name=drone.policy)
-
-
-def _service(service: ServiceConfig, local_call_s: Mapping[str, Mapping[str, float]]) -> ServiceConfig:
-    own_s = local_call_s.get(service.name)
-    if not own_s:
-        return service
-    return msgspec.structs.replace(service, local_call_s={**service.local_call_s, **own_s})

@@ -12,7 +12,7 @@ _STEPS_PERCENT = 2.0  # of the reported battery level: the reserve's watch adds 
 
 
 def told_pace(vehicle: VehicleConfig) -> Pace | None:
-    """That of the profile or of the numbers; None where the file has neither."""
+    """The pace of the profile or of the numbers; None where the file has neither."""
     if vehicle.profile is not None:
         return PACES[vehicle.profile]
     if vehicle.acceleration_m_s2 is None and vehicle.takeoff_s is None:
@@ -21,7 +21,7 @@ def told_pace(vehicle: VehicleConfig) -> Pace | None:
 
 
 def told_in_numbers(vehicle: VehicleConfig) -> VehicleConfig:
-    """The same vehicle, whose file says what a simulation assumes: for a flight with a stand-in that flies so."""
+    """The vehicle with the numbers that a simulation assumes, for a flight with a stand-in."""
     if vehicle.profile is not None:
         return vehicle
     pace = pace_in_numbers(vehicle)
@@ -29,13 +29,13 @@ def told_in_numbers(vehicle: VehicleConfig) -> VehicleConfig:
 
 
 def pace_in_numbers(vehicle: VehicleConfig) -> Pace:
-    """That of a simulated vehicle without a profile."""
+    """The pace of a simulated vehicle without a profile."""
     takeoff_s = _USUAL_TAKEOFF_S if vehicle.takeoff_s is None else vehicle.takeoff_s
     return Pace(vehicle.acceleration_m_s2 or _USUAL_M_S2, lifting_s=takeoff_s)
 
 
 def reserve_percent(config: DroneConfig) -> float | None:
-    """What has to be left of the battery at touchdown; None where nothing has to, or nothing tells how much it is."""
+    """The least battery level at touchdown, in percent; None without a reserve, or if its level is unknown."""
     mission, endurance_s = config.mission, config.vehicle.endurance_s
     reserves = [mission.reserve_percent]
     if mission.reserve_s is not None and endurance_s is not None:
@@ -44,16 +44,16 @@ def reserve_percent(config: DroneConfig) -> float | None:
 
 
 def usable_s(config: DroneConfig) -> float | None:
-    """How long the battery lasts above the mission's reserve; None where the configuration does not say."""
+    """How long the battery lasts above the mission's reserve, in seconds; None if not configured."""
     if config.vehicle.endurance_s is None:
         return None
     return config.vehicle.endurance_s * (1 - (reserve_percent(config) or 0.0) / 100)
 
 
 def finish_by_s(config: DroneConfig) -> float | None:
-    """By when the mission is to be over, in seconds from arming: as configured, or else before the reserve ends it.
+    """When the mission must be over, in seconds from arming: as configured, or before the reserve ends it.
 
-    None where nothing may run lighter, or nothing says how long the battery lasts.
+    None where no call may run lighter, or the battery's endurance is unknown.
     """
     mission = config.mission
     if mission.finish_by_s is not None or not mission.lighter:

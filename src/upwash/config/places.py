@@ -21,7 +21,7 @@ from upwash.plans import Ending, Plan
 
 
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
-    """The mission's waypoints in the order in which they are given, which is that of their indices."""
+    """The mission's waypoints in the order of the file, which is the order of their indices."""
     if mission.plan is not None:
         return _planned_waypoints(mission.plan.plan, _frame(mission.home))
     places = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
@@ -63,7 +63,7 @@ def geofence(mission: MissionConfig) -> tuple[Fence, ...]:
 
 
 def planned_home(plan: Plan) -> HomeConfig | None:
-    """The home that a plan names, if it does."""
+    """The home that a plan names, or None."""
     home = plan.home
     return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
 
@@ -136,7 +136,7 @@ def ending(mission: MissionConfig) -> Ending:
 
 
 def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
-    """Where the server stands; `home` is needed for one whose place is given in degrees."""
+    """Where the server stands; a place in degrees needs `home`."""
     if server.east_m is not None and server.north_m is not None:
         return Position(server.east_m, server.north_m)
     if server.latitude_deg is None or server.longitude_deg is None:

@@ -77,7 +77,7 @@ def convert(
 
 
 def refuse_first(file: Path, problems: Iterable[Problem]) -> None:
-    """Raise ConfigError for the first of the problems, if there is one."""
+    """Raise ConfigError for the first of the problems."""
     for key, problem in problems:
         raise ConfigError(str(file), key, problem)
 

@@ -10,7 +10,7 @@ from msgspec import Meta, Struct
 from upwash.config.reading import Problem
 from upwash.config.values import FilePath, Name, Names, Text
 
-# Less than a Python interpreter with gRPC needs helps nobody.
+# A Python interpreter with gRPC needs this much.
 MemoryBytes = Annotated[int, Meta(ge=2**26, description="an integer of at least 67108864 (64 MiB), in bytes")]
 Processes = Annotated[int, Meta(ge=32, description="an integer of at least 32, threads included")]
 Cpus = Annotated[int, Meta(ge=1, le=4096, description="an integer from 1 to 4096")]

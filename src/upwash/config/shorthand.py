@@ -1,6 +1,6 @@
-"""Writes out what a drone's configuration may say in short.
+"""Write out the short forms of a drone's configuration.
 
-This runs before the types are checked: whatever is not recognised here stays as it is, to be refused there.
+This runs before the types are checked: a value that is not recognised here stays as it is, and is refused there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is true of a simulated server, which is what the drone believes unless the file says otherwise."""
+"""What is true of a simulated server: what the drone believes, unless the file says otherwise."""
 
 from __future__ import annotations
 
@@ -9,25 +9,27 @@ from msgspec import Struct
 
 from upwash.config.drone import ServerConfig, ServiceConfig
 
+Times = Mapping[str, Mapping[str, float]]  # seconds, by service and profile key
+
 _TURN_S = 30.0
 
 
 class ServerTruth(Struct, frozen=True, kw_only=True):
-    """What is true of a simulated server, the belief taken wherever the file says nothing else.
+    """What is true of a simulated server; where the file says nothing else, what the drone believes.
 
-    Where the radio is "fixed" a service in `remote_call_s` takes that long end to end. Any other takes its
+    With a "fixed" radio a call of `remote_call_s` takes that time from request to reply. Any other call takes its
     `processing_s` and the transfer: by the radio's goodput at the drone's distance, or else by the bandwidth.
 
-    An instance computes `lanes` calls at a time; None: as many as its service declares. One that takes so long end to
-    end occupies a lane for its `occupying_s`, where that is known, and else for all of its time.
+    An instance computes `lanes` calls at a time; None: as many as its service declares. A call of `remote_call_s`
+    occupies a lane for its `occupying_s`, if that is known, or else for all of its time.
     """
 
     join_s: float
     leave_s: float
     start_s: float
-    processing_s: Mapping[str, Mapping[str, float]]
-    remote_call_s: Mapping[str, Mapping[str, float]]
-    occupying_s: Mapping[str, Mapping[str, float]]
+    processing_s: Times
+    remote_call_s: Times
+    occupying_s: Times
     first_extra_s: float
     bandwidth_bit_s: float | None
     radio: str
@@ -41,11 +43,10 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
 def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> ServerTruth:
     """What is true of the server in simulation."""
     truth = server.truth
-    start_s = server.check_s - server.check_running_s if truth.start_s is None else truth.start_s
     return ServerTruth(
         join_s=server.check_running_s if truth.join_s is None else truth.join_s,
         leave_s=truth.leave_s,
-        start_s=start_s,
+        start_s=server.check_s - server.check_running_s if truth.start_s is None else truth.start_s,
         processing_s=_merged(server.processing_s, truth.processing_s),
         remote_call_s=_merged(_remote_calls_still_believed(server), truth.remote_call_s),
         occupying_s=_occupying(server),
@@ -60,9 +61,7 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
     )
 
 
-def _merged(
-    belief: Mapping[str, Mapping[str, float]], truth: Mapping[str, Mapping[str, float]]
-) -> Mapping[str, Mapping[str, float]]:
+def _merged(belief: Times, truth: Times) -> Times:
     if not truth:
         return belief
     return {
@@ -71,29 +70,25 @@ def _merged(
     }
 
 
-def _occupying(server: ServerConfig) -> Mapping[str, Mapping[str, float]]:
-    """The processing times, but not those that are only believed where the call's delay is told truly."""
-    told, delays = server.truth.processing_s, server.truth.remote_call_s
-    if not delays:
-        return _merged(server.processing_s, told)
+def _occupying(server: ServerConfig) -> Times:
+    """The processing times, without those that are only believed while the call's delay is true."""
+    true_s, delays_s = server.truth.processing_s, server.truth.remote_call_s
     return {
         service: {
             key: seconds
             for key, seconds in by_key.items()
-            if key in told.get(service, {}) or key not in delays.get(service, {})
+            if key in true_s.get(service, {}) or key not in delays_s.get(service, {})
         }
-        for service, by_key in _merged(server.processing_s, told).items()
+        for service, by_key in _merged(server.processing_s, true_s).items()
     }
 
 
-def _remote_calls_still_believed(server: ServerConfig) -> Mapping[str, Mapping[str, float]]:
-    """The believed delays, but for operations whose processing time or radio is told truly."""
+def _remote_calls_still_believed(server: ServerConfig) -> Times:
+    """The believed delays, without those of operations whose processing time or radio is true."""
     if server.truth.radio != "fixed":
         return {}
-    told = server.truth.processing_s
-    if not told:
-        return server.remote_call_s
+    true_s = server.truth.processing_s
     return {
-        service: {key: seconds for key, seconds in by_key.items() if key not in told.get(service, {})}
+        service: {key: seconds for key, seconds in by_key.items() if key not in true_s.get(service, {})}
         for service, by_key in server.remote_call_s.items()
     }

@@ -136,7 +136,7 @@ SecondsByService = Annotated[
 
 
 class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The certificates by which both ends know each other."""
+    """The certificates that both ends check."""
 
     authority: FilePath
     """The certificate of the authority that signed both ends'."""
@@ -161,7 +161,7 @@ def is_address(text: str) -> bool:
 
 
 def is_listening_address(text: str) -> bool:
-    """Whether a socket can listen there: at an address, or for no host, or `*`, at every one of this computer."""
+    """Whether a socket can listen there: an address; no host, or `*`, is every address of this computer."""
     host, colon, port = text.rpartition(":")
     return is_address(f"any:{port}" if colon and host in _EVERYWHERE else text)
 
