@@ -24,7 +24,6 @@ texts stand in a table made from its source. Vehicles with one system id are tol
 from upwash.real.mavlink.autopilot import MavlinkAutopilot
 from upwash.real.mavlink.connect import connect_autopilot
 from upwash.real.mavlink.link import MavlinkLink
-from upwash.real.mavlink.observed import Patience
-from upwash.real.mavlink.reports import FlightSettings
+from upwash.real.mavlink.settings import FlightSettings, Patience
 
 __all__ = ["FlightSettings", "MavlinkAutopilot", "MavlinkLink", "Patience", "connect_autopilot"]

@@ -263,11 +263,11 @@ class MavlinkAutopilot(ReportingAutopilot):
 
     async def _touch_down(self, step: str, begun_s: float) -> None:
         """Returns on touchdown; raises where the vehicle is lost, or its motors stop in the air, before."""
-        vehicle, told = self.vehicle, self._telemetry
+        vehicle, telemetry = self.vehicle, self._telemetry
         vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
 
         def falls() -> bool:
-            stopped = not told.armed and told.disarmed_s >= begun_s
+            stopped = not telemetry.armed and telemetry.disarmed_s >= begun_s
             return stopped and self._seen_after_disarming() and self._may_fall()
 
         await vehicle.until(step, lambda: self._landed(begun_s) or falls() or not vehicle.is_ours)

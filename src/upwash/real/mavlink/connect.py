@@ -12,7 +12,8 @@ from upwash.real.mavlink.link import Opener
 from upwash.real.mavlink.needs import ask_version
 from upwash.real.mavlink.px4 import Px4Autopilot
 from upwash.real.mavlink.px4_firmware import PX4
-from upwash.real.mavlink.reports import FlightSettings, check_speed
+from upwash.real.mavlink.reports import check_speed
+from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _DRIVERS: dict[str, type[MavlinkAutopilot]] = {ARDUCOPTER.name: ArduCopterAutopilot, PX4.name: Px4Autopilot}

@@ -7,7 +7,6 @@ failsafe.cpp.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -149,42 +148,34 @@ class _Item:
 
 async def _download_areas(vehicle: MavlinkVehicle, frame: LocalFrame) -> list[Fence]:
     """The areas of the vehicle's fence list; AutopilotError where the list is incomplete or makes no sense."""
-    answers: asyncio.Queue[Message] = asyncio.Queue()
-
-    def hear(message: Message) -> None:
-        wanted = message.get_type() in ("MISSION_COUNT", "MISSION_ITEM_INT")
-        if wanted and message.mission_type == _TYPE:
-            answers.put_nowait(message)
-
     async with vehicle.limited("fence", _LONGEST_S):
-        with vehicle.listening(hear):
-            count = (await _asked(vehicle, answers, None)).count
-            if count > _MOST_ITEMS:
-                problem = f"the vehicle's fence has {count} items, more than {_MOST_ITEMS}"
-                raise AutopilotTimeout("fence", problem)
-            items = [_item(number, await _asked(vehicle, answers, number)) for number in range(count)]
+        count = (await _asked(vehicle, None)).count
+        if count > _MOST_ITEMS:
+            problem = f"the vehicle's fence has {count} items, more than {_MOST_ITEMS}"
+            raise AutopilotTimeout("fence", problem)
+        items = [_item(number, await _asked(vehicle, number)) for number in range(count)]
         accepted = mavlink.MAV_MISSION_ACCEPTED  # without this PX4 reports a failed transfer
         vehicle.ask(mavlink.MAVLink_mission_ack_message(*vehicle.ids, accepted, _TYPE))
     return _areas(items, frame)
 
 
-async def _asked(vehicle: MavlinkVehicle, answers: asyncio.Queue[Message], number: int | None) -> Message:
+async def _asked(vehicle: MavlinkVehicle, number: int | None) -> Message:
     """The item of that number; None: the count of items."""
     kind, what = "MISSION_ITEM_INT", f"item {number}"
     question = mavlink.MAVLink_mission_request_int_message(*vehicle.ids, number or 0, _TYPE)
     if number is None:
         kind, what = "MISSION_COUNT", "how many items it has"
         question = mavlink.MAVLink_mission_request_list_message(*vehicle.ids, _TYPE)
-    for _ in range(_ATTEMPTS):
-        vehicle.ask(question)
-        try:
-            async with asyncio.timeout(vehicle.patience.answer_s):
-                while True:
-                    message = await answers.get()
-                    if message.get_type() == kind and number in (None, getattr(message, "seq", None)):
-                        return message
-        except TimeoutError:
-            continue
+    answers: list[Message] = []
+
+    def hear(message: Message) -> None:
+        is_answer = message.get_type() == kind and message.mission_type == _TYPE
+        if is_answer and number in (None, getattr(message, "seq", None)):
+            answers.append(message)
+
+    with vehicle.listening(hear):
+        if await vehicle.answered("fence", lambda: vehicle.ask(question), lambda: answers, times=_ATTEMPTS):
+            return answers[0]
     raise AutopilotTimeout("fence", f"the vehicle did not tell {what} of its fence", vehicle.said_lately)
 
 

@@ -135,11 +135,9 @@ class FileClient:
                 answers.append(answer)
 
         with vehicle.listening(hear):
-            for _ in range(_ATTEMPTS):
-                vehicle.ask(mavlink.MAVLink_file_transfer_protocol_message(0, *vehicle.ids, payload))
-                if await vehicle.happens("files", lambda: bool(answers), within_s=vehicle.patience.answer_s):
-                    break
-            else:
+            question = mavlink.MAVLink_file_transfer_protocol_message(0, *vehicle.ids, payload)
+            asked = vehicle.answered("files", lambda: vehicle.ask(question), lambda: answers, times=_ATTEMPTS)
+            if not await asked:
                 raise AutopilotTimeout("files", f"no answer to: {what}", vehicle.said_lately)
         answer = answers[0]
         if answer.opcode == Opcode.ACK:

@@ -51,17 +51,14 @@ async def ask_version(vehicle: MavlinkVehicle) -> Version | None:
         if message.get_type() == "AUTOPILOT_VERSION":
             answers.append(Version.of(message.flight_sw_version))
 
-    async def answered() -> bool:
-        return await vehicle.happens("version", lambda: bool(answers), within_s=vehicle.patience.answer_s)
-
+    questions = (
+        lambda: vehicle.ask_for(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
+        # for firmwares that do not know MAV_CMD_REQUEST_MESSAGE
+        lambda: vehicle.question(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, _CAPABILITIES),
+    )
     with vehicle.listening(hear):
-        for _ in range(_TIMES):
-            vehicle.ask_for(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-            if await answered():
-                return answers[-1]
-            # Firmwares that do not know MAV_CMD_REQUEST_MESSAGE answer this.
-            vehicle.question(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, _CAPABILITIES)
-            if await answered():
+        for ask in questions * _TIMES:
+            if await vehicle.answered("version", ask, lambda: answers, times=1):
                 return answers[-1]
     return None
 
@@ -92,15 +89,13 @@ async def require_reposition(vehicle: MavlinkVehicle) -> None:
 async def require_current_mode(vehicle: MavlinkVehicle) -> None:
     """Refuses a vehicle that does not report CURRENT_MODE."""
 
-    def reported() -> bool:
-        return vehicle.heard_since(CURRENT_MODE, 0.0)
-
-    for _ in range(vehicle.patience.attempts):
-        if reported():
-            return
-        vehicle.ask_for(CURRENT_MODE)
-        await vehicle.happens(_STEP, reported, within_s=vehicle.patience.answer_s)
-    if not reported():
+    reported = await vehicle.answered(
+        _STEP,
+        lambda: vehicle.ask_for(CURRENT_MODE),
+        lambda: vehicle.heard_since(CURRENT_MODE, 0.0),
+        times=vehicle.patience.attempts,
+    )
+    if not reported:
         raise _refused(f"{_described(vehicle)} does not report CURRENT_MODE", vehicle)
 
 

@@ -10,14 +10,13 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.admission.limits import Allowance
-from upwash.core.geo import GeoPosition, Position
+from upwash.core.geo import Position
 from upwash.core.vehicle.control import Heartbeat, Latch
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import (
@@ -35,6 +34,7 @@ from upwash.real.mavlink.identity import AutopilotInfo, Identity, first_heartbea
 from upwash.real.mavlink.link import MavlinkLink, Opener
 from upwash.real.mavlink.numbering import BootClock, Numbering
 from upwash.real.mavlink.receiver import Message, is_signed
+from upwash.real.mavlink.settings import Patience
 from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import FirmwareProfile, VehicleTelemetry
 from upwash.support.background import end, kept_up, only_logged, start
@@ -57,20 +57,6 @@ _SIGNS = (
 _NEWS_KEPT = 1000  # until there is a listener
 _UNBOUNDED = VehicleSaid, HomeMoved, PositionDoubted  # a vehicle, or a forger, may send these without end
 _UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
-
-
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """How long the driver waits for reports and answers."""
-
-    answer_s: float = 1.0  # for the answer to a command, before it is repeated
-    effect_s: float = 2.5  # for the mode or the motors to change, before the command is repeated
-    attempts: int = 8
-    others_s: float = 2.5  # for the heartbeats of other vehicles, which come once a second
-    signed_s: float = 4.0  # for any answer of a vehicle that signs its messages
-    quiet_after_s: float = 2.5  # without any message, the link counts as lost, and attempts no longer count
-    dead_after_s: float = 10.0  # without any message, TCP reconnects, and the vehicle may have another port
-    lost_after_s: float = 120.0  # without any message, the verb in progress fails
 
 
 class ObservedVehicle:
@@ -326,18 +312,21 @@ class ObservedVehicle:
         """Sends a command that only asks, once, without a wait for its answer."""
         self.ask(self.command_long(command, *parameters))
 
+    async def answered(
+        self, step: str, ask: Callable[[], None], answer: Callable[[], object], *, times: int
+    ) -> bool:
+        """Whether the answer is there, or comes to a question that is repeated."""
+        for _ in range(times):
+            if answer():
+                return True
+            ask()
+            await self.happens(step, lambda: bool(answer()), within_s=self.patience.answer_s)
+        return bool(answer())
+
     def command_long(self, command: int, *parameters: float) -> Message:
         """A COMMAND_LONG to the vehicle; missing parameters are 0."""
         padded = (*parameters, *[0.0] * (7 - len(parameters)))
         return mavlink.MAVLink_command_long_message(*self.ids, command, 0, *padded)
-
-    def command_int(self, command: int, place: GeoPosition, frame: int, *parameters: float) -> Message:
-        """A COMMAND_INT to the vehicle, whose degrees arrive exactly; the altitude is in the frame."""
-        padded = (*parameters, *[0.0] * (4 - len(parameters)))
-        x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
-        return mavlink.MAVLink_command_int_message(
-            *self.ids, frame, command, 0, 0, *padded, x, y, place.altitude_m
-        )
 
     def beat(self) -> None:
         """Sends a heartbeat, in addition to the one each second."""
@@ -434,14 +423,13 @@ class ObservedVehicle:
             return
         if message.get_type() != "FENCE_STATUS":
             self.mode_told_s = now_s
-        mode, told = self.mode_name, self.telemetry
+        mode, telemetry = self.mode_name, self.telemetry
+        armed, failsafe = telemetry.armed, self.firmware.failsafe(telemetry, mode)
         # ArduCopter says that it stands as soon as its motors stop, wherever that is.
-        stands = told.stands if told.armed or now_s - told.airborne_s > _STOOD_S else False
-        report = Heartbeat(
-            mode, told.armed, self.firmware.failsafe(told, mode), stands, told.remote.moved(now_s)
-        )
-        self._judge(lambda: self.latch.report(report, now_s))
-        if told.disarmed_s == now_s and not self.latch.control.is_ours:
+        stands = telemetry.stands if armed or now_s - telemetry.airborne_s > _STOOD_S else False
+        heartbeat = Heartbeat(mode, armed, failsafe, stands, telemetry.remote.moved(now_s))
+        self._judge(lambda: self.latch.report(heartbeat, now_s))
+        if telemetry.disarmed_s == now_s and not self.latch.control.is_ours:
             self.ask_for(_SYSTEM_TIME)  # which shows a restart
 
     def _tell_texts(self, _message: Message, _now_s: float) -> None:

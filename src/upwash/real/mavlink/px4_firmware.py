@@ -47,9 +47,9 @@ def _mode_name(number: int) -> str:
 
 def failsafe(telemetry: VehicleTelemetry, _mode: str) -> str:
     """In a fail-safe the commanded mode differs from the flown mode, or the system status is critical."""
-    told = telemetry.flown_and_intended_mode
-    if told is not None and told[0] == telemetry.mode:
-        flown, intended = told
+    modes = telemetry.flown_and_intended_mode
+    if modes is not None and modes[0] == telemetry.mode:
+        flown, intended = modes
         if intended in (0, flown):
             return ""
         return f"a fail-safe chose it{_cause(telemetry)}, {_mode_name(intended)} was set"

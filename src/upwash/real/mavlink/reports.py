@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import ClassVar
 
 from msgspec import structs
@@ -19,7 +18,7 @@ from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.ports import DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
-from upwash.real.mavlink.observed import Patience
+from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.tracker import PositionTracker
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
@@ -30,27 +29,6 @@ _POSITION, _HOME_POSITION, _SYSTEM_TIME = (
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class FlightSettings:
-    """When a verb is true, and when it has taken too long; silences of the link are not counted."""
-
-    arrival_distance_m: float = 1.0
-    arrival_speed_m_s: float = 0.5
-    progress_m: float = 0.5
-    progress_s: float = 3.0  # without that progress in this time, the target is repeated
-    speed_tolerance: float = 1.1  # times the ground speed, above which the speed is repeated
-    speed_again_s: float = 5.0
-    ready_timeout_s: float = 120.0  # for the checks before arming
-    arm_again_s: float = 2.0
-    ask_again_s: float = 5.0  # for the reasons why it cannot be armed
-    words_s: float = 0.5  # in which it tells the reasons, in separate messages
-    margin_s: float = 60.0  # of a flight, on top of its distance at the slowest speeds below
-    slowest_share: float = 1 / 3  # of the ground speed, against the wind
-    slowest_vertical_m_s: float = 0.4
-    return_altitude_m: float = 100.0  # the vehicle may climb to this height before it returns
-    patience: Patience = field(default_factory=Patience)
 
 
 class ReportingAutopilot(ABC):
@@ -119,16 +97,16 @@ class ReportingAutopilot(ABC):
     @property
     def telemetry(self) -> Telemetry:
         """The last reports together."""
-        told = self._telemetry
+        reported = self._telemetry
         return Telemetry(
             position=self.position,
             mode=self.vehicle.mode_name,
-            armed=told.armed,
-            velocity=told.velocity,
-            attitude=told.attitude,
-            heading_deg=told.heading_deg,
-            gps=told.gps,
-            battery_percent=told.battery_percent,
+            armed=reported.armed,
+            velocity=reported.velocity,
+            attitude=reported.attitude,
+            heading_deg=reported.heading_deg,
+            gps=reported.gps,
+            battery_percent=reported.battery_percent,
         )
 
     @property
@@ -159,11 +137,11 @@ class ReportingAutopilot(ABC):
     @property
     def stands(self) -> bool:
         """By its landed state, unless it falls; without one, by its altitude with its motors stopped."""
-        told = self._telemetry.stands
-        if told is None:
+        stands = self._telemetry.stands
+        if stands is None:
             low = self._telemetry.position is None or abs(self.position.altitude_m) <= _LOW_M
             return not self._telemetry.armed and low
-        return told and (self._telemetry.armed or not self._may_fall())
+        return stands and (self._telemetry.armed or not self._may_fall())
 
     def _seen_after_disarming(self) -> bool:
         return self.vehicle.heard_since(_POSITION, self._telemetry.disarmed_s + _FALL_SEEN_S)
@@ -237,13 +215,12 @@ class ReportingAutopilot(ABC):
         return round(self._telemetry.home.altitude_m, 2)
 
     async def _know_home(self) -> None:
-        for _ in range(self._settings.patience.attempts):
-            if self._telemetry.home is not None:
-                return
-            self.vehicle.ask_for(_HOME_POSITION)
-            await self.vehicle.happens(
-                "home", lambda: self._telemetry.home is not None, within_s=self._settings.patience.answer_s
-            )
+        await self.vehicle.answered(
+            "home",
+            lambda: self.vehicle.ask_for(_HOME_POSITION),
+            lambda: self._telemetry.home,
+            times=self._settings.patience.attempts,
+        )
 
     async def limits(self) -> VehicleLimits:
         """By its home, its parameters and its fence list."""

@@ -55,6 +55,14 @@ class MavlinkVehicle(ObservedVehicle):
         """Has the vehicle accept a COMMAND_LONG; missing parameters are 0."""
         await self.accept(step, self.command_long(command, *parameters), expect)
 
+    def command_int(self, command: int, place: GeoPosition, frame: int, *parameters: float) -> Message:
+        """A COMMAND_INT to the vehicle, whose degrees arrive exactly; the altitude is in the frame."""
+        padded = (*parameters, *[0.0] * (4 - len(parameters)))
+        x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
+        return mavlink.MAVLink_command_int_message(
+            *self.ids, frame, command, 0, 0, *padded, x, y, place.altitude_m
+        )
+
     async def accept(self, step: str, command: Message, expect: Callable[[], None] = lambda: None) -> None:
         """Returns when the vehicle accepts; raises AutopilotRefused, or AutopilotTimeout without an answer.
 

@@ -19,9 +19,7 @@ _SLOWEST_M_S, _WEAKEST_M_S2 = 0.01, 0.01
 _USUAL_LOITER_S = 5.0
 _SETTLES_S = ARDUCOPTER.hover_s - _USUAL_LOITER_S
 _USUAL = Abilities()
-_GAINED = (
-    ARDUCOPTER.acceleration_m_s2 / 2.5
-)  # of WPNAV_ACCEL, whose default is 2.5: what recorded returns had
+_GAINED = ARDUCOPTER.acceleration_m_s2 / 2.5  # of WPNAV_ACCEL (2.5 by default), in recorded returns
 _NO_STAGE = "the reserve does not count with this stage of the battery"
 
 
