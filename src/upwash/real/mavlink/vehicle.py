@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.names import name_of
 from upwash.mavlink.version import Version
