@@ -83,6 +83,17 @@ def ask(address: str, shown: Credentials, path: str = PATH, body: bytes = b"", t
     return asyncio.run(talk())
 
 
+def context_of(shown: Credentials) -> ssl.SSLContext:
+    context = ssl.create_default_context(cadata=shown.authority.decode())
+    load_secret(context, shown.certificate + b"\n" + shown.key)
+    return context
+
+
+def read(folder: Path, holder: str, *, valid_now: bool = True) -> Credentials:
+    files = keys_in(folder, holder)
+    return read_credentials(files.authority, files.certificate, files.key, valid_now=valid_now)
+
+
 @contextmanager
 def connected(address: str) -> Iterator[socket.socket]:
     host, _, port = address.partition(":")
@@ -93,9 +104,7 @@ def connected(address: str) -> Iterator[socket.socket]:
 @contextmanager
 def spoken_to(address: str, drone: str, credentials: ReadCredentials) -> Iterator[ssl.SSLSocket]:
     """A connection that has shown the drone's certificate and begun to speak HTTP/2."""
-    shown = credentials(drone)
-    context = ssl.create_default_context(cadata=shown.authority.decode())
-    load_secret(context, shown.certificate + b"\n" + shown.key)
+    context = context_of(credentials(drone))
     context.set_alpn_protocols(["h2"])
     with connected(address) as plain, context.wrap_socket(plain, server_hostname="s1") as connection:
         connection.sendall(PREFACE + frame(SETTINGS))
@@ -154,11 +163,9 @@ def test_who_is_refused_is_counted_by_the_reason(
     monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=-3))
     make_keys(tmp_path, drones=["chick"])
 
-    def read(holder: str) -> Credentials:
-        files = keys_in(tmp_path, holder)
-        return read_credentials(files.authority, files.certificate, files.key, valid_now=False)
-
-    own = read("s1")
+    own, heron, mayfly, chick = (
+        read(tmp_path, holder, valid_now=False) for holder in ("s1", "heron", "mayfly", "chick")
+    )
     nobody = ssl.create_default_context(cadata=own.authority.decode())
     stranger = credentials("other/heron")
     foreign = Credentials(own.authority, stranger.certificate, stranger.key)
@@ -171,20 +178,15 @@ def test_who_is_refused_is_counted_by_the_reason(
         ):
             connection.recv(1)
 
-    def with_certificate(shown: Credentials) -> ssl.SSLContext:
-        context = ssl.create_default_context(cadata=shown.authority.decode())
-        load_secret(context, shown.certificate + b"\n" + shown.key)
-        return context
-
     def counted(door: Door) -> dict[str, tuple[int, str]]:
         return {each.reason: (each.times, each.last) for each in door.refused}
 
     with served(own) as (door, address):
         assert counted(door) == {}
-        asyncio.run(door.trust(Trust(own, revoked=frozenset({fingerprint(read("heron").certificate)}))))
+        asyncio.run(door.trust(Trust(own, revoked=frozenset({fingerprint(heron.certificate)}))))
         knock(address, nobody)
-        for shown in (foreign, read("mayfly"), read("chick"), read("heron"), read("heron")):
-            knock(address, with_certificate(shown))
+        for shown in (foreign, mayfly, chick, heron, heron):
+            knock(address, context_of(shown))
         with connected(address) as plain:
             plain.sendall(b"GET / HTTP/1.1\r\n\r\n")
             plain.recv(1)
@@ -219,12 +221,8 @@ def test_a_connection_ends_with_its_certificate(
     monkeypatch.setattr(module, "_CERTIFICATE_LASTS", timedelta(seconds=3))
     make_keys(tmp_path, servers=[["s1"]], drones=["mayfly"])
 
-    def read(holder: str) -> Credentials:
-        files = keys_in(tmp_path, holder)
-        return read_credentials(files.authority, files.certificate, files.key)
-
     async def outlive(address: str) -> None:
-        link = GrpcDialer("", read("mayfly"), max_message_bytes=100_000).dial(address, server="s1")
+        link = GrpcDialer("", read(tmp_path, "mayfly"), max_message_bytes=100_000).dial(address, server="s1")
         assert await link.request(PATH, b"", timeout_s=10.0) == b"mayfly"
         async with asyncio.timeout(10.0):
             while True:
@@ -235,25 +233,21 @@ def test_a_connection_ends_with_its_certificate(
                 await asyncio.sleep(0.1)
         await link.close()
 
-    with served(read("s1")) as (_, address):
+    with served(read(tmp_path, "s1")) as (_, address):
         asyncio.run(outlive(address))
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
-def test_tls_1_3_alone_is_spoken(version: ssl.TLSVersion, keys: Path, credentials: ReadCredentials) -> None:
-    files = keys_in(keys, "heron")
-    context = ssl.create_default_context(cafile=str(files.authority))
-    context.load_cert_chain(files.certificate, files.key)
+def test_tls_1_3_alone_is_spoken(version: ssl.TLSVersion, credentials: ReadCredentials) -> None:
+    context = context_of(credentials("heron"))
     context.minimum_version, context.maximum_version = ssl.TLSVersion.TLSv1_2, version
-    with served(credentials("s1")) as (_, address):
-        host, _, port = address.partition(":")
-        with socket.create_connection((host, int(port)), timeout=10.0) as plain:
-            if version is ssl.TLSVersion.TLSv1_3:
-                with context.wrap_socket(plain, server_hostname="s1") as connection:
-                    assert connection.version() == "TLSv1.3"
-            else:
-                with pytest.raises(ssl.SSLError):
-                    context.wrap_socket(plain, server_hostname="s1")
+    with served(credentials("s1")) as (_, address), connected(address) as plain:
+        if version is ssl.TLSVersion.TLSv1_3:
+            with context.wrap_socket(plain, server_hostname="s1") as connection:
+                assert connection.version() == "TLSv1.3"
+        else:
+            with pytest.raises(ssl.SSLError):
+                context.wrap_socket(plain, server_hostname="s1")
 
 
 # --- how much -----------------------------------------------------------------------------------------------
@@ -262,10 +256,7 @@ def test_tls_1_3_alone_is_spoken(version: ssl.TLSVersion, keys: Path, credential
 def test_silent_strangers_give_way_to_who_speaks(credentials: ReadCredentials) -> None:
     few = DoorLimits(strangers=8, strangers_per_address=4)
     with served(credentials("s1"), few) as (_, address), contextlib.ExitStack() as stack:
-        host, _, port = address.partition(":")
-        silent = [
-            stack.enter_context(socket.create_connection((host, int(port)), timeout=10.0)) for _ in range(20)
-        ]
+        silent = [stack.enter_context(connected(address)) for _ in range(20)]
         assert ask(address, credentials("heron")) == b"heron"
         assert [connection.recv(1) for connection in silent[:15]] == [b""] * 15  # hung up on
 
@@ -357,7 +348,7 @@ def test_who_reads_nothing_takes_little_memory_and_gets_all_in_the_end(
 
 
 def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
-    tmp_path: Path, keys: Path, credentials: ReadCredentials
+    tmp_path: Path, credentials: ReadCredentials
 ) -> None:
     path, kept = str(tmp_path / "hostile"), contextlib.ExitStack()
 
@@ -371,9 +362,7 @@ def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
             given.setblocking(True)
             asked.recv(1)  # until the door hangs up
 
-    files = keys_in(keys, "stork")
-    context = ssl.create_default_context(cafile=str(files.authority))
-    context.load_cert_chain(files.certificate, files.key)
+    context = context_of(credentials("stork"))
     with kept, served(credentials("s1")) as (door, address):
         asking = kept.enter_context(listening_socket(f"unix:{path}"))
         hostile = threading.Thread(target=give_one_that_blocks)

@@ -11,7 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -47,142 +47,128 @@ from upwash.rpc.protocol import (
 pytestmark = pytest.mark.system
 
 ReadCredentials = Callable[[str], Credentials]
+Visited = Callable[..., None]
+
+
+@pytest.fixture
+def visited(tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials) -> Visited:
+    """Plays a scene of a daemon and its guests, each a drone at a server, such as "heron@s1"."""
+
+    def play(scene: Callable[..., Awaitable[None]], *who: str, **settings: Any) -> None:
+        async def live(at: Daemon) -> None:
+            drones = [name.split("@") for name in who]
+            shown = [(drone, credentials(drone), server) for drone, server in drones]
+            async with guests(at, services, *shown) as present:
+                await scene(at, *present)
+
+        with daemon(tmp_path, config(keys, **settings)) as at:
+            asyncio.run(live(at))
+
+    return play
 
 
 # --- what drones get ----------------------------------------------------------------------------------------
 
 
-def test_a_drone_asks_has_a_service_started_calls_it_and_leaves(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            before = await heron.availability("workbench")
-            assert (before.available, before.endpoints, before.lease_s) == (True, {}, 30.0)
-            endpoint = (await heron.start()).endpoint
-            assert endpoint.startswith(":")
-            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-            assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
-            await heron.leave()
-            with pytest.raises(Refused, match="heron has no lease"):
-                await heron.call(endpoint, "echo", b"photo")
-            assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
-            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+def test_a_drone_asks_has_a_service_started_calls_it_and_leaves(visited: Visited) -> None:
+    async def scene(_: Daemon, heron: Guest) -> None:
+        before = await heron.availability("workbench")
+        assert (before.available, before.endpoints, before.lease_s) == (True, {}, 30.0)
+        endpoint = (await heron.start()).endpoint
+        assert endpoint.startswith(":")
+        assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+        assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
+        await heron.leave()
+        with pytest.raises(Refused, match="heron has no lease"):
+            await heron.call(endpoint, "echo", b"photo")
+        assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
+        assert await heron.call(endpoint, "echo", b"photo") == b"photo"
 
-    with daemon(tmp_path, config(keys)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1")
 
 
-def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_own(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    who = [(name, credentials(name), server) for name in ("heron", "stork") for server in ("s1", "s2")]
+def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_own(visited: Visited) -> None:
+    async def scene(at: Daemon, heron1: Guest, heron2: Guest, stork1: Guest, stork2: Guest) -> None:
+        first, second = await heron1.start(), await stork2.start()
+        process_ids = {
+            await heron1.call(first.endpoint, "process_id"),
+            await stork2.call(second.endpoint, "process_id"),
+        }
+        assert process_ids == set(at.instances())
+        assert len(process_ids) == 2
+        for guest in (stork1, heron2):
+            refused = await guest.availability("workbench")
+            assert (refused.available, refused.endpoints) == (False, {})
+            assert "has no free slot: 1 of 1 in use" in refused.reason
+            assert "has no free slot" in (await guest.start()).reason
+        with pytest.raises(Refused):
+            await stork1.call(first.endpoint, "echo", b"photo")
+        await heron1.leave()
+        assert (await stork1.availability("workbench")).endpoints == {"workbench": first.endpoint}
+        assert await stork1.call(first.endpoint, "echo", b"photo") == b"photo"
+        with pytest.raises(Refused):
+            await heron1.call(first.endpoint, "echo", b"photo")
 
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, *who) as (heron1, heron2, stork1, stork2):
-            first, second = await heron1.start(), await stork2.start()
-            process_ids = {
-                await heron1.call(first.endpoint, "process_id"),
-                await stork2.call(second.endpoint, "process_id"),
-            }
-            assert process_ids == set(at.instances())
-            assert len(process_ids) == 2
-            for guest in (stork1, heron2):
-                refused = await guest.availability("workbench")
-                assert (refused.available, refused.endpoints) == (False, {})
-                assert "has no free slot: 1 of 1 in use" in refused.reason
-                assert "has no free slot" in (await guest.start()).reason
-            with pytest.raises(Refused):
-                await stork1.call(first.endpoint, "echo", b"photo")
-            await heron1.leave()
-            assert (await stork1.availability("workbench")).endpoints == {"workbench": first.endpoint}
-            assert await stork1.call(first.endpoint, "echo", b"photo") == b"photo"
-            with pytest.raises(Refused):
-                await heron1.call(first.endpoint, "echo", b"photo")
-
-    with daemon(tmp_path, config(keys)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1", "heron@s2", "stork@s1", "stork@s2")
 
 
-def test_a_lease_ends_by_itself_and_asking_keeps_it(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
+def test_a_lease_ends_by_itself_and_asking_keeps_it(visited: Visited) -> None:
+    async def scene(_: Daemon, heron: Guest, stork: Guest) -> None:
+        endpoint = (await heron.start()).endpoint
+        for _again in range(6):  # for longer than a lease
+            await heron.call(endpoint, "pause", 0.5)
+            await heron.availability()
+        assert not (await stork.availability()).available
+        await eventually(stork.availability, lambda answer: answer.available)
+        with pytest.raises(Refused, match="heron has no lease"):
+            await heron.call(endpoint, "echo", b"photo")
 
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, *who) as (heron, stork):
-            endpoint = (await heron.start()).endpoint
-            for _ in range(6):  # for longer than a lease
-                await heron.call(endpoint, "pause", 0.5)
-                await heron.availability()
-            assert not (await stork.availability()).available
-            await eventually(stork.availability, lambda answer: answer.available)
-            with pytest.raises(Refused, match="heron has no lease"):
-                await heron.call(endpoint, "echo", b"photo")
-
-    with daemon(tmp_path, config(keys, lease_s=2.0)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1", "stork@s1", lease_s=2.0)
 
 
-def test_starts_at_the_same_time_make_one_instance(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            replies = await asyncio.gather(*(heron.start() for _ in range(5)))
-            assert len({reply.endpoint for reply in replies}) == 1
-            assert replies[0].endpoint
-            assert len(at.instances()) == 1
+def test_starts_at_the_same_time_make_one_instance(visited: Visited) -> None:
+    async def scene(at: Daemon, heron: Guest) -> None:
+        replies = await asyncio.gather(*(heron.start() for _ in range(5)))
+        assert len({reply.endpoint for reply in replies}) == 1
+        assert replies[0].endpoint
+        assert len(at.instances()) == 1
 
-    with daemon(tmp_path, config(keys)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1")
 
 
-def test_a_killed_instance_is_reported_absent_and_started_again_on_request(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            endpoint = (await heron.start()).endpoint
-            first = await heron.call(endpoint, "process_id")
-            os.kill(first, signal.SIGKILL)
-            await eventually(lambda: heron.availability("workbench"), lambda answer: not answer.endpoints)
-            endpoint = (await heron.start()).endpoint
-            assert await heron.call(endpoint, "process_id") != first
+def test_a_killed_instance_is_reported_absent_and_started_again_on_request(visited: Visited) -> None:
+    async def scene(_: Daemon, heron: Guest) -> None:
+        endpoint = (await heron.start()).endpoint
+        first = await heron.call(endpoint, "process_id")
+        os.kill(first, signal.SIGKILL)
+        await eventually(lambda: heron.availability("workbench"), lambda answer: not answer.endpoints)
+        endpoint = (await heron.start()).endpoint
+        assert await heron.call(endpoint, "process_id") != first
 
-    with daemon(tmp_path, config(keys)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1")
 
 
-def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            await heron.start()
-            assert len(at.instances()) == 1
-            await asyncio.to_thread(wait_for, lambda: not at.instances())
-            endpoint = (await heron.start()).endpoint
-            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(visited: Visited) -> None:
+    async def scene(at: Daemon, heron: Guest) -> None:
+        await heron.start()
+        assert len(at.instances()) == 1
+        await asyncio.to_thread(wait_for, lambda: not at.instances())
+        endpoint = (await heron.start()).endpoint
+        assert await heron.call(endpoint, "echo", b"photo") == b"photo"
 
-    with daemon(tmp_path, config(keys, lease_s=2.0, idle_stop_s=0.3)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1", lease_s=2.0, idle_stop_s=0.3)
 
 
-def test_a_service_that_cannot_start_is_refused_with_its_reason(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            for _ in range(2):
-                reply = await heron.start("unstartable")
-                assert (reply.endpoint, "model.onnx is missing" in reply.reason) == ("", True)
-            assert "not ready within" in (await heron.start("slowtostart")).reason
-            assert at.instances() == []
-            assert "s1 has no image of submarine" in (await heron.start("submarine")).reason
+def test_a_service_that_cannot_start_is_refused_with_its_reason(visited: Visited) -> None:
+    async def scene(at: Daemon, heron: Guest) -> None:
+        for _ in range(2):
+            reply = await heron.start("unstartable")
+            assert (reply.endpoint, "model.onnx is missing" in reply.reason) == ("", True)
+        assert "not ready within" in (await heron.start("slowtostart")).reason
+        assert at.instances() == []
+        assert "s1 has no image of submarine" in (await heron.start("submarine")).reason
 
-    with daemon(tmp_path, config(keys, start_timeout_s=1.5)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1", start_timeout_s=1.5)
 
 
 def test_a_server_that_the_daemon_is_not_is_refused_by_name(tmp_path: Path, services: Path) -> None:
@@ -288,22 +274,20 @@ def test_a_drone_without_a_name_is_refused(tmp_path: Path, services: Path) -> No
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_with_a_call_under_way_and_leaves_nothing(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials, number: signal.Signals
+    visited: Visited, number: signal.Signals
 ) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            endpoint = (await heron.start()).endpoint
-            child = await heron.call(endpoint, "spawn")
-            calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
-            await asyncio.sleep(0.2)
-            instances = at.instances()
-            assert await asyncio.to_thread(at.end, number) == 0
-            assert not any(map(is_alive, [*instances, child]))
-            with pytest.raises(LinkError):
-                await calling
+    async def scene(at: Daemon, heron: Guest) -> None:
+        endpoint = (await heron.start()).endpoint
+        child = await heron.call(endpoint, "spawn")
+        calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
+        await asyncio.sleep(0.2)
+        instances = at.instances()
+        assert await asyncio.to_thread(at.end, number) == 0
+        assert not any(map(is_alive, [*instances, child]))
+        with pytest.raises(LinkError):
+            await calling
 
-    with daemon(tmp_path, config(keys, drain_s=0.3)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1", drain_s=0.3)
 
 
 def test_a_call_under_way_ends_before_the_daemon_does_and_new_ones_are_refused_with_the_reason(
@@ -335,38 +319,30 @@ def test_a_call_under_way_ends_before_the_daemon_does_and_new_ones_are_refused_w
         asyncio.run(visit(at))
 
 
-def test_a_second_signal_ends_it_at_once(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            endpoint = (await heron.start()).endpoint
-            calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
-            await asyncio.sleep(0.2)
-            at.process.send_signal(signal.SIGTERM)
-            await asyncio.sleep(0.7)
-            assert await asyncio.to_thread(at.end) == 130
-            with pytest.raises(LinkError):
-                await calling
+def test_a_second_signal_ends_it_at_once(visited: Visited) -> None:
+    async def scene(at: Daemon, heron: Guest) -> None:
+        endpoint = (await heron.start()).endpoint
+        calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
+        await asyncio.sleep(0.2)
+        at.process.send_signal(signal.SIGTERM)
+        await asyncio.sleep(0.7)
+        assert await asyncio.to_thread(at.end) == 130
+        with pytest.raises(LinkError):
+            await calling
 
-    with daemon(tmp_path, config(keys, drain_s=60.0)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1", drain_s=60.0)
 
 
-def test_a_signal_ends_it_while_a_service_starts(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            starting = asyncio.create_task(heron.start("slowtostart"))
-            await asyncio.to_thread(wait_for, (tmp_path / "process_id").exists)
-            instances = at.instances()
-            assert await asyncio.to_thread(at.end) == 0
-            assert not any(map(is_alive, instances))
-            await asyncio.gather(starting, return_exceptions=True)
+def test_a_signal_ends_it_while_a_service_starts(visited: Visited, tmp_path: Path) -> None:
+    async def scene(at: Daemon, heron: Guest) -> None:
+        starting = asyncio.create_task(heron.start("slowtostart"))
+        await asyncio.to_thread(wait_for, (tmp_path / "process_id").exists)
+        instances = at.instances()
+        assert await asyncio.to_thread(at.end) == 0
+        assert not any(map(is_alive, instances))
+        await asyncio.gather(starting, return_exceptions=True)
 
-    with daemon(tmp_path, config(keys)) as at:
-        asyncio.run(visit(at))
+    visited(scene, "heron@s1")
 
 
 def test_its_instances_end_when_it_is_killed(
