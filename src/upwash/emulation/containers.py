@@ -95,7 +95,6 @@ class ContainerComputers:
         return self._packaged[service]
 
     def _describe_computers(self) -> None:
-        """Makes the image and the profile of every computer."""
         with tempfile.TemporaryDirectory() as scratch:
             image = write_computer_image(Path(scratch))
             command("lxc", "image", "import", str(image), "--alias", _IMAGE)
@@ -112,7 +111,7 @@ class ContainerComputers:
 
 
 def _start_engine(through: Sequence[str] = (), *, log: Path) -> None:
-    """Starts an engine with a pool for containers; returns when it can be used."""
+    """Start an engine with a storage pool, and return when it is ready."""
     try:
         command(*through, "sh", "-c", _START_ENGINE, "sh", str(log))
     except UpwashError as error:

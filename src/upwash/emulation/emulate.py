@@ -48,7 +48,6 @@ async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOu
 
 
 def _make_computers(kind: ComputerKind, folder: Path) -> Computers:
-    """What makes computers of that kind."""
     if kind == "namespaces":
         return NamespaceComputers()
     from upwash.emulation.containers import ContainerComputers
@@ -59,7 +58,6 @@ def _make_computers(kind: ComputerKind, folder: Path) -> Computers:
 
 @contextlib.contextmanager
 def _field_set_up(field: Field, computers: Computers, request: EmulationRequest) -> Iterator[EmulatedRadio]:
-    """The computers, the radio and the daemons, until the end of the block."""
     folder = request.folder
     _say(f"setting up {len(field.drones)} drone(s) and {len(field.servers)} server(s)")
     for namespace in field.namespaces():
@@ -90,7 +88,7 @@ def make_radio(kind: RadioKind, field: Field) -> EmulatedRadio:
 def _vehicle(
     drone: DroneConfig, number: int, computers: Computers, request: EmulationRequest
 ) -> Iterator[tuple[str, Callable[[], Position]]]:
-    """How to connect to the drone's vehicle, and where it is, until the end of the block."""
+    """The connection to the drone's vehicle, and its position, until the end of the block."""
     namespace, home = drone_namespace(drone.name), drone.mission.home
     assert home is not None  # noqa: S101 - EmulationRequest.read gives it one
     frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
@@ -105,7 +103,6 @@ def _vehicle(
 
 
 async def _fly(flights: Iterable[EmulatedFlight], mover: Mover, stop: asyncio.Event) -> dict[str, int]:
-    """Each flight's exit code, once all are over."""
     async with asyncio.TaskGroup() as group:
         moving = group.create_task(mover.run())
         stopping = group.create_task(_stop_all(flights, stop))

@@ -127,7 +127,7 @@ def clean() -> int:
 
 
 def _remove_gone_groups(is_gone: Callable[[str], bool]) -> list[Path]:
-    """Removes the groups of such owners as soon as what was killed in them is gone; returns those that are left."""
+    """Remove groups as soon as their killed processes are gone; returns those that are left."""
     deadline_s = time.monotonic() + _GONE_WITHIN_S
     while (busy := remove_groups(is_gone)) and time.monotonic() < deadline_s:
         time.sleep(_RETRY_S)
@@ -145,7 +145,7 @@ def _is_gone(owner: str) -> bool:
 
 
 def _owner_of(process: Path) -> str | None:
-    """Who owns the process, if it is one of an emulation and not dead."""
+    """The owner of an emulation's process; None for other processes."""
     with contextlib.suppress(OSError):
         prefix = f"{MARK}=".encode()
         for variable in (process / "environ").read_bytes().split(b"\0"):
@@ -155,7 +155,7 @@ def _owner_of(process: Path) -> str | None:
 
 
 def _owner(pid: int) -> str:
-    """A process for ever: its number is used again one day, its number and start time are not."""
+    """A unique name of a process: its number and its start time."""
     try:
         started = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
     except OSError:
@@ -208,7 +208,6 @@ def _below(group: Path) -> Iterator[Path]:
 
 
 def _hierarchies() -> Iterator[Path]:
-    """The one of the second version of control groups, or those of the first."""
     if (_ROOT / "cgroup.procs").exists():
         yield _ROOT
     elif _ROOT.exists():

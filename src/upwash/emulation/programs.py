@@ -118,7 +118,6 @@ class EmulatedFlight:
 
 
 def _camera(config: CameraConfig) -> CameraConfig:
-    """The drone's own, or one whose photos are rendered."""
     if (config.folder, config.device, config.park_seed) == (None, None, None):
         return msgspec.structs.replace(config, park_seed=_PARK_SEED)
     return config
@@ -174,7 +173,7 @@ def _as_text(value: object) -> str:
 
 
 def _without_nothing(value: Any) -> Any:
-    """The value without the Nones in it, which TOML cannot write."""
+    """The value without None, which TOML does not have."""
     if isinstance(value, dict):
         return {key: _without_nothing(item) for key, item in value.items() if item is not None}
     return [_without_nothing(item) for item in value] if isinstance(value, list | tuple) else value

@@ -85,7 +85,7 @@ def _queue(end: LinkEnd) -> tuple[str, ...]:
 
 
 def _discipline(rate_bit_s: float) -> tuple[str, ...]:
-    """A queue of that rate; one of rate 0 loses every frame, as the air does."""
+    """A queue of that rate; rate 0 loses every frame."""
     if rate_bit_s == 0:
         return ("blackhole",)
     return ("tbf", "rate", f"{rate_bit_s:.0f}bit", "burst", str(_BURST_BYTES), "limit", str(_QUEUE_BYTES))
@@ -170,7 +170,6 @@ class GhostRadio:
 
 
 def _description(links: Sequence[EmulatedLink]) -> Iterator[str]:
-    """The lines that say what there is, some more than once."""
     for link in links:
         cell = link.server.name
         yield " ".join(("cell", cell, *wifi_of(link.server).words()))

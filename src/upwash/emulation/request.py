@@ -77,7 +77,6 @@ class EmulationRequest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _fleet(file: Path) -> Iterator[tuple[DroneConfig, Presence]]:
-    """The drones of a scenario; raises UsageError where one is to vanish."""
     config = read_drone_config(file)
     for drone, presence in zip(fleet_of(config), presences(config), strict=True):
         if presence.vanishes_s is not None:
@@ -142,12 +141,11 @@ def require_same_servers(configs: Sequence[DroneConfig]) -> None:
 
 
 def _at_servers(config: DroneConfig) -> list[ServiceConfig]:
-    """The services without what they take on the drone."""
+    """The services without their delays on the drone."""
     return [msgspec.structs.replace(service, local_call_s={}, local_pace_s={}) for service in config.services]
 
 
 def _named_apart(drones: Sequence[EmulatedDrone]) -> list[EmulatedDrone]:
-    """The same, each with a name of its own."""
     if len({each.config.name for each in drones}) == len(drones):
         return list(drones)
     return [

@@ -70,7 +70,7 @@ def relayed(connection: str, *, namespace: str, outside: int) -> Iterator[str]:
 
 
 class _Relay(asyncio.DatagramProtocol):
-    """A socket inside, for whoever speaks to it, and a connection outside."""
+    """A socket inside the namespace, and a connection outside."""
 
     def __init__(self) -> None:
         self._peers: set[Any] = set()

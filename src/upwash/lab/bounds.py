@@ -144,7 +144,7 @@ def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -
 
 
 def _begun_s(run: Run) -> float:
-    """The second of the simulation at which a completed mission's time began."""
+    """The simulated second at which a completed mission's time began."""
     ended_s = next(event.t for event in run.events if isinstance(event, schema.MissionCompleted))
     return ended_s - run.result.mission_time_s
 
@@ -152,7 +152,7 @@ def _begun_s(run: Run) -> float:
 def _rates(
     made: Sequence[_Made], truths: Mapping[str, ServerTruth]
 ) -> Iterator[tuple[tuple[str, str], float]]:
-    """How much each call saves on each server that is in range of it, for each second that it keeps a lane busy."""
+    """By server and service, the seconds that each call saves there for each second of a busy lane."""
     for each in made:
         for offer in each.offers:
             gain_s = each.call.local_s - offer.call_s
@@ -162,7 +162,6 @@ def _rates(
 
 
 def _lanes(instance: tuple[str, str], config: DroneConfig) -> int:
-    """How many calls the instance computes at a time."""
     name, service = instance
     truth = next(server.truth for server in config.servers if server.name == name)
     return truth.lanes or spec_of(load_services(config.services)[service].cls).concurrency
@@ -171,7 +170,7 @@ def _lanes(instance: tuple[str, str], config: DroneConfig) -> int:
 def _made(
     run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth], ways: Ways | None = None
 ) -> Iterator[_Made]:
-    """The calls that the run made, with all that was in range of them, and on the `ways` that followed them."""
+    """The calls of the run, each with the servers in range of it and of the way that followed."""
     specs = load_specs(config.services)
     operations = {str(operation): operation for operation in make_estimates(config, specs).operations}
     services = {service.name: service for service in config.services}
@@ -212,7 +211,7 @@ def _made(
 
 
 def _met(stays: Sequence[RangeInterval], passage: AfterCall | None) -> Iterator[tuple[RangeInterval, float]]:
-    """The servers in whose range the drone is on its way, and how long after its departure, at the least."""
+    """The servers in whose range the drone is on its way, and the least time (s) from its departure to there."""
     if passage is None or passage.departed_s is None:
         return
     for stay in stays:
@@ -221,7 +220,7 @@ def _met(stays: Sequence[RangeInterval], passage: AfterCall | None) -> Iterator[
 
 
 def _remote_s(operation: Operation, service: ServiceConfig, truth: ServerTruth, distance_m: float) -> float:
-    """The true delay of a call at that distance; infinite where the server cannot answer it."""
+    """The true delay (s) of a call at that distance; infinite if the server does not serve it."""
     if service.name not in truth.images:
         return math.inf
     try:

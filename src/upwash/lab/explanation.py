@@ -101,7 +101,6 @@ def _first(kind: type[Kind], events: Iterable[Event]) -> Kind | None:
 
 
 def _drone_of(events: Iterable[Event], config: DroneConfig, scenario: Path, drone: str | None) -> str:
-    """The scenario's drone that is given, or else the one that left the log."""
     started = _first(schema.MissionStarted, events)
     name = drone or (started.drone if started else "")
     names = [each.name for each in config.drones]
@@ -113,7 +112,6 @@ def _drone_of(events: Iterable[Event], config: DroneConfig, scenario: Path, dron
 
 
 def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> Simulation:
-    """The drone under that policy, the others as the scenario has them."""
     fleet = simulate_fleet(scenario, seed=seed, overrides={f"drone.{drone}.policy": policy})
     return fleet.drones[drone]
 
@@ -143,13 +141,13 @@ def explain(events: Iterable[Event], replayed: Replay, wanted: CallChoice) -> It
 
 
 def _in_its_world(events: Iterable[Event]) -> str:
-    """Which file that is, by the log; whoever wants it can look at it first."""
+    """The scenario that the log names, for a person to look at before its programs run."""
     named = _first(schema.Simulated, events)
     return f" (the log names {printable(named.scenario)}, whose programs run then)" if named else ""
 
 
 def _elsewhere(number: int, count: int, replayed: Replay, own: str) -> str:
-    """What the other policies did with the same call; a mission that made other calls has no same one."""
+    """What the other policies did with this call, if their missions made the same calls."""
     others = []
     for policy, run in replayed.runs.items():
         if policy != own:

@@ -98,7 +98,7 @@ def _fly_fleet(config: DroneConfig) -> FlightOutcome:
 
 
 def _failure(runs: Mapping[str, Run]) -> str:
-    """Why drones failed that were not to vanish, or that none is left."""
+    """Why drones failed, without those that the scenario has vanish; or that none is left."""
     failed = [f"{name}: {run.failure}" for name, run in runs.items() if run.failure and not run.vanished]
     if not failed and all(run.vanished for run in runs.values()):
         return "every drone vanished"
@@ -177,7 +177,7 @@ def jain(saved: Iterable[float]) -> float | None:
 
 
 class _Alone:
-    """Flies missions alone with every call on the drone, on batteries that do not end them."""
+    """Flies missions alone with every call on the drone, on endless batteries."""
 
     def __init__(self) -> None:
         self._flown: list[tuple[DroneConfig, Presence, float | None]] = []
@@ -195,7 +195,7 @@ class _Alone:
 
 
 def _by_itself(config: DroneConfig) -> DroneConfig:
-    """The same mission without servers, and without what makes no difference to its time then."""
+    """The same mission without servers, and without settings that do not change its time then."""
     replace = msgspec.structs.replace
     return replace(
         config,
@@ -211,6 +211,6 @@ def _by_itself(config: DroneConfig) -> DroneConfig:
 
 
 def _counted(config: DroneConfig, presence: Presence) -> Presence:
-    """Its departure where faults strike it at seconds of the simulation."""
+    """Its departure only if faults strike it at fixed times."""
     struck = any(fault.target == "autopilot" for fault in config.faults)
     return Presence(presence.departs_s) if struck else Presence()

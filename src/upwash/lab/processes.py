@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from typing import TypeVar
 
 from upwash.errors import UpwashError
@@ -53,7 +54,7 @@ def in_processes(
 def _results(
     pool: ProcessPoolExecutor, do: Callable[[T], R], parts: Sequence[T], *, at_once: int
 ) -> Iterator[R]:
-    """The results as they come in; of many parts a few are handed out at a time, so that none waits in memory."""
+    """The results as they come in; few parts are handed out at a time, to save memory."""
     left = iter(parts)
     with _without_ctrl_c():
         under_way = {pool.submit(do, part) for part in itertools.islice(left, at_once)}
@@ -67,7 +68,7 @@ def _results(
 
 @contextlib.contextmanager
 def _without_ctrl_c() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear of Ctrl-C: this one hears of it at the end."""
+    """Processes that start meanwhile ignore Ctrl-C; this one gets it at the end."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
@@ -97,6 +98,26 @@ def here_first(
         yield all_of_them
 
 
+def in_order(
+    do: Callable[[T], R],
+    parts: Sequence[T],
+    *,
+    workers: int | None = None,
+    done: Callable[[], None] = lambda: None,
+) -> list[R]:
+    """The results in the order of the parts, computed as by `here_first`; calls `done` after each."""
+    found: dict[int, R] = {}
+    with here_first(partial(_numbered, do), list(enumerate(parts)), workers=workers) as results:
+        for number, result in results:
+            found[number] = result
+            done()
+    return [found[number] for number in range(len(parts))]
+
+
+def _numbered(do: Callable[[T], R], part: tuple[int, T]) -> tuple[int, R]:
+    return part[0], do(part[1])
+
+
 def cores() -> int:
     """Those that this process may use: fewer than there are, in a container or under taskset."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -111,7 +132,7 @@ def _begin(_do: Callable[[T], R]) -> None:
 
 
 def _end_with_parent() -> None:
-    """Leaves no process behind when the first one is killed outright and cannot end the others."""
+    """End this process when its parent is killed outright."""
     parent = multiprocessing.parent_process()
     assert parent is not None  # noqa: S101 - this runs in a child
     parent.join()

@@ -146,7 +146,6 @@ class _Drone:
 
 
 def _at_own_host(config: DroneConfig) -> DroneConfig:
-    """The same with servers that are reached by their names."""
     servers = tuple(
         msgspec.structs.replace(server, address=daemon_address(server.name)) for server in config.servers
     )
@@ -154,7 +153,6 @@ def _at_own_host(config: DroneConfig) -> DroneConfig:
 
 
 async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Seen] | None) -> list[_End]:
-    """Returns how each mission ended."""
     for drone in drones:
         drone.journal.begin()
     first = drones[0].config
@@ -178,7 +176,6 @@ async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Seen] | 
 async def _fly_one(
     drone: _Drone, software: Software, switchboard: Switchboard, seen: list[Seen] | None
 ) -> _End:
-    """Flies one mission from the drone's departure on, and returns how it ended."""
     config, presence, journal = drone.config, drone.presence, drone.journal
     if presence.departs_s:
         await asyncio.sleep(presence.departs_s)
@@ -234,7 +231,6 @@ def _ports(
     chance: Chance,
     observer: DroneObserver | None,
 ) -> Ports:
-    """Models of everything that the drone needs, seen by the observer if there is one."""
     joining = Joining()
     networks: list[Network] = [JoinedSlowly(network, joining) for network in radios[0]]
     computer: Computer = DroneComputer(
@@ -262,7 +258,6 @@ def _ports(
 
 
 def _energy(config: DroneConfig) -> EnergyMeter | None:
-    """What meters the drone's energy, where the scenario asks for it."""
     if config.energy is None:
         return None
     load_w = (config.heat or HeatConfig()).load_w
@@ -320,7 +315,7 @@ def _radios(
 
 
 def _camera(config: DroneConfig, chance: Chance) -> Camera:
-    """Rendered photos where they are asked for; a folder's or a device's are not there in simulation."""
+    """A camera that renders photos if the scenario has it; simulations have no folders or devices."""
     camera = config.camera
     if camera.park_seed is not None:
         return RenderedCamera(camera.park_seed, photo_s=camera.photo_s, in_thread=False)

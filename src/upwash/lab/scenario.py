@@ -67,7 +67,7 @@ def _set(table: Any, key: str, value: object, *, file: Path, walked: str) -> Non
 
 
 def _first_step(table: object, key: str) -> tuple[str, str]:
-    """The first step of a key and the rest of it; a name in an array may itself have dots."""
+    """The first step of a key and the rest of it; the name of a table in an array may contain dots."""
     names = [each for each in _names(table) if f"{key}.".startswith(f"{each}.")]
     step = max(names, key=len) if names else key.partition(".")[0]
     return step, key[len(step) + 1 :]
@@ -123,7 +123,6 @@ def read_scenario(
 
 
 def _without_own_policies(document: Document) -> Document:
-    """The document with the file's policy for all of its drones."""
     drones = document.get("drone")
     if not isinstance(drones, list):
         return document
@@ -138,7 +137,7 @@ def _without_own_policies(document: Document) -> Document:
 
 
 def _plain(value: object, key: str, file: Path) -> Any:
-    """The value as a TOML file would have it: a notebook's are tuples, paths and numpy's numbers too."""
+    """The value as TOML has it; notebooks pass tuples, paths and numpy's numbers too."""
     refuse_first(file, impossible_values(value, key))
     try:
         plain = msgspec.to_builtins(value, enc_hook=_plainer, str_keys=True)

@@ -68,7 +68,7 @@ def capacity_of(config: DroneConfig, name: str, flown: Callable[[Load], None] = 
 
 
 def _loads(config: DroneConfig, local_only_s: float) -> Iterator[Load]:
-    """More and more drones, for as long as more of them are worth asking for."""
+    """More and more drones, while they save enough."""
     first: Load | None = None
     for drones in _NUMBERS:
         load = _load(config, drones, local_only_s)

@@ -117,7 +117,7 @@ def check(
 
 
 def _flown_alone(plan: CheckInput, order: Order) -> Run:
-    """As every call on the drone makes it, in the order that is really flown."""
+    """The mission with every call on the drone, in the order that will be flown."""
     config = drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file)
     mission = msgspec.structs.replace(config.mission, order="given" if order.sweep is None else order.sweep)
     run = simulate(msgspec.structs.replace(config, mission=mission))
@@ -143,7 +143,7 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
 
 
 def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
-    """What `upwash fly` would refuse, and a camera and services that would fail in flight."""
+    """What `upwash fly` would refuse, and failures of the camera and the services in flight."""
     if not is_for_flight(config):
         return
     # with all that flies a drone: only where one is to fly

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 
 import msgspec
@@ -19,7 +19,7 @@ from upwash.lab.figures import FigureFiles
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
 from upwash.preflight.placement import SuggestedPlace, missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
-from upwash.preflight.warnings import is_for_flight
+from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
 from upwash.sim.chance import plays_a_part
 from upwash.support.sentences import say
@@ -56,7 +56,9 @@ def show_check(
     else:
         _print(found, plan.config, servers_to_place, Console(markup=False))
     if figures is not None:
-        _draw(drawn, figures)
+        from upwash.lab.figures.coverage import draw_coverage
+
+        draw_coverage(drawn, figures.files("coverage"))
     return not found.warnings
 
 
@@ -67,12 +69,6 @@ def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=missions)
         yield lambda flown: progress.advance(task, flown)
-
-
-def _draw(config: DroneConfig, figures: FigureFiles) -> None:
-    from upwash.lab.figures.coverage import draw_coverage
-
-    draw_coverage(config, figures.files("coverage"))
 
 
 def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, console: Console) -> None:
@@ -109,12 +105,23 @@ def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, cons
     if len(found.places) < servers_to_place:
         console.print("one more server would gain nothing, wherever it stands")
     console.print()
-    for notice in found.notices:
+    print_findings(found.notices, found.warnings, console)
+
+
+def print_findings(notices: Sequence[str], warnings: Sequence[PreflightWarning], console: Console) -> None:
+    """Prints the notices and the warnings."""
+    for notice in notices:
         say(Text("notice: ", style="cyan") + Text(notice), console)
-    for warning in found.warnings:
+    for warning in warnings:
         say(Text("warning: ", style="yellow") + Text(warning.text), console)
-    if not found.warnings:
+    if not warnings:
         console.print(Text("nothing to warn of", style="green"))
+
+
+def minutes(time_s: float, margin_s: float | None) -> str:
+    """A time in minutes, with its margin."""
+    margin = f" ± {margin_s / 60:.2f}" if margin_s is not None else ""
+    return f"{time_s / 60:.2f}{margin} min"
 
 
 def _coverage_table(servers: tuple[ServerCoverage, ...], waypoints: int) -> Table:
@@ -128,13 +135,11 @@ def _coverage_table(servers: tuple[ServerCoverage, ...], waypoints: int) -> Tabl
             Text(each.server),
             f"{len(each.waypoints)} of {waypoints}",
             spans(each.waypoints),
-            f"{each.longest_stay_s:.0f} s" if each.range_m is not None else _measured(each, waypoints),
+            f"{each.longest_stay_s:.0f} s"
+            if each.range_m is not None
+            else f"no range: measured at {len(each.measured)} of {waypoints}",
         )
     return table
-
-
-def _measured(server: ServerCoverage, waypoints: int) -> str:
-    return f"no range: measured at {len(server.measured)} of {waypoints}"
 
 
 def _prediction_table(found: MissionCheck) -> Table:
@@ -157,8 +162,7 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
     time_s = prediction.mission_time_s
     if time_s is None:
         return [Text(prediction.case), Text("not completed", style="red")]
-    margin = f" ± {prediction.margin_s / 60:.2f}" if prediction.margin_s is not None else ""
-    cells = [Text(prediction.case), Text(f"{time_s / 60:.2f}{margin} min")]
+    cells = [Text(prediction.case), Text(minutes(time_s, prediction.margin_s))]
     cells.append(Text(f"{100 * (time_s / local_only_s - 1):+.0f} %" if local_only_s else "-"))
     if _are_lighter(found):
         cells.append(Text(f"{prediction.lighter or 0:.0f}"))
@@ -172,7 +176,6 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
 
 
 def _are_lighter(found: MissionCheck) -> bool:
-    """Whether calls may be, so that it is worth a column."""
     return any(each.lighter is not None for each in found.predictions)
 
 

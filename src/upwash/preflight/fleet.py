@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -30,18 +30,20 @@ from upwash.lab.run import Run, simulate_drones
 from upwash.lab.scenario import with_policy
 from upwash.missions.bundled import load_specs
 from upwash.preflight.check import CheckInput, beliefs
+from upwash.preflight.display import minutes, print_findings
 from upwash.preflight.prediction import (
     AS_CONFIGURED,
     LOCAL_ONLY,
     Prediction,
     changed,
     demanding_share,
+    prediction_of,
     told_share,
 )
 from upwash.preflight.warnings import PreflightWarning, warnings
 from upwash.preflight.waypoints import coverage, uncovered
 from upwash.sim.chance import plays_a_part
-from upwash.support.confidence import mean_of
+from upwash.support.confidence import mean_or_none
 from upwash.support.sentences import say
 
 
@@ -88,6 +90,9 @@ class FleetCheck(Struct, frozen=True, kw_only=True):
         )
 
 
+Runs = Mapping[str, Run]  # by drone
+
+
 class _Flight(Struct, frozen=True):
     """What one process does in one go."""
 
@@ -95,14 +100,6 @@ class _Flight(Struct, frozen=True):
     file: Path
     seed: int
     local_only: bool
-
-
-class _Flown(Struct, frozen=True):
-    """What it came to."""
-
-    case: str
-    seed: int
-    runs: Mapping[str, Run]
 
 
 def check_fleet(document: Document, file: Path, *, seeds: int, workers: int | None) -> FleetCheck:
@@ -114,26 +111,27 @@ def check_fleet(document: Document, file: Path, *, seeds: int, workers: int | No
         for seed in range(1, seeds + 1)
         for local_only in (True, False)
     ]
-    with processes.here_first(_fly, flights, workers=workers) as results:
-        flown = sorted(results, key=lambda each: each.seed)
+    runs = processes.in_order(_fly, flights, workers=workers)
+    flown = {
+        case: [run for flight, run in zip(flights, runs, strict=True) if flight.local_only is local_only]
+        for case, local_only in ((LOCAL_ONLY, True), (AS_CONFIGURED, False))
+    }
     return FleetCheck(
         config=str(file),
         drones=tuple(_forecast(each, flown) for each in fleet_of(config)),
-        servers=tuple(_asked(server.name, flown) for server in config.servers),
+        servers=tuple(_asked(server.name, flown[AS_CONFIGURED]) for server in config.servers),
         notices=tuple(plan_notices(config)),
     )
 
 
-def _fly(flight: _Flight) -> _Flown:
+def _fly(flight: _Flight) -> Runs:
     config = msgspec.structs.replace(drone_config(flight.document, flight.file), seed=flight.seed)
-    if flight.local_only:
-        return _Flown(LOCAL_ONLY, flight.seed, simulate_drones(with_policy(config, LOCAL_ONLY)))
-    return _Flown(AS_CONFIGURED, flight.seed, simulate_drones(config))
+    return simulate_drones(with_policy(config, LOCAL_ONLY) if flight.local_only else config)
 
 
-def _forecast(config: DroneConfig, flown: Sequence[_Flown]) -> DroneForecast:
+def _forecast(config: DroneConfig, flown: Mapping[str, Sequence[Runs]]) -> DroneForecast:
     cases = (LOCAL_ONLY,) if config.policy.name == LOCAL_ONLY else (LOCAL_ONLY, AS_CONFIGURED)
-    runs = {case: [each.runs[config.name] for each in flown if each.case == case] for case in cases}
+    runs = {case: [each[config.name] for each in flown[case]] for case in cases}
     alone = runs[LOCAL_ONLY][0]
     places = [waypoint.position for waypoint in waypoints(config.mission)]
     covered = coverage(
@@ -156,36 +154,27 @@ def _forecast(config: DroneConfig, flown: Sequence[_Flown]) -> DroneForecast:
 
 
 def _prediction(config: DroneConfig, case: str, runs: Sequence[Run]) -> Prediction:
-    times_s = [run.result.mission_time_s for run in runs if run.result.completed]
-    drawn_wh = [run.result.energy.total_wh for run in runs if run.result.completed and run.result.energy]
-    lighter = [run.result.totals.lighter for run in runs if run.result.completed]
-    time_s, energy_wh = (mean_of(values) if values else None for values in (times_s, drawn_wh))
-    return Prediction(
-        case=case,
-        missions=len(runs),
-        mission_time_s=time_s.value if time_s else None,
-        margin_s=time_s.margin if time_s and time_s.count > 1 else None,
-        failures=tuple(run.failure for run in runs if run.failure and not run.vanished),
-        energy_wh=energy_wh.value if energy_wh else None,
-        energy_margin_wh=energy_wh.margin if energy_wh and energy_wh.count > 1 else None,
-        lighter=mean_of(lighter).value if config.mission.lighter and lighter else None,
+    completed = [run.result for run in runs if run.result.completed]
+    return prediction_of(
+        case,
+        len(runs),
+        time_s=mean_or_none([result.mission_time_s for result in completed]),
+        energy_wh=mean_or_none([result.energy.total_wh for result in completed if result.energy]),
+        lighter=mean_or_none([result.totals.lighter for result in completed if config.mission.lighter]),
+        failures=[run.failure for run in runs if run.failure and not run.vanished],
     )
 
 
-def _asked(server: str, flown: Sequence[_Flown]) -> AskedServer:
-    as_configured = [each.runs for each in flown if each.case == AS_CONFIGURED]
-    in_range = {
-        name
-        for runs in as_configured
-        for name, run in runs.items()
-        if any(stay.server == server for stay in run.range_intervals)
-    }
-    asking = {name for runs in as_configured for name, run in runs.items() if server in _selected(run)}
-    return AskedServer(server, len(in_range), len(asking))
-
-
-def _selected(run: Run) -> Iterator[str]:
-    return (event.server for event in run.events if isinstance(event, schema.Selected))
+def _asked(server: str, flown: Sequence[Runs]) -> AskedServer:
+    met: set[str] = set()
+    asking: set[str] = set()
+    for runs in flown:
+        for name, run in runs.items():
+            if any(stay.server == server for stay in run.range_intervals):
+                met.add(name)
+            if any(isinstance(event, schema.Selected) and event.server == server for event in run.events):
+                asking.add(name)
+    return AskedServer(server, len(met), len(asking))
 
 
 def show_fleet_check(plan: CheckInput, *, seeds: int, as_json: bool, workers: int | None) -> bool:
@@ -219,12 +208,7 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
             say(Text(f"order of {each.drone}'s waypoints: {each.order}"), console)
     for server in found.servers:
         say(_asked_line(server, len(found.drones)), console)
-    for notice in found.notices:
-        say(Text("notice: ", style="cyan") + Text(notice), console)
-    for warning in found.warnings:
-        say(Text("warning: ", style="yellow") + Text(warning.text), console)
-    if not found.warnings:
-        console.print(Text("nothing to warn of", style="green"))
+    print_findings(found.notices, found.warnings, console)
 
 
 def _forecast_table(drones: tuple[DroneForecast, ...]) -> Table:
@@ -250,8 +234,7 @@ def _time(prediction: Prediction | None) -> str:
         return "-"
     if prediction.mission_time_s is None:
         return "not completed" if prediction.failures else "vanishes"
-    margin = f" ± {prediction.margin_s / 60:.2f}" if prediction.margin_s is not None else ""
-    return f"{prediction.mission_time_s / 60:.2f}{margin} min"
+    return minutes(prediction.mission_time_s, prediction.margin_s)
 
 
 def _asked_line(server: AskedServer, drones: int) -> str:

@@ -98,7 +98,7 @@ def _with_server(document: Document, name: str, at: Position) -> Document:
 
 
 def _silent(document: Document) -> Document:
-    """Without noise, in which the best of many places would be the luckiest."""
+    """Without noise, which would favour a lucky place."""
     other = changed(document)
     other.pop("noise", None)
     return other

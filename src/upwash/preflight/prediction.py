@@ -11,6 +11,7 @@ from msgspec import Struct
 from upwash.config import Document, DroneConfig
 from upwash.lab.campaigns.campaign import Fly, fly_sweep
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
+from upwash.support.confidence import Mean
 
 LOCAL_ONLY, AS_CONFIGURED, ALONE = "local-only", "as configured", "without any server"
 
@@ -76,18 +77,38 @@ def predict(
     combinations = tuple(Combination((case,), document) for case, document in documents.items())
     summaries = fly_sweep(ParameterSweep(file, (), combinations, seeds), fly=fly, flown=flown)
     return [
-        Prediction(
-            case=summary.values[0],
-            missions=seeds,
-            mission_time_s=mean.value if (mean := summary.mission_time_s) else None,
-            margin_s=mean.margin if mean and mean.count > 1 else None,
-            failures=tuple(summary.failures.values()),
-            energy_wh=drawn.value if (drawn := summary.energy_wh) else None,
-            energy_margin_wh=drawn.margin if drawn and drawn.count > 1 else None,
-            lighter=summary.lighter.value if summary.lighter else None,
+        prediction_of(
+            summary.values[0],
+            seeds,
+            time_s=summary.mission_time_s,
+            energy_wh=summary.energy_wh,
+            lighter=summary.lighter,
+            failures=list(summary.failures.values()),
         )
         for summary in summaries
     ]
+
+
+def prediction_of(
+    case: str,
+    missions: int,
+    *,
+    time_s: Mean | None,
+    energy_wh: Mean | None,
+    lighter: Mean | None,
+    failures: Sequence[str],
+) -> Prediction:
+    """The prediction by the means over the completed missions."""
+    return Prediction(
+        case=case,
+        missions=missions,
+        mission_time_s=time_s.value if time_s else None,
+        margin_s=time_s.margin if time_s and time_s.count > 1 else None,
+        failures=tuple(failures),
+        energy_wh=energy_wh.value if energy_wh else None,
+        energy_margin_wh=energy_wh.margin if energy_wh and energy_wh.count > 1 else None,
+        lighter=lighter.value if lighter else None,
+    )
 
 
 def cases(document: Document, config: DroneConfig) -> Iterator[tuple[str, Document]]:

@@ -49,7 +49,7 @@ def usable_wh(config: DroneConfig) -> float | None:
 
 
 def _level_percent(config: DroneConfig, energy: EnergyConfig) -> float:
-    """At which the flight ends: by the mission's reserve or by the vehicle's own fail-safe."""
+    """The battery level at which the flight ends."""
     return max(reserve_percent(config) or 0.0, energy.failsafe_percent)
 
 
@@ -138,7 +138,7 @@ def _operation_concerns(config: DroneConfig, beliefs: Sequence[Belief]) -> Itera
 def _wait_concerns(
     server: str, policy: PolicyConfig, beliefs: Sequence[Belief]
 ) -> Iterator[PreflightWarning]:
-    """Of a server that is faster, but for no operation so much that a wait for it could ever pay off."""
+    """Warn of a faster server that saves too little on every operation for any wait."""
     rule = WaitRule(gain_wait=policy.gain_wait)
     faster = [
         (1 - remote_s / each.local_s, each)
@@ -180,7 +180,7 @@ def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
 
 
 def _is_slower(this: Prediction, than: Prediction) -> bool:
-    """Whether it takes longer by more than its margins leave open, and by so much that it is worth saying."""
+    """Whether it is slower by more than its margins, and by more than luck."""
     if this.mission_time_s is None or than.mission_time_s is None:
         return this.mission_time_s is None and than.mission_time_s is not None
     least_s = max(_WORTH_SAYING * than.mission_time_s, this.certain_margin_s + than.certain_margin_s)
@@ -268,7 +268,7 @@ def _above_the_reserve(config: DroneConfig) -> str:
 
 
 def _way_home_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
-    """Of a waypoint from which the drone would turn back as soon as it has come there, or sooner."""
+    """Warn of a waypoint from which the drone would turn back on arrival or before."""
     lasts_s = usable_s(config)
     if config.mission.reserve_s is None:
         return
@@ -289,7 +289,7 @@ def _way_home_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
 
 
 def _stage_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
-    """Of a reserve that the vehicle's own low-battery stage may lie above."""
+    """Warn of a reserve below the vehicle's own low-battery stage."""
     reserve = reserve_percent(config)
     if config.mission.reserve_s is None or reserve is None or reserve >= PX4_LOW_PERCENT:
         return

@@ -56,7 +56,7 @@ def coverage(
 def _reach(
     name: str, area: Reach, places: Sequence[Position], known: measured.Coverage | None
 ) -> dict[str, Any]:
-    """Where the server is in reach: by its range, or else by what was measured."""
+    """The reach of the server, by its range or by measurements."""
     if isinstance(area, Circle):
         return {
             "range_m": area.radius_m,

@@ -249,7 +249,7 @@ def require_answer(sample: CallSample, photo: str, reply: bytes) -> None:
 
 
 async def _measure_transfer(sample: CallSample, request: Request) -> tuple[float, float | None]:
-    """The delay of a request that nothing is computed for, and the goodput that its size makes of it."""
+    """The delay of a request without computation, and the goodput by its size."""
     sizes_bytes = 1, sample.request_bytes
     delays_s: dict[int, list[float]] = {size_bytes: [] for size_bytes in sizes_bytes}
     for _ in range(_PROBES):
@@ -265,7 +265,7 @@ async def _measure_transfer(sample: CallSample, request: Request) -> tuple[float
 
 
 async def _check_stopped_s(session: ServerSession, *, start_timeout_s: float) -> float | None:
-    """From selection to READY with the services to be started; None where they ran already."""
+    """Time from selection to READY including the start; None if the services ran already."""
     began_s = _now_s()
     try:
         if (await session.ask()).running:
@@ -277,7 +277,7 @@ async def _check_stopped_s(session: ServerSession, *, start_timeout_s: float) ->
 
 
 def _photo_parameter(method: Method) -> str | None:
-    """The one parameter that takes a photo, if any other can be filled in."""
+    """The only parameter of bytes, if all others have values."""
     needed = [field for field in _fields(method) if _is_required(method, field)]
     photos = [field for field in needed if isinstance(field.type, types.BytesType)]
     if len(photos) != 1 or any(field.name not in (photos[0].name, method.profile_by) for field in needed):
@@ -286,7 +286,6 @@ def _photo_parameter(method: Method) -> str | None:
 
 
 def _keys(method: Method) -> Iterator[tuple[str, dict[str, object]]]:
-    """Each profile key, with the argument that has it."""
     if method.profile_by is None:
         yield "", {}
         return

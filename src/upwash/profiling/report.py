@@ -101,7 +101,6 @@ def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
 
 
 def _key(profile: CallProfile) -> str:
-    """The configuration's key for the delays of an operation."""
     return profile.sample.operation.key or profile.sample.operation.method
 
 

@@ -338,11 +338,11 @@ class ModelAutopilot:
             latch.settle_target(obeyed=True)
 
     def _above_sea(self, place: Position) -> Position:
-        """Targets are commanded above the sea, so that a home that is moved in flight changes none."""
+        """The target above the sea, which a home that is moved in flight does not change."""
         return place.at_altitude(place.altitude_m + self._ground_m) if self._ground_m else place
 
     def _reach(self, step: str) -> None:
-        """Raises where the vehicle is not heard, or is not the program's."""
+        """Raise if the link to the vehicle is silent, or if the program does not own the vehicle."""
         self._link.require(step)
         self._link.latch.require(step)
 
@@ -355,7 +355,7 @@ class ModelAutopilot:
     ) -> tuple[Phase, ...]:
         """The way from here, in the time that it takes from the waypoint at which the vehicle has arrived.
 
-        How near that it has crept depends on how long it was left alone, thus on the policy; a leg's time must not.
+        How near the vehicle has crept depends on how long it hovered, thus on the policy; the time of a leg must not.
         """
         here = self.position
         from_here = way(here)
@@ -375,7 +375,7 @@ class ModelAutopilot:
         until_s: float | None = None,
         end: Position | None = None,
     ) -> None:
-        """Begins to move, and returns at the end of the phases or earlier; `end` is where that is, exactly."""
+        """Move, and return at the end of the phases or at `until_s`; `end` is their exact end."""
         end = end or (phases[-1].end if phases else self.position)
         self._waypoint = self._turned_to_deg = None
         self._vehicle.move(phases, end)
@@ -388,7 +388,7 @@ class ModelAutopilot:
         self._reach(step)
 
     async def _rest(self, step: str) -> None:
-        """Returns where the vehicle, whose position jumped, has corrected its course and rests."""
+        """Return at rest, after the vehicle has corrected its course for a jump of its position."""
         self._waypoint = None
         self._reach(step)
         while (left_s := self._vehicle.motion.ends_s - self._loop.time()) > 0:
@@ -396,7 +396,7 @@ class ModelAutopilot:
             self._reach(step)
 
     async def _become_sure(self, begun_s: float, arrival_s: float) -> None:
-        """Returns at rest after its position has jumped again; AutopilotTimeout where that takes too long."""
+        """Return at rest after its position has jumped again; AutopilotTimeout if that takes too long."""
         left_s = begun_s + arrival_s + _PATIENCE_S - self._loop.time()
         if left_s <= 0:
             raise _late("goto", arrival_s, self._link.doubt)
@@ -406,12 +406,11 @@ class ModelAutopilot:
         await self._rest("goto")
 
     async def _booted(self) -> None:
-        """Returns once its autopilot has started."""
         while self._vehicle.is_booting:
             await self._vehicle.changed.wait()
 
     async def _pass(self, for_s: float) -> None:
-        """Returns after that time, or once the vehicle is not the program's any more."""
+        """Return after that time, or once the program loses the vehicle."""
         await asyncio.wait((self._link.lost,), timeout=for_s)
 
 

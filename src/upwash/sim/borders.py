@@ -22,7 +22,7 @@ _PAST_THE_BORDER_S = 1e-6
 
 @dataclass(slots=True)
 class _Asked:
-    """Circles for which somebody has waited, ever."""
+    """Circles that a wait has used."""
 
     circles: Sequence[Circle]
     index: AreaIndex
@@ -31,7 +31,7 @@ class _Asked:
 
 @dataclass(slots=True, eq=False)
 class _Waiting:
-    """Somebody who waits now, and is woken with True for a border, and False where something else has happened."""
+    """A pending wait, which ends with True at a border and with False at an interrupt."""
 
     asked: _Asked
     woken: asyncio.Future[bool]
@@ -87,7 +87,7 @@ class Borders:
         waiting.timer = None if next_s is None else self._loop.call_at(next_s, waiting.wake, True)
 
     def _next_crossing_s(self, asked: _Asked) -> float | None:
-        """Just after the present motion next crosses one of the circles; None where it crosses none."""
+        """Just after the motion next crosses one of the circles; None if it crosses none."""
         if asked.crossings_s is None:
             asked.crossings_s = sorted(self._all_crossings_s(asked))
         later = bisect_right(asked.crossings_s, self._loop.time())
@@ -116,7 +116,6 @@ class Borders:
 
 
 def _is_near(place: Position, circle: Circle, within_m: float) -> bool:
-    """Whether the circle's border comes so near to the place."""
     return abs(ground_distance_m(place, circle.centre) - circle.radius_m) <= within_m
 
 

@@ -147,14 +147,14 @@ class EnergyMeter:
         return max(_LEAST_S, above_j / self._most_w)
 
     def _drawn_j(self) -> tuple[float, float, float, float]:
-        """Until now: in flight, in hover, in computing and by radio."""
+        """Energy until now, in flight, in hover, in computing and by radio."""
         config, on_s = self._config, self._loop.time() - self._began_s
         computing_j = on_s * config.computer_idle_w + self._load_j
         radio_j = on_s * self._radios * config.radio_idle_w + self._transfer_s * config.radio_transfer_w
         return *self._rotors_j(), computing_j, radio_j
 
     def _rotors_j(self) -> tuple[float, float]:
-        """Until now, in flight and in hover; what is over is added up once."""
+        """Energy until now, in flight and in hover; finished phases are added up once."""
         now_s = self._loop.time()
         while self._phases and (ended_s := self._since_s + self._phases[0].duration_s) <= now_s:
             phase = self._phases.popleft()
@@ -169,7 +169,7 @@ class EnergyMeter:
         return self._flight_j + flight_j, self._hover_j + hover_j
 
     def _phase_j(self, phase: Phase, elapsed_s: float) -> tuple[float, float]:
-        """From its start on, in flight and in hover; one that stands on the ground draws nothing."""
+        """Energy since the start of the phase, in flight and in hover; none on the ground."""
         if phase.speed_m_s or phase.acceleration_m_s2 or phase.jerk_m_s3:
             return self._rotors.energy_j(phase, elapsed_s), 0.0
         return 0.0, self._rotors.hover_w * elapsed_s * (phase.start.altitude_m > 0)

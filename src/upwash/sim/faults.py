@@ -171,7 +171,7 @@ def _is_on(fault: FaultConfig, now_s: float) -> bool:
 
 
 def _next_change_s(fault: FaultConfig, now_s: float) -> float:
-    """When the fault next begins, ends or flaps; infinite for one that stays as it is."""
+    """When the fault next begins, ends or flaps; infinite if it does not change."""
     if now_s < fault.from_s:
         return fault.from_s
     if fault.kind == "flapping" and now_s < fault.to_s:
@@ -258,7 +258,7 @@ class FaultyServer:
                 await never()
 
     async def _ask_among_strangers(self, daemon: Handler, path: str, body: bytes, client: Client) -> bytes:
-        """Has the daemon itself find that no slot is left, but for a drone that holds one or whose turn it is."""
+        """Strangers take all free slots first, so that the daemon itself refuses the drone."""
         if self._strangers:
             for stranger in self._strangers:
                 await self._asks(daemon, stranger)
@@ -285,7 +285,7 @@ class FaultyServer:
         await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)
 
     def _lie(self, reply: bytes, lie: Callable[..., bytes]) -> bytes:
-        """The reply, or a lie instead: each in the next of its ways, from a first that differs between faults."""
+        """A lie instead of the reply; each lie takes the next way, from a first that differs between faults."""
         fault = self._faults.now(self._name)
         if fault is None or fault.kind != "lying":
             return reply

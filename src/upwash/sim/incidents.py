@@ -123,7 +123,7 @@ class ModelBattery:
             self._took_off_s = self._loop.time()
 
     def _watch(self, energy: EnergyMeter, level_percent: float) -> None:
-        """Has the vehicle land by itself once the battery is down to the level, and fall once it is empty."""
+        """Land the vehicle once the battery is at the level, and let it fall once it is empty."""
         left_percent = energy.left_percent
         if left_percent is None:
             return

@@ -98,7 +98,7 @@ class ModelLink:
             self._give_up(exchange)
 
     def _give_up(self, exchange: asyncio.Task[bytes]) -> None:
-        """Ends it; a server goes on with what it has heard of a drone that is gone."""
+        """End the request; after a drone has vanished, a server still finishes what it has received."""
         if not (self._life.is_over and exchange in self._heard):
             exchange.cancel()
 

@@ -145,7 +145,7 @@ class VirtualLoop(base_events.BaseEventLoop):
     # --- rounds ---------------------------------------------------------------------------------------------
 
     def _run_once(self) -> None:
-        """Called by the base class in the loop's own thread: one round, or what a mission's thread runs instead."""
+        """Run one round in the loop's own thread, or wait for the rounds of a mission's thread (base class hook)."""
         if not self._run_round(self.turns.own):
             return
         try:
@@ -154,14 +154,14 @@ class VirtualLoop(base_events.BaseEventLoop):
             raise LivelockError(f"{error}, and at {self._now_s:.3f} s everything else waits for it") from None
 
     def _run_until(self, turn: ThreadTurn) -> None:
-        """Runs rounds in this thread until it is its turn to do something else, or the loop is stopped."""
+        """Run rounds in this thread until it may go on with other code, or until the loop stops."""
         while not self._run_round(turn):
             if self._stopping:  # type: ignore[attr-defined]
                 self.turns.next = self.turns.own
                 return
 
     def _run_round(self, turn: ThreadTurn) -> bool:
-        """Runs what is ready now, and returns early, and True, where a turn has been given."""
+        """Run what is ready; return True, early, once a turn was given."""
         if not self._left:
             self._begin_round()
         ready, turns = self._ready, self.turns
@@ -175,7 +175,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         return False
 
     def _begin_round(self) -> None:
-        """Lets time go on to the next timer where nothing is ready; makes ready what is due."""
+        """Advance time to the next timer if nothing is ready; make due timers ready."""
         timers = self._timers
         while timers and timers[0][2]._cancelled:
             self._pop_timer()
@@ -207,7 +207,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         return timer
 
     def _timer_handle_cancelled(self, handle: asyncio.TimerHandle) -> None:
-        """Called by a timer that is cancelled; those are thrown away once they are most of the heap."""
+        """Count a cancelled timer; drop them once they are most of the heap (base class hook)."""
         if not handle._scheduled:  # type: ignore[attr-defined]
             return
         self._cancelled += 1

@@ -87,7 +87,7 @@ def read_goodput(radio: str) -> GoodputTable | None:
 
 
 def _rows(text: str) -> list[tuple[float, float]]:
-    """Distance in metres and goodput in bit/s of each row: two of the columns that the first row names."""
+    """Distance in metres and goodput in bit/s of each row, by the column names of the first."""
     rows = csv.reader(line for line in text.splitlines() if line and not line.startswith("#"))
     names = next(rows, [])
     distance, goodput = names.index("distance_m"), names.index("goodput_mbit_s")
@@ -100,7 +100,6 @@ def _rows(text: str) -> list[tuple[float, float]]:
 
 
 def _table(rows: Sequence[tuple[float, float]]) -> GoodputTable:
-    """The table of those rows; ValueError where nothing can be looked up in it."""
     if not rows:
         raise ValueError("no rows")
     distances_m, goodput_bit_s = zip(*rows, strict=True)

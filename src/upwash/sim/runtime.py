@@ -191,7 +191,7 @@ class ModelInstance:
     async def _compute(
         self, operation: Operation, method: Method, body: bytes, drone: Client, whole_s: float
     ) -> tuple[float, bytes]:
-        """Returns the time at which the call has its answer, and the answer; one that is given up is dropped."""
+        """Compute a call; returns when it has its answer, and the answer."""
         began_s = _now_s()
         outcome: Outcome | Literal[""] = "dropped"  # none of one that never ends, or kills the instance
         self._called(drone.key)
@@ -234,7 +234,6 @@ def _now_s() -> float:
 
 
 async def _until(time_s: float) -> None:
-    """Returns at that time, or at once where it is past."""
     loop = asyncio.get_running_loop()
     if time_s - loop.time() > _NEGLIGIBLE_S:
         come = loop.create_future()
@@ -263,7 +262,7 @@ def _reply(encoding: Encoding[Any], has_event: bool) -> bytes:
 
 
 def _smallest(hint: Any, _: object) -> Any:
-    """The smallest array that fits the type hint, which msgspec does not look into."""
+    """The smallest array of the type hint, which msgspec cannot make."""
     import numpy as np
 
     meant = array_hint(hint)
@@ -271,7 +270,7 @@ def _smallest(hint: Any, _: object) -> Any:
 
 
 def _filled(found: types.Type) -> Any:
-    """A value that is true, as Python has it, where the type has any."""
+    """A truthy value of the type, if it has one."""
     match found:
         case (
             types.ListType(item) | types.VarTupleType(item) | types.SetType(item) | types.FrozenSetType(item)

@@ -121,7 +121,7 @@ class ThreadTurns:
         turn.come.release()
 
     def _take_back(self) -> None:
-        """Ends the turn of whoever has it: at once where its code runs, else after the callback that runs now."""
+        """End the holder's turn: at once in a mission's code, else after the current callback."""
         while True:
             with self._changing:
                 if self._holder is self.own:
@@ -224,7 +224,7 @@ _MISSION_THREAD = "mission"  # as mission.py names it
 
 
 class _SleepWatch:
-    """Stands in for `time.sleep` while any simulation of the process runs."""
+    """Replaces `time.sleep` while a simulation of this process runs."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -264,7 +264,6 @@ class _SleepWatch:
 
 
 def _is_missions_code() -> bool:
-    """Whether this is a mission's thread, and it runs no loop."""
     return threading.current_thread().name == _MISSION_THREAD and asyncio._get_running_loop() is None
 
 

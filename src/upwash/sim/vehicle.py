@@ -300,7 +300,7 @@ class ModelVehicle:
         self._tell_change()
 
     def _correct_course(self, here: Position, end: Position) -> None:
-        """From a place where it finds itself at once, to the end of the motion that it was in."""
+        """From the position after a jump to the end of the current motion."""
         if not self.flies:
             self.borders.settles(self._motion)
         elif self._touchdown is not None:
@@ -329,7 +329,6 @@ class ModelVehicle:
 
 
 def _falling(start: Position) -> tuple[Phase, ...]:
-    """From rest to the ground, without the air's resistance."""
     lasts_s = math.sqrt(2 * start.altitude_m / _GRAVITY_M_S2)
     return (Phase(start, Velocity(up_m_s=-1.0), 0.0, _GRAVITY_M_S2, lasts_s),)
 

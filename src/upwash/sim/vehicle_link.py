@@ -115,7 +115,6 @@ class ModelVehicleLink:
         return by_autopilot
 
     def _judge(self, report: Callable[[], None]) -> None:
-        """Has the latch take in a report, and tells where that changes whose the vehicle is."""
         before = self.latch.control
         report()
         self.tell_control(before)

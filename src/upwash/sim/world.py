@@ -102,7 +102,7 @@ class ModelRadio:
                 self._energy.transfer(asyncio.get_running_loop().time() - begun_s)
 
     def _meter_end_to_end(self, server: str, data_bytes: int) -> None:
-        """What is on the air of a call whose delay is given as a whole; not known without a bandwidth."""
+        """Meter the transfer of a call whose delay is given as a whole, if a bandwidth is given."""
         if self._energy is not None and server in self._bandwidths:
             self._energy.transfer(self._bandwidths[server].transfer_s(data_bytes, 0.0))
 
@@ -144,7 +144,7 @@ class DroneComputer:
         return asyncio.get_running_loop().time()
 
     def _work_s(self, call_s: float) -> float:
-        """How long a call of that length takes now; it is metered."""
+        """The time of a call at the present heat; it is metered."""
         heat, energy = self._heat, self._energy
         if heat is None:
             if energy is not None:

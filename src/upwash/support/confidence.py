@@ -31,10 +31,14 @@ def mean_of(observations: Sequence[float]) -> Mean:
     return Mean(count, value, student_quantile(count - 1) * standard_error)
 
 
+def mean_or_none(observations: Sequence[float]) -> Mean | None:
+    """Their mean; None without any observation."""
+    return mean_of(observations) if observations else None
+
+
 def mean_saving(before: Mapping[int, float], after: Mapping[int, float]) -> Mean | None:
     """The mean of `before` less `after` over the keys of both; None where no key is in both."""
-    savings = [before[key] - value for key, value in after.items() if key in before]
-    return mean_of(savings) if savings else None
+    return mean_or_none([before[key] - value for key, value in after.items() if key in before])
 
 
 @cache

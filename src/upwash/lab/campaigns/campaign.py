@@ -18,7 +18,7 @@ from upwash.lab import processes
 from upwash.lab.campaigns.file import ENERGY, CampaignFile, CampaignRow
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 from upwash.lab.outcome import fly
-from upwash.support.confidence import Mean, mean_of
+from upwash.support.confidence import Mean, mean_or_none
 from upwash.support.loading import extra
 
 _CHUNK_RUNS = 5  # an interruption loses few, and handing them out costs nothing
@@ -92,7 +92,6 @@ def run_campaign(
 
 
 def _measure(file: CampaignFile, sample: Sequence[Chunk], flown: Callable[[int], None]) -> Cost:
-    """Flies the sample, or the part of it that there is time for."""
     took_s: list[float] = []
     for chunk in sample:
         began_s = time.process_time()
@@ -106,7 +105,7 @@ def _measure(file: CampaignFile, sample: Sequence[Chunk], flown: Callable[[int],
 
 
 def _sample(sweep: ParameterSweep, done: Iterable[CampaignRow]) -> list[Chunk]:
-    """Some runs, spread over all that are left to be flown."""
+    """Some of the runs that are left, spread evenly."""
     left = list(_chunks(sweep, done, 1))
     return left[:: max(1, len(left) // _SAMPLE_RUNS)][:_SAMPLE_RUNS]
 
@@ -238,5 +237,4 @@ def _summary(combination: Combination, own: Sequence[CampaignRow]) -> Combinatio
 
 
 def _mean(values: Iterable[float | None]) -> Mean | None:
-    known = [value for value in values if value is not None]
-    return mean_of(known) if known else None
+    return mean_or_none([value for value in values if value is not None])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -72,13 +73,7 @@ class ComparedFlight(NamedTuple):
     seed: int
 
 
-class ComparedResult(NamedTuple):
-    """What one flight came to."""
-
-    scenario: str
-    entrant: str
-    seed: int
-    outcome: FlightOutcome
+Results = Sequence[tuple[ComparedFlight, FlightOutcome]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,13 +141,15 @@ def compare(
     if seeds < 1:
         raise UsageError(f"{seeds} seeds are none: give a number from 1 on")
     flights = [ComparedFlight(*each) for each in product(named, entrants, range(1, seeds + 1))]
-    missions: list[ComparedResult] = []
-    with processes.here_first(_fly, flights, workers=workers) as results:
-        for mission in results:
-            missions.append(mission)
-            if progress is not None:
-                progress(len(missions), len(flights))
-    return [row for scenario in named for row in _rows(scenario.name, entrants, missions)]
+    flown = itertools.count(1)
+
+    def done() -> None:
+        if progress is not None:
+            progress(next(flown), len(flights))
+
+    outcomes = processes.in_order(_fly, flights, workers=workers, done=done)
+    results = list(zip(flights, outcomes, strict=True))
+    return [row for scenario in named for row in _rows(scenario, entrants, results)]
 
 
 def read_scenarios(
@@ -199,14 +196,14 @@ def _with_noise(config: DroneConfig) -> DroneConfig:
     return msgspec.structs.replace(config, noise=_NOISE) if config.noise == NoiseConfig() else config
 
 
-def _fly(flight: ComparedFlight) -> ComparedResult:
+def _fly(flight: ComparedFlight) -> FlightOutcome:
     config = msgspec.structs.replace(flight.entrant.enters(flight.scenario.config), seed=flight.seed)
     outcome = fly(config)
     if not outcome.completed and not _has_battery(config):
         raise UpwashError(
             f"{flight.scenario.name}, {flight.entrant.name}, seed {flight.seed}: {outcome.failure}"
         )
-    return ComparedResult(flight.scenario.name, flight.entrant.name, flight.seed, outcome)
+    return outcome
 
 
 def _has_battery(config: DroneConfig) -> bool:
@@ -226,18 +223,14 @@ def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:
     )
 
 
-def _rows(
-    scenario: str, entrants: Sequence[Entrant], missions: Sequence[ComparedResult]
-) -> Iterator[ComparedPolicy]:
-    own = [mission for mission in missions if mission.scenario == scenario]
+def _rows(scenario: NamedScenario, entrants: Sequence[Entrant], results: Results) -> Iterator[ComparedPolicy]:
+    own = [(flight, outcome) for flight, outcome in results if flight.scenario is scenario]
     bounds_s = sorted(
-        bound_s
-        for mission in own
-        if (bound_s := mission.outcome.least_s) is not None and mission.outcome.completed
+        outcome.least_s for _, outcome in own if outcome.completed and outcome.least_s is not None
     )
     first_s = _times_s(own, entrants[0])
     for entrant in entrants:
-        flown = [mission.outcome for mission in own if mission.entrant == entrant.name]
+        flown = [outcome for flight, outcome in own if flight.entrant is entrant]
         saved = None if entrant is entrants[0] else mean_saving(first_s, _times_s(own, entrant))
         completed = [outcome for outcome in flown if outcome.completed]
         times_s = [each.mission_time_s for each in completed if each.mission_time_s is not None]
@@ -248,7 +241,7 @@ def _rows(
         fleets = [outcome.fleet for outcome in completed if outcome.fleet is not None]
         went_on = any(outcome.totals.went_on for outcome in completed)
         yield ComparedPolicy(
-            scenario=scenario,
+            scenario=scenario.name,
             policy=entrant.name,
             missions=len(flown),
             completed=len(completed),
@@ -266,13 +259,12 @@ def _rows(
         )
 
 
-def _times_s(missions: Sequence[ComparedResult], entrant: Entrant) -> dict[int, float]:
-    """Those of its completed missions, by seed."""
+def _times_s(results: Results, entrant: Entrant) -> dict[int, float]:
+    """The times (s) of the entrant's completed missions, by seed."""
     return {
-        mission.seed: mission.outcome.mission_time_s
-        for mission in missions
-        if mission.entrant == entrant.name and mission.outcome.completed
-        if mission.outcome.mission_time_s is not None
+        flight.seed: outcome.mission_time_s
+        for flight, outcome in results
+        if flight.entrant is entrant and outcome.completed and outcome.mission_time_s is not None
     }
 
 

@@ -24,7 +24,7 @@ _FEW_MINUTES_S, _FEW_HOURS_S = 100.0, 6_000.0  # below these a time is said in s
 
 
 class _Rate(ProgressColumn):
-    """How many missions come in a minute."""
+    """Missions per minute."""
 
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
@@ -73,7 +73,6 @@ def show_campaign(
 
 
 def _planned(cost: Cost, workers: int | None) -> str:
-    """How long the rest takes."""
     what = f"{counted(cost.missions, 'mission')} to fly, each {cost.mission_s:.3g} s of a processor's time"
     if workers is None:
         return f"{what}: {_duration(cost.missions * cost.mission_s)} of it in all"
@@ -88,7 +87,6 @@ def _duration(seconds: float) -> str:
 
 
 def _verdict(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> str:
-    """Which combination is the quickest, and whether any mission failed."""
     flown = [(mean.value, each) for each in summaries if (mean := each.mission_time_s) is not None]
     if not flown:
         return "no mission was completed"
@@ -208,7 +206,6 @@ def draw_campaign(
 
 
 def _times_s(rows: Sequence[CampaignRow], summary: CombinationSummary) -> dict[int, float]:
-    """The mission times of the combination's completed missions, by seed."""
     return {
         row.seed: row.mission_time_s
         for row in rows

@@ -141,7 +141,7 @@ class CampaignFile:
         return [*row.values, *(_cell(getattr(row, column)) for column in self._columns)]
 
     def _claim(self) -> None:
-        """Makes sure that the file is this campaign's, by the note beside it."""
+        """Raise UsageError if the note beside the file names another campaign; else write the note."""
         sweep = self.sweep
         note_file = self._csv_file.with_suffix(".campaign.json")
         note = Note(sweep.file.name, {each.key: each.values for each in sweep.settings}, sweep.fingerprint)
@@ -157,7 +157,7 @@ class CampaignFile:
 
 
 def _may_go(document: Document) -> bool:
-    """Whether a drone may go on before answers are there."""
+    """Whether a drone may fly on before it has answers."""
     policy = document.get("policy")
     return isinstance(policy, dict) and policy.get("stay_or_go", "stay") != "stay"
 
@@ -207,7 +207,7 @@ def _as_csv(rows: Iterable[Sequence[str]]) -> bytes:
 
 
 def _drop_torn_row(csv_file: Path) -> None:
-    """Cuts off what follows the last line end: a row that was being written when the campaign was killed."""
+    """Cut off a last row without its line end, which a killed campaign leaves."""
     with csv_file.open("rb+") as file:
         file.truncate(file.read().rfind(b"\n") + 1)
 

@@ -66,7 +66,7 @@ def bounded_calls(history: History) -> Iterator[Breach]:
 
 
 def _first_calls(events: Iterable[Event]) -> Iterator[schema.Decided]:
-    """The decisions for a server whose service has answered no call since services were last started there."""
+    """The decisions for a server whose service has answered no call since its last start."""
     warm: dict[str, set[str]] = {}  # services by server
     asked = ""  # the server that a call was last sent to
     for event in events:
@@ -101,7 +101,7 @@ def _allowed_too_much(decided: schema.Decided, gain_wait: float, *, patient: boo
 
 
 def _hedged_too_late(call: FlownCall) -> Iterator[Breach]:
-    """The drone's own service starts within the server's deadline, which grows by a local call at most."""
+    """The onboard service must start within a server's deadline, which a hedge extends by at most one local call."""
     hedged, decided = call.hedged, call.sent
     if hedged is None or decided is None:
         return
@@ -131,7 +131,7 @@ def one_answer(history: History) -> Iterator[Breach]:
 
 
 def _answers_open(history: History) -> int:
-    """How many answers are there that a mission which ended early may not have heard: the last one, if any."""
+    """How many answers a mission that ended early may have missed: the last one, or none."""
     last = next(
         (
             event
@@ -179,7 +179,7 @@ def truthful_errors(history: History) -> Iterator[Breach]:
 
 
 def _raised_afar(events: Iterable[Event]) -> Iterator[Breach]:
-    """Exceptions that the mission heard of calls that were answered by a server."""
+    """Exceptions that a server reported and the mission received."""
     server: str | None = None  # that answered the last call
     for event in events:
         if isinstance(event, schema.Call):
@@ -198,7 +198,6 @@ def _told(history: History) -> list[tuple[Event, probing.CallReport]]:
 
 
 def _is_heard(event: Event) -> TypeGuard[schema.Notified]:
-    """Whether the mission tells what came of a call."""
     return isinstance(event, schema.Notified) and isinstance(event.message, dict) and "asked" in event.message
 
 
@@ -271,7 +270,7 @@ def _flown_back_too_far(events: Sequence[Event], places: Sequence[Position]) -> 
 
 
 def _lost_in_a_crash(history: History) -> Iterator[Breach]:
-    """Had the program been killed then, a waypoint whose answer or action is missing would be visited again."""
+    """After a crash at any event, a waypoint without its answer or action must be visited again."""
     events: Sequence[Event] = history.run.events
     if history.run.result.completed:
         events = [event for event in events if not isinstance(event, schema.MissionCompleted)]

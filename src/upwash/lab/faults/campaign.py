@@ -78,8 +78,6 @@ def fly_world(seed: int) -> FlownWorld:
 
 @dataclass(frozen=True, slots=True)
 class _Calm(FlownWorld):
-    """A scenario flown without faults, and by each drone alone without servers."""
-
     alone: list[Run]
 
 
@@ -93,7 +91,6 @@ def _fly_calm(number: int) -> _Calm:
 
 
 def _alone(config: DroneConfig) -> Run:
-    """The same mission without servers; there is nothing to look for, so it does not look."""
     policy = msgspec.structs.replace(config.policy, period_s=_NEVER_S)
     by_itself = msgspec.structs.replace(config, servers=(), faults=(), policy=policy)
     return simulate_fleet([by_itself], computing=True)[0]
@@ -110,12 +107,11 @@ def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> FlownWor
 
 
 def _is_delayed(config: DroneConfig) -> bool:
-    """Whether its autopilot is at fault, so that the mission takes longer for reasons of its own."""
+    """Whether its autopilot is at fault, which makes the mission longer."""
     return any(fault.target == "autopilot" for fault in config.faults)
 
 
 def _differences(seed: int, first: FlownWorld) -> list[Broken]:
-    """What is not the same when the world is flown again."""
     runs = simulate_fleet(configs(first.documents), computing=True, seen=[])
     for one, other in zip(first.runs, runs, strict=True):
         for event, again in zip(one.events, other.events, strict=False):

@@ -86,7 +86,7 @@ def show_chaos(
 
 
 class _Bar:
-    """How far it is: a bar on a terminal, a line now and then elsewhere."""
+    """Progress: a bar on a terminal, elsewhere a line each minute."""
 
     def __init__(self, worlds: int, console: Console) -> None:
         columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
@@ -179,7 +179,7 @@ def _show_summary(summary: Summary, console: Console) -> None:
 
 @contextlib.contextmanager
 def _quiet_daemons() -> Iterator[None]:
-    """Simulated daemons report thousands of crashes that were meant to be."""
+    """Suppress the daemons' reports of thousands of intended crashes."""
     daemons = logging.getLogger("upwash.server")
     before, daemons.disabled = daemons.disabled, True
     try:

@@ -73,7 +73,7 @@ def no_harm(history: History) -> Iterator[Breach]:
 
 
 def _hedged_too_much(history: History) -> Iterator[Breach]:
-    """A hedge starts only while what was computed for nothing is within the share of what all calls would take."""
+    """A hedge starts only while wasted computing is within its share of the time of all calls."""
     hedge = history.config.policy.hedging
     calls_s = extra_s = 0.0
     for call in calls_of(history.run.events):

@@ -117,7 +117,7 @@ def position_jumps(config: DroneConfig) -> bool:
 
 
 def _is_overcome(fault: FaultConfig, history: History) -> bool:
-    """Whether the mission goes on after it; no leg may take longer than the patience with it."""
+    """Whether the mission continues after the fault: no leg may exceed its patience."""
     match fault.kind:
         case "slow" | "home" | "impostor":
             return True

@@ -107,7 +107,7 @@ def demands_something(number: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Visit:
-    """The answer of one waypoint, which comes while the drone is there or has left it."""
+    """The answer of one waypoint, which arrives before or after the drone leaves it."""
 
     drone: Drone
     waypoint: Waypoint

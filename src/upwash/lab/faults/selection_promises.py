@@ -47,7 +47,7 @@ def one_selection(history: History) -> Iterator[Breach]:
 
 
 def _used_out_of_turn(history: History) -> Iterator[Breach]:
-    """A call goes to the server that was selected first of those that are."""
+    """Of the selected servers, the one that was selected first gets the calls."""
     selected: list[str] = []
     for event in history.run.events:
         if isinstance(event, schema.ServerStep):
@@ -86,7 +86,7 @@ def respect(history: History) -> Iterator[Breach]:
 
 
 def _contacted_too_soon(history: History) -> Iterator[Breach]:
-    """A server that is not probed is left alone for the time that was set."""
+    """Without probing, a failed server is left alone for the configured time."""
     blacklisted: dict[str, list[tuple[float, float]]] = {}
     for event in history.run.events:
         if isinstance(event, schema.ServerStep) and event.after is State.BLACKLISTED:
@@ -103,7 +103,7 @@ def _contacted_too_soon(history: History) -> Iterator[Breach]:
 
 
 def _probed_too_much(history: History) -> Iterator[Breach]:
-    """Failed servers are asked for a sign of life alone, at the pace that was set, and by how often they failed."""
+    """A failed server gets only probes, no more often than configured and than its failures allow."""
     probing, spells = history.config.policy.probing or ProbeConfig(), spells_of(history)
     last_s: dict[str, float] = {}
     for fact in history.own("sent"):
@@ -160,7 +160,7 @@ def spells_of(history: History) -> dict[str, list[Spell]]:
 
 
 def _alone_s(failures: int) -> float:
-    """How long a server is left alone after so many failures in a row."""
+    """How long (s) a server is left alone after a number of consecutive failures."""
     return min(10.0, 2.0 ** (failures - 2)) if failures > 1 else 0.0
 
 
@@ -173,7 +173,7 @@ def recovered(history: History) -> Iterator[Breach]:
 
 
 def _trusted_too_soon(events: Iterable[Event]) -> Iterator[Breach]:
-    """Until an operation is answered there, calls of it that go there are raced, and nobody waits for the server."""
+    """Until a failed server answers an operation, calls of it are raced, and no call waits for the server."""
     doubted: dict[
         str, set[str]
     ] = {}  # operations that were answered since the last failure, by server that failed
@@ -197,7 +197,7 @@ def _trusted_too_soon(events: Iterable[Event]) -> Iterator[Breach]:
 
 
 def _left_unused(history: History) -> Iterator[Breach]:
-    """A failed server that is well again, and in range all the time, does not stay blacklisted."""
+    """A failed server that works again and stays in range does not stay blacklisted."""
     if position_jumps(history.config):
         return
     events, spells = history.run.events, spells_of(history)
@@ -232,7 +232,7 @@ def _left_unused(history: History) -> Iterator[Breach]:
 
 
 def _joinable(history: History) -> Iterator[ServerConfig]:
-    """The servers that can serve the drone whenever they are well: all that it wants, soon enough, and alone."""
+    """The servers that serve this drone alone, with all services that it wants, within the time of a check."""
     config = history.config
     wanted = {service.name for service in config.services}
     for server in config.servers:

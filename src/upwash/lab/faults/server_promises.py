@@ -54,7 +54,7 @@ def _slots(facts: Sequence[Seen], slots: int) -> Iterator[Breach]:
 
 
 def _holds(history: History) -> Iterator[Breach]:
-    """Slots are held for servers that are peers, and for a drone one at a time by each server that it visits."""
+    """Slots are held for peers only; each server that a drone visits holds one slot at a time for it elsewhere."""
     peers = {server.name: server.truth.peers for server in history.config.servers}
     holding: dict[tuple[str, str], tuple[str, float]] = {}  # by peer and drone: where, and until when
     for fact in history.seen:
@@ -70,7 +70,7 @@ def _holds(history: History) -> Iterator[Breach]:
 
 
 def _leases(facts: Sequence[Seen], *, end_s: float) -> Iterator[Breach]:
-    """A drone that asks nothing, and for which nothing is held, is no longer admitted once its lease is over."""
+    """A drone that sends no request, and has no slot held, is not admitted after its lease ends."""
     asked_s: dict[str, float] = {}
     held_until_s: dict[str, float] = {}
     admitted: dict[str, Seen] = {}  # by service, as last told to its instance
@@ -116,7 +116,7 @@ def _is_question(fact: Seen) -> bool:
 
 
 def _waits(history: History, server: str) -> Iterator[tuple[schema.NoSlot, float]]:
-    """Each time that the drone was refused, and until when it waited."""
+    """Each refusal of the drone, and the end (s) of its wait."""
     refusal: schema.NoSlot | None = None
     for event in history.run.events:
         if isinstance(event, schema.NoSlot) and event.server == server:
@@ -135,7 +135,7 @@ def _ends_wait(event: Event, server: str) -> bool:
 def _too_long(
     history: History, server: ServerConfig, asked: list[Seen], refusal: schema.NoSlot, until_s: float
 ) -> Iterator[Breach]:
-    """Counts from the first of its questions that the daemon heard, none of which came too late."""
+    """Count from the drone's first question that the daemon received, if each next one came in time."""
     drone, truth = history.config.name, server_truth(server, history.config.services)
     heard_s = [fact.t for fact in asked if fact.drone == drone and refusal.t - SLACK_S <= fact.t <= until_s]
     begun_s = heard_s[0] if heard_s else math.inf
@@ -149,7 +149,7 @@ def _too_long(
 
 
 def _bound_s(truth: ServerTruth, others: int) -> float:
-    """How long a drone may wait for a slot that so many others hold or want: each may have two turns before."""
+    """How long (s) a drone may wait for a slot: each other drone may have two turns first."""
     slots = 1 if truth.slots == "auto" else truth.slots
     rounds = math.ceil(max(1, others) / slots)
     return 2 * rounds * (truth.turn_s + ASK_AGAIN_S) + 2 * ASK_AGAIN_S + SLACK_S
@@ -175,7 +175,7 @@ def replaced(history: History) -> Iterator[Breach]:
 
 
 def _still_hung(facts: Sequence[Seen], faults: Sequence[FaultConfig], *, end_s: float) -> Iterator[Breach]:
-    """An instance that never answers a call is gone once the limit of a call, a look and a drain are over."""
+    """A hung instance is gone after the limit of a call, one look of the daemon and a drain."""
     hung_s: float | None = None
     for fact in (*facts, Seen(event="over", t=end_s)):
         if hung_s is not None and fact.t > hung_s + CALL_LIMIT_S + _WATCH_S + _DRAIN_S + SLACK_S:
@@ -199,7 +199,7 @@ def _ended_without_cause(facts: Sequence[Seen], faults: Sequence[FaultConfig]) -
 
 
 def _started_too_soon(facts: Sequence[Seen]) -> Iterator[Breach]:
-    """Between starts that fail the service is left alone, each time for longer."""
+    """The pause after each failed start grows."""
     failed, ended_s, is_ready = 0, 0.0, False
     for fact in facts:
         match fact.event:
@@ -230,7 +230,6 @@ def _asked_in_a_pause(history: History) -> Iterator[Breach]:
 
 
 def _kind(faults: Sequence[FaultConfig], now_s: float) -> str:
-    """The kind of the first fault that is on."""
     return next((each.kind for each in faults if each.from_s <= now_s < each.to_s), "")
 
 

@@ -117,8 +117,6 @@ def as_toml(document: Document) -> str:
 
 
 class _Draft:
-    """Draws one drone's scenario."""
-
     def __init__(self, chance: random.Random, number: int) -> None:
         self._chance = chance
         self._number = number
@@ -231,7 +229,6 @@ class _Draft:
         return {**server, "truth": truth}
 
     def _remote_s(self, least: float, most: float) -> dict[str, dict[str, float]]:
-        """Delays as shares of the local ones."""
         return {
             service["name"]: {
                 key: round(local_s * self._chance.uniform(least, most), 3)
@@ -242,7 +239,7 @@ class _Draft:
 
 
 def _with_peers(document: Document, number: int) -> Document:
-    """In every second world servers are peers of each other, some of which do not know it."""
+    """In half of the worlds servers are peers; some relations are one-sided."""
     chance = random.Random(f"peers/{number}")  # noqa: S311 - not for secrets
     names = [server["name"] for server in document["server"]]
     if chance.random() < 0.5 or len(names) == 1:
@@ -254,7 +251,7 @@ def _with_peers(document: Document, number: int) -> Document:
 
 
 def _with_slow_first_calls(document: Document, number: int) -> Document:
-    """In some worlds the drone is patient with first calls, and some of them take their time."""
+    """In some worlds first calls are slow, and the drone is patient with them."""
     chance = random.Random(f"first calls/{number}")  # noqa: S311 - not for secrets
     if chance.random() < 0.7:
         return document
@@ -265,7 +262,7 @@ def _with_slow_first_calls(document: Document, number: int) -> Document:
 
 
 def _with_busy_radios(document: Document, number: int) -> Document:
-    """In some worlds leaving a network takes its time, and joining one slows the drone's own services down."""
+    """In some worlds leaving a network takes time, and joining one slows the drone's own services."""
     chance = random.Random(f"busy radios/{number}")  # noqa: S311 - not for secrets
     if chance.random() < 0.85:
         return document
@@ -279,7 +276,7 @@ def _with_busy_radios(document: Document, number: int) -> Document:
 
 
 def _with_probing(document: Document, number: int) -> Document:
-    """In every second world servers that failed are probed, in the others left alone; in some the name says all."""
+    """In half of the worlds failed servers are left alone, in the others probed; some policies use their default."""
     chance = random.Random(f"probing/{number}")  # noqa: S311 - not for secrets
     policy = document["policy"]
     if chance.random() < 0.5:
@@ -294,7 +291,7 @@ def _with_probing(document: Document, number: int) -> Document:
 
 
 def _with_eager_hedges(document: Document, number: int) -> Document:
-    """In some worlds half of all remote calls are late enough to hedge, and little may be computed for nothing."""
+    """In some worlds half of all remote calls are hedged, within a small budget."""
     chance = random.Random(f"hedges/{number}")  # noqa: S311 - not for secrets
     if chance.random() < 0.93:
         return document
@@ -302,9 +299,9 @@ def _with_eager_hedges(document: Document, number: int) -> Document:
 
 
 def _with_pending_calls(document: Document, number: int) -> Document:
-    """In some worlds of one service the drones may fly on before an answer is there.
+    """In some worlds with one service the drones may fly on before they have an answer.
 
-    But not among peers: what these hold for drones that wait for their answers is rare enough to be seen.
+    Not among peers: slots that peers hold for drones that wait for answers are too rare to test.
     """
     chance = random.Random(f"pending/{number}")  # noqa: S311 - not for secrets
     among_peers = any("peers" in server["truth"] for server in document["server"])
@@ -318,7 +315,6 @@ def _with_pending_calls(document: Document, number: int) -> Document:
 
 
 def _with_radios(document: Document, number: int) -> Document:
-    """In every third world the drones have two radios."""
     chance = random.Random(f"radios/{number}")  # noqa: S311 - not for secrets
     return {**document, "network": {"radios": 2}} if chance.random() < 1 / 3 else document
 
@@ -332,7 +328,7 @@ def _places(chance: random.Random) -> list[list[float]]:
 
 
 def _companion(document: Document, chance: random.Random, number: int) -> Document:
-    """Another drone in the world: its own mission and luck, the same servers."""
+    """Another drone with its own mission and seed, among the same servers."""
     mission = {
         **document["mission"],
         "waypoints_m": _places(chance),
@@ -347,7 +343,7 @@ def _companion(document: Document, chance: random.Random, number: int) -> Docume
 
 
 def _with_fleet(documents: list[Document], number: int) -> list[Document]:
-    """In some worlds more drones come, and take short turns at servers with few slots, or as many as they measure."""
+    """In some worlds more drones take short turns at servers with few slots, or with measured ones."""
     chance = random.Random(f"fleet/{number}")  # noqa: S311 - not for secrets
     if chance.random() < 0.9:
         return documents
@@ -416,7 +412,6 @@ def _incident(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]
 
 
 def _lies(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[dict[str, Any]]:
-    """In every third world servers lie."""
     chance = random.Random(f"lies/{seed}")  # noqa: S311 - not for secrets
     if chance.random() > 1 / 3:
         return []

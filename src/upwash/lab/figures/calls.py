@@ -92,7 +92,6 @@ def strips(events: Iterable[Event], calls: Iterable[CallPoint]) -> list[Strip]:
 
 
 def _runs(waypoints: Iterable[int]) -> list[tuple[int, int]]:
-    """The first and last of each run of neighbours."""
     found: list[tuple[int, int]] = []
     for waypoint in sorted(waypoints):
         if found and waypoint == found[-1][1] + 1:
@@ -189,7 +188,6 @@ def _line(calls: Sequence[CallPoint]) -> tuple[list[int], list[float]]:
 
 
 def _draw_spread(axes: Axes, missions: Sequence[Sequence[CallPoint]]) -> None:
-    """Within what most of the missions lie at each waypoint."""
     by_waypoint: dict[int, list[float]] = {}
     for call in (call for mission in missions for call in mission):
         by_waypoint.setdefault(call.waypoint, []).append(call.delay_s)

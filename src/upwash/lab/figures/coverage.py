@@ -72,7 +72,7 @@ def _draw_areas(axes: Axes, areas: Mapping[str, Circle]) -> None:
 
 
 def _draw_waypoints(axes: Axes, places: Sequence[Position], areas: Mapping[str, Circle]) -> None:
-    """A mark of a shape and colour for each group: in one server's range, in several, in none."""
+    """Draw a mark for each group: in one server's range, in several, in none."""
     names = list(areas)
     members: dict[int, list[Position]] = {}  # by the index of the only server; below 0 for several, and none
     for place in places:
@@ -102,7 +102,7 @@ def _draw_waypoints(axes: Axes, places: Sequence[Position], areas: Mapping[str, 
 
 
 def _straights(places: Sequence[Position]) -> Iterator[tuple[Position, Position]]:
-    """The flight as straight lines: legs of the same heading, one after the other, are one."""
+    """The legs of the flight, with consecutive legs of one heading joined."""
     legs = [leg for leg in itertools.pairwise(places) if leg[0] != leg[1]]
     for _, run in itertools.groupby(legs, key=lambda leg: _heading_deg(*leg)):
         straight = list(run)

@@ -88,7 +88,6 @@ def _draw_mean(axes: Axes, mean: Mean, y: float, number: int) -> None:
 
 
 def _draw_bound(axes: Axes, group: Sequence[DrawnMean], y: float) -> None:
-    """A line over the group's rows."""
     bound_s = group[0].bound_s
     if bound_s is None:
         return

@@ -134,16 +134,11 @@ def fly_all(
     flights: Sequence[CellFlight], *, workers: int | None = None, progress: Callable[[], None] = lambda: None
 ) -> list[CellResult]:
     """What each flight came to, in their order, flown on all cores or so many; calls `progress` after each."""
-    flown: dict[int, CellResult] = {}
-    with processes.here_first(_numbered, list(enumerate(flights)), workers=workers) as results:
-        for number, result in results:
-            flown[number] = result
-            progress()
-    return [flown[number] for number in range(len(flights))]
+    return processes.in_order(_flown, flights, workers=workers, done=progress)
 
 
 def _loaded(server: ServerConfig) -> ServerConfig:
-    """The server under load: calls take longer in truth, and the drone has to find out."""
+    """The server under load: its true calls are slower than the drone believes."""
     slower = {
         service: {key: call_s + _SLOWER_S[key] for key, call_s in calls_s.items()}
         for service, calls_s in server.remote_call_s.items()
@@ -159,11 +154,6 @@ def _fly(flight: CellFlight, config: DroneConfig) -> Run:
         name = f"{cell.experiment.name}, {cell.setup}, {cell.policy}, seed {flight.seed}"
         raise UpwashError(f"{name}: the mission was not completed: {run.failure}")
     return run
-
-
-def _numbered(part: tuple[int, CellFlight]) -> tuple[int, CellResult]:
-    number, flight = part
-    return number, _flown(flight)
 
 
 def _flown(flight: CellFlight) -> CellResult:

@@ -166,7 +166,7 @@ def _naive(
 
 
 def _with_slow_calls(log: CellResult, slow: CellResult) -> CellResult:
-    """The mission with equal servers, had its calls on s2 taken as long as with s2 slow: the thesis's estimate."""
+    """The thesis's estimate: the mission with equal servers, with the delays on s2 of the slow one."""
     longer_s = log.s2_calls * (slow.s2_call_s - log.s2_call_s)
     return log._replace(
         mission_min=log.mission_min + longer_s / 60, service_delay_s=log.service_delay_s + longer_s

@@ -97,7 +97,6 @@ def missions(seeds: int = _SEEDS) -> int:
 
 
 def _flights(seeds: int) -> list[tuple[str, CellFlight]]:
-    """What has to be flown, by the labels of the variations."""
     return [
         (each.label, CellFlight(cell, seed, each.change))
         for each in (_AS_IT_IS, *variations())
@@ -108,7 +107,7 @@ def _flights(seeds: int) -> list[tuple[str, CellFlight]]:
 
 
 def _concerns(variation: Variation, cell: ThesisCell) -> bool:
-    """Whether it can change the mission: without offloading, servers may be anywhere and anything."""
+    """Whether it can change the mission: without offloading, servers have no effect."""
     config = scenario(cell, seed=1)
     changed = variation.change(config)
     beside_the_servers = _replace(changed, servers=config.servers, noise=config.noise)
