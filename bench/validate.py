@@ -25,7 +25,7 @@ from rich.table import Table
 
 from upwash import read_log, read_result
 from upwash.config import DroneConfig, GridConfig, ServerConfig
-from upwash.emulation.programs import write_drone_file
+from upwash.emulation.programs import write_config
 from upwash.emulation.request import (
     ComputerKind,
     EmulationOutcome,
@@ -141,7 +141,7 @@ def fly(cell: ThesisCell, field: Field, folder: Path, photos: Path, *, quick: bo
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     file = folder / "scenario.toml"
-    write_drone_file(file, config_of(cell, field.radio, photos, quick=quick))
+    write_config(file, config_of(cell, field.radio, photos, quick=quick))
     request = EmulationRequest(scenarios=(file,), radio=field.radio, computers=field.computers, folder=folder)
     run_emulation(request)
     outcome = read_outcome(folder)

@@ -10,7 +10,7 @@ import pytest
 from upwash.config import DroneConfig, PeerConfig, read_daemon_config, read_drone_config
 from upwash.config.drone import TruthConfig
 from upwash.emulation.native import WIFI, wifi_of
-from upwash.emulation.programs import daemon_config, write_daemon_file, write_drone_file
+from upwash.emulation.programs import daemon_config, write_config
 from upwash.emulation.request import EmulationRequest, Paces, emulated, left_out, server_paces
 from upwash.errors import UsageError
 from upwash.real.trust.authority import keys_in
@@ -30,7 +30,7 @@ def order(tmp_path: Path, *scenarios: Path, drones: int = 1) -> EmulationRequest
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda file: file.stem)
 def test_a_drones_file_is_read_back_as_it_was_written(tmp_path: Path, scenario: Path) -> None:
     config = emulated(read_drone_config(scenario))
-    write_drone_file(tmp_path / "drone.toml", config)
+    write_config(tmp_path / "drone.toml", config)
     assert read_drone_config(tmp_path / "drone.toml") == config
 
 
@@ -44,7 +44,7 @@ def test_a_planned_mission_keeps_its_plan(tmp_path: Path, name: str) -> None:
         f'[mission]\nplan = "{name}"\n{home}[[service]]\nname = "detector"\nlocal_call_s = {{ heavy = 1 }}\n'
     )
     config = read_drone_config(scenario)
-    write_drone_file(tmp_path / "drone.toml", config)
+    write_config(tmp_path / "drone.toml", config)
     again = read_drone_config(tmp_path / "drone.toml")
     assert again.mission.plan is not None and config.mission.plan is not None
     assert again.mission.plan.plan == config.mission.plan.plan
@@ -69,7 +69,7 @@ def test_a_daemon_is_told_its_paces_slots_and_images(tmp_path: Path) -> None:
         file = tmp_path / f"{server.name}.toml"
         keys, peers = keys_in(tmp_path, server.name), {"s9": "10.83.8.1:7070"}
         daemon = daemon_config(server, config, listen="10.83.0.1:7070", peers=peers, keys=keys)
-        write_daemon_file(file, daemon)
+        write_config(file, daemon)
         daemon = read_daemon_config(file)
         (identity,) = daemon.identities
         paces = server_paces(server, config)

@@ -88,7 +88,7 @@ def test_the_number_of_drones_is_varied_and_a_row_is_of_all_of_them(
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("drones=2,4", "drones: 4 are asked for, and the file has 3 .* tables: add some, or ask for fewer"),
+        ("drones=2,4", "drones: 4 are more than the file has: 3 .* tables: add some, or ask for fewer"),
         ("drones=0", "drones: expected a number of drones from 1 on, found 0"),
         ("drones=true", "drones: expected a number of drones from 1 on, found true"),
     ],

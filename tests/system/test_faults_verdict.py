@@ -16,7 +16,7 @@ from tests.system.faults.strikes import Strike
 from tests.system.faults.verdict import judge
 
 from upwash.config import read_drone_config, waypoints
-from upwash.emulation.programs import write_drone_file
+from upwash.emulation.programs import write_config
 
 BEGAN_S = 1_800_000_000.0
 CALL_S = 0.5
@@ -67,7 +67,7 @@ class Log:
 
     def write(self, folder: Path, name: str) -> None:
         config = msgspec.structs.replace(read_drone_config(SCENARIO), name=name)
-        write_drone_file(folder / f"{name}.toml", config)
+        write_config(folder / f"{name}.toml", config)
         (folder / f"{name}.jsonl").write_bytes(
             b"".join(line(each["event"], each["t"], **_facts(each)) for each in self.events)
         )

@@ -20,7 +20,7 @@ from upwash.cli.demonstration import filled_in, ready_daemons, score_photos
 from upwash.cli.fly import shown_live
 from upwash.config import DroneConfig, MissionConfig, waypoints
 from upwash.core.geo import Position
-from upwash.emulation.programs import write_drone_file
+from upwash.emulation.programs import write_config
 from upwash.errors import MissionStopped, UsageError
 from upwash.eventlog.fleet import FleetProgress
 from upwash.eventlog.log import EventLog, LineReader
@@ -61,7 +61,7 @@ def fly_fleet(folder: Path, config: DroneConfig, drones: int, *, runtime: str, l
         servers = processes.enter_context(ready_daemons(names, folder, runtime=runtime))
         for drone in fleet:
             here = filled_in(drone, folder.absolute(), vehicle=vehicles[drone.name], servers=servers)
-            write_drone_file(files[drone.name], here)
+            write_config(files[drone.name], here)
             logs[drone.name].touch()  # the page shows a flight that has yet to begin
         console.print(
             f"{len(fleet)} vehicles; the servers are at {', '.join(servers.values())}", soft_wrap=True

@@ -57,7 +57,7 @@ def require_containers() -> None:
 
 
 class ContainerComputers:
-    """Computers that see this machine's files, but for the system's own, and may change the run's folder only."""
+    """Computers that see this machine's files, except the system's own, and may change the run's folder only."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -5,17 +5,18 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.emulation.field import EmulatedRadio, Field, drone_namespace
 from upwash.emulation.namespaces import add_route, join_by_cable
-from upwash.emulation.programs import Computers, EmulatedFlight, NamespaceComputers, ready_daemon
+from upwash.emulation.programs import Computers, NamespaceComputers, flight_program, ready_daemon
 from upwash.emulation.radios import GhostRadio, ShapedRadio
 from upwash.emulation.request import ComputerKind, EmulationOutcome, EmulationRequest, RadioKind
 from upwash.emulation.vehicles import relayed, tracked
+from upwash.launch.flight_program import FlightProgram
 from upwash.launch.processes import ready_vehicle
 from upwash.real.trust.authority import make_keys
 
@@ -27,18 +28,15 @@ async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOu
     with contextlib.ExitStack() as stack:
         computers = _make_computers(request.computers, request.folder)
         radio = stack.enter_context(_field_set_up(field, computers, request))
-        flights: list[EmulatedFlight] = []
+        programs: dict[str, FlightProgram] = {}
         positions: dict[str, Callable[[], Position]] = {}
         for number, each in enumerate(drones):
             drone = each.config
             vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, computers, request))
-            flights.append(
-                EmulatedFlight(
-                    drone, field, computers, request.folder, vehicle=vehicle, departs_s=each.departs_s
-                )
-            )
+            programs[drone.name] = flight_program(drone, field, computers, request.folder, vehicle=vehicle)
         mover = Mover(radio, positions)
-        exit_codes = await _fly(flights, mover, stop)
+        departs_s = {each.config.name: each.departs_s for each in drones}
+        exit_codes = await _fly(programs, departs_s, mover, stop)
         return EmulationOutcome(
             radio=request.radio,
             radio_lag_s=radio.lag_s,
@@ -102,21 +100,24 @@ def _vehicle(
         yield connection, position
 
 
-async def _fly(flights: Iterable[EmulatedFlight], mover: Mover, stop: asyncio.Event) -> dict[str, int]:
+async def _fly(
+    programs: Mapping[str, FlightProgram], departs_s: Mapping[str, float], mover: Mover, stop: asyncio.Event
+) -> dict[str, int]:
+    async def stop_all() -> None:
+        await stop.wait()
+        for program in programs.values():
+            program.stop()
+
     async with asyncio.TaskGroup() as group:
-        moving = group.create_task(mover.run())
-        stopping = group.create_task(_stop_all(flights, stop))
-        flying = {flight.drone: group.create_task(flight.fly()) for flight in flights}
-        exit_codes = {drone: await each for drone, each in flying.items()}
-        moving.cancel()
-        stopping.cancel()
+        others = [group.create_task(mover.run()), group.create_task(stop_all())]
+        flying = {
+            drone: group.create_task(program.run(after_s=departs_s[drone]))
+            for drone, program in programs.items()
+        }
+        exit_codes = {drone: await flight for drone, flight in flying.items()}
+        for other in others:
+            other.cancel()
     return exit_codes
-
-
-async def _stop_all(flights: Iterable[EmulatedFlight], stop: asyncio.Event) -> None:
-    await stop.wait()
-    for flight in flights:
-        flight.stop()
 
 
 def _say(text: str) -> None:

@@ -21,7 +21,7 @@ from upwash.emulation.namespaces import command, require_tools
 from upwash.errors import UsageError
 from upwash.support.background import thread
 
-MARK = "UPWASH_EMULATION"  # in the environment: the process, and when it started, of the command that owns this one
+MARK = "UPWASH_EMULATION"  # the environment variable with the owning command's process and start time
 _TOOLS = {"unshare": "util-linux", "ip": "iproute2", "tc": "iproute2"}
 _GONE_WITHIN_S = 5.0
 _RETRY_S = 0.02
@@ -166,7 +166,7 @@ def _owner(pid: int) -> str:
 _ROOT = Path("/sys/fs/cgroup")
 _PREFIX = "upwash-emulation-"
 _OF_PROCESS_1 = "init.scope"  # where systemd keeps its own: engines make containers' groups beside it
-_HANDED_DOWN = ("cpuset.cpus", "cpuset.mems")  # by nobody but us, in the first version of control groups
+_HANDED_DOWN = ("cpuset.cpus", "cpuset.mems")  # the first version of control groups does not do it
 # Outside of the group its processes' nice values count for nothing: it gets what four of nice value -10 would.
 _GROUP_WEIGHTS = {"cpu.shares": 40 * 1024, "cpu.weight": 40 * 100}
 

@@ -72,7 +72,7 @@ class Field:
         return f"{self._address(self.servers.index(server))}:{_DAEMON_PORT}"
 
     def subnet(self, server: ServerConfig) -> str:
-        """Where the server's services have addresses, if they have their own; its computer is the way there."""
+        """The subnet of the server's services, behind its computer."""
         return f"10.84.{self.servers.index(server)}.0/24"
 
     def _address(self, index: int) -> str:

@@ -79,7 +79,7 @@ def give_address(end: LinkEnd, *, prefix_bits: int) -> None:
 
 
 def add_route(end: LinkEnd, subnet: str, *, via: str) -> None:
-    """Has what the end's namespace sends to the subnet leave by the end, for whoever has the address `via`."""
+    """Routes packets of the end's namespace to the subnet through the end, via that address."""
     command(*_ip(end), "route", "add", subnet, "via", via, "dev", end.device)
 
 

@@ -48,7 +48,7 @@ def ready_daemon(server: ServerConfig, field: Field, computers: Computers, folde
 
 
 def daemon_file(server: ServerConfig, field: Field, computers: Computers, folder: Path) -> Path:
-    """Writes what the server's daemon is told, once its computer can run the services, and returns the file."""
+    """Equips the server's computer, writes its daemon's configuration, and returns the file."""
     daemon = daemon_config(
         server,
         field.drones[0],
@@ -58,16 +58,16 @@ def daemon_file(server: ServerConfig, field: Field, computers: Computers, folder
     )
     runtime = computers.equip(server_namespace(server.name), daemon, subnet=field.subnet(server))
     file = folder / f"{server.name}.toml"
-    write_daemon_file(file, msgspec.structs.replace(daemon, runtime=runtime))
+    write_config(file, msgspec.structs.replace(daemon, runtime=runtime))
     return file
 
 
 def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) -> Path:
-    """Writes what the drone is told, and returns the file; `vehicle` is how its vehicle is reached."""
+    """Writes the drone's configuration, and returns the file; `vehicle` is the connection to its vehicle."""
     file = folder / f"{drone.name}.toml"
     replace = msgspec.structs.replace
     servers = tuple(replace(server, address=field.daemon_address(server)) for server in drone.servers)
-    write_drone_file(
+    write_config(
         file,
         replace(
             drone,
@@ -81,40 +81,22 @@ def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) 
     return file
 
 
-class EmulatedFlight:
-    """One drone's `upwash fly`, from its configuration to its exit code."""
+def flight_program(
+    drone: DroneConfig, field: Field, computers: Computers, folder: Path, *, vehicle: str
+) -> FlightProgram:
+    """The drone's `upwash fly`, whose lines are printed."""
+    prefix = f"{drone.name}: " if len(field.drones) > 1 else ""
 
-    def __init__(
-        self,
-        drone: DroneConfig,
-        field: Field,
-        computers: Computers,
-        folder: Path,
-        *,
-        vehicle: str,
-        departs_s: float = 0.0,
-    ) -> None:
-        self.drone = drone.name
-        self._departs_s = departs_s
-        self._prefix = f"{drone.name}: " if len(field.drones) > 1 else ""
-        self._program = FlightProgram(
-            drone_file(drone, field, folder, vehicle=vehicle),
-            folder / f"{drone.name}.jsonl",
-            say=self._pass_on,
-            through=computers.inside(drone_namespace(drone.name)),
-        )
-
-    async def fly(self) -> int:
-        """Flies once it is time, passes on what the program prints, and returns its exit code."""
-        return await self._program.run(after_s=self._departs_s)
-
-    def _pass_on(self, line: str) -> None:
-        sys.stdout.write(f"{self._prefix}{line}\n")
+    def pass_on(line: str) -> None:
+        sys.stdout.write(f"{prefix}{line}\n")
         sys.stdout.flush()
 
-    def stop(self) -> None:
-        """Has it end its mission and land, as a Ctrl-C would."""
-        self._program.stop()
+    return FlightProgram(
+        drone_file(drone, field, folder, vehicle=vehicle),
+        folder / f"{drone.name}.jsonl",
+        say=pass_on,
+        through=computers.inside(drone_namespace(drone.name)),
+    )
 
 
 def _camera(config: CameraConfig) -> CameraConfig:
@@ -123,14 +105,10 @@ def _camera(config: CameraConfig) -> CameraConfig:
     return config
 
 
-def write_drone_file(file: Path, config: DroneConfig) -> None:
+def write_config(file: Path, config: DroneConfig | DaemonConfig) -> None:
     """Writes the configuration so that reading the file gives it back."""
-    _write(file, config)
-
-
-def write_daemon_file(file: Path, config: DaemonConfig) -> None:
-    """Writes the configuration so that reading the file gives it back."""
-    _write(file, config)
+    tables = _without_nothing(msgspec.to_builtins(config, enc_hook=_as_text))
+    write_file(file, tomli_w.dumps(tables).encode())
 
 
 def daemon_config(
@@ -157,11 +135,6 @@ def daemon_config(
         ),
         peers=tuple(PeerConfig(name=name, address=address) for name, address in peers.items()),
     )
-
-
-def _write(file: Path, config: DroneConfig | DaemonConfig) -> None:
-    tables = _without_nothing(msgspec.to_builtins(config, enc_hook=_as_text))
-    write_file(file, tomli_w.dumps(tables).encode())
 
 
 def _as_text(value: object) -> str:

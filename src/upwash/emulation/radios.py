@@ -41,7 +41,7 @@ class ShapedRadio:
             self._links.setdefault(link.drone, []).append(_ShapedLink(link))
 
     def move(self, drone: str, position: Position) -> None:
-        """Shapes the drone's links anew."""
+        """Shapes the drone's links for its position."""
         for link in self._links[drone]:
             link.move(position)
 

@@ -34,7 +34,7 @@ _MOST_STATIONS = 250  # on one server's network, by their addresses
 
 @dataclass(frozen=True, slots=True)
 class EmulatedDrone:
-    """One drone of an emulation, whose program is started so long after the others' at the earliest."""
+    """One drone of an emulation; its program starts `departs_s` after the emulation."""
 
     config: DroneConfig
     departs_s: float = 0.0
@@ -48,7 +48,7 @@ class EmulationRequest(msgspec.Struct, frozen=True, kw_only=True):
     radio: RadioKind = "table"
     computers: ComputerKind = "namespaces"
     autopilots: tuple[str, ...] = ()  # how each drone's vehicle is reached; without any, stand-ins fly
-    outside: int = -1  # a handle of the network namespace in which they are reached
+    outside: int = -1  # a handle of their network namespace
     folder: Path
 
     def encoded(self) -> str:
@@ -61,7 +61,7 @@ class EmulationRequest(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.decode(text, type=cls, dec_hook=lambda kind, value: kind(value))
 
     def read(self) -> tuple[EmulatedDrone, ...]:
-        """Each drone, as it is emulated; raises UsageError."""
+        """The drones; raises UsageError."""
         drones = [
             EmulatedDrone(emulated(config), presence.departs_s)
             for file in self.scenarios
@@ -221,6 +221,6 @@ class EmulationOutcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_outcome(folder: Path) -> EmulationOutcome | None:
-    """What the emulation of the folder came to; None where it did not come to its end."""
+    """The outcome in the run's folder; None if the emulation did not end."""
     file = folder / _FILE
     return msgspec.json.decode(file.read_bytes(), type=EmulationOutcome) if file.exists() else None

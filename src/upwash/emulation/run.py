@@ -1,4 +1,4 @@
-"""An emulation as the command runs it: enclosed, with what it came to at the end."""
+"""An emulation as the command runs it: enclosed, with its outcome printed at the end."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def run_emulation(request: EmulationRequest) -> bool:
     console = Console(markup=False)
     if read_outcome(request.folder) is not None:
         raise UsageError(f"{request.folder} holds another run: name a new --folder")
-    drones = request.read()  # so that what is wrong with it is said before anything is set up
+    drones = request.read()  # errors show before the set-up
     if request.radio == "ns3":
         native_program("ghosts")
         for server in drones[0].config.servers:

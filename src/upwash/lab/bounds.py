@@ -26,9 +26,9 @@ from upwash.sim.world import computing_s, delay_of, occupying_s
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A call that a run made, for which the mission waited `waited_s` in the end.
+    """A call of a run; the mission waited `waited_s` for its answer.
 
-    `passage` is what follows it where the drone need not wait for it, and `on_the_way` the servers in range there.
+    `passage` is what follows if the drone need not wait for it, and `on_the_way` the servers in range there.
     """
 
     operation: Operation
@@ -80,11 +80,11 @@ class _Mission:
 
 
 def bound_of(run: Run, config: DroneConfig) -> Bound | None:
-    """The least times of the mission, whatever decides; None where it was not completed.
+    """The least times of the mission under any policy; None if it was not completed.
 
     It flies and takes photos for as long as this run did, and makes the same calls at the same places. Computers are
     never hot and nothing fails; calls take their mean time, so with noise the bounds hold for the mean of many runs.
-    Where the configuration lets the drone go on before answers are there, it turns back no more often than it has to.
+    If the drone may go on before answers are there, it turns back no more often than it has to.
     """
     if not run.result.completed:
         return None
@@ -144,7 +144,7 @@ def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -
 
 
 def _begun_s(run: Run) -> float:
-    """The simulated second at which a completed mission's time began."""
+    """When a completed mission's time began, in simulated seconds."""
     ended_s = next(event.t for event in run.events if isinstance(event, schema.MissionCompleted))
     return ended_s - run.result.mission_time_s
 
@@ -211,7 +211,7 @@ def _made(
 
 
 def _met(stays: Sequence[RangeInterval], passage: AfterCall | None) -> Iterator[tuple[RangeInterval, float]]:
-    """The servers in whose range the drone is on its way, and the least time (s) from its departure to there."""
+    """The servers that the drone passes on its way, each with the least time (s) from its departure."""
     if passage is None or passage.departed_s is None:
         return
     for stay in stays:
@@ -257,10 +257,10 @@ class AfterCall:
 
 
 class Ways:
-    """Follows a mission event by event. Calls have their numbers in the log, from 0 on.
+    """Follows a mission event by event; calls have their numbers in the log, from 0 on.
 
-    `waited_s` is how long the mission waited for each answer that it had not waited for at once, and `in_vain_s` how
-    long it flew back, with the legs that it flew twice or in vain for that.
+    `waited_s` is the wait for each answer that the mission did not wait for at once. `in_vain_s` is the time of legs
+    back, and of legs that it flew twice or in vain for them.
     """
 
     def __init__(self) -> None:
@@ -305,7 +305,7 @@ class Ways:
                 self._arrive(event.t)
 
     def after(self, number: int) -> AfterCall | None:
-        """What follows the call of that number; None for one that the mission waited for at once."""
+        """What follows the call of that number; None for a call with an immediate wait."""
         way = self._ways.get(number)
         if way is None or way.ended_s is None:
             return None

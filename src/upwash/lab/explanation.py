@@ -58,10 +58,10 @@ class CallChoice:
 def show_explanation(
     log: Path, *, scenario: Path | None = None, drone: str | None = None, wanted: CallChoice | None = None
 ) -> None:
-    """Prints why each call of the log, or each wanted one, ran where it ran, and what other policies would have done.
+    """Prints why each chosen call of the log ran where it ran, and what other policies would have done.
 
-    These are flown in the scenario that is given, and in none without one: a log can be anybody's, and a scenario
-    runs its author's program. Where it has several drones, the one that is named flies by them, or else the log's.
+    Other policies fly only in a scenario that is given: a log may come from a stranger, and a scenario runs its
+    author's program. In a scenario of several drones, `drone` flies by them, or else the log's drone.
     """
     from rich.console import Console
 

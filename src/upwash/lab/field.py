@@ -1,4 +1,4 @@
-"""The edge servers of a simulated world, for whichever drones come by."""
+"""The edge servers of a simulated world."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What simulated flights came to in a few numbers: of one drone, or of several at the same time."""
+"""The outcome of simulated flights in a few numbers: of one drone, or of several at the same time."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _means(drawn: Sequence[EnergyTotals]) -> EnergyTotals | None:
 def fleet_outcome(
     runs: Mapping[str, Run], config: DroneConfig, bound: FleetBound | None = None
 ) -> FleetOutcome:
-    """What the runs of the scenario's drones came to."""
+    """The outcome of the runs of the scenario's drones."""
     times_s = [run.result.mission_time_s for run in runs.values() if run.result.completed]
     saved = saved_s(runs, fleet_of(config), presences(config))
     return FleetOutcome(
@@ -165,9 +165,9 @@ def saved_s(
 
 
 def jain(saved: Iterable[float]) -> float | None:
-    """Jain's index: 1 where all saved the same, one n-th where one of n saved all; None of nobody.
+    """Jain's index: 1 if all saved the same, 1/n if one of n saved all; None without drones.
 
-    Who lost time counts as having saved none, and where nobody saved anything that is even.
+    A loss counts as no saving; if no drone saved, the index is 1.
     """
     shares = [share if share > _LEAST_S else 0.0 for share in saved]
     if not shares:

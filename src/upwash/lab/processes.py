@@ -68,7 +68,7 @@ def _results(
 
 @contextlib.contextmanager
 def _without_ctrl_c() -> Iterator[None]:
-    """Processes that start meanwhile ignore Ctrl-C; this one gets it at the end."""
+    """Processes that start meanwhile ignore Ctrl-C, which this process gets at the end."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield

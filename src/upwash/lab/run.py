@@ -55,16 +55,16 @@ from upwash.support.heat import Heat, Surroundings
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.px4 import airframe as px4
 
-_LONGEST_S = 48 * 3600.0  # of virtual time, and for each waypoint of the longest plan so much more:
-_LONGEST_STOP_S = 120.0  # a mission that takes longer never ends
+_LONGEST_S = 48 * 3600.0  # of virtual time: a longer mission never ends
+_LONGEST_STOP_S = 120.0  # more for each waypoint of the longest plan
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One simulated mission: its events, what they came to, and what was in range when.
+    """One simulated mission: its events, its result, and the times in range of each server.
 
-    `failure` says why it was not completed; `vanished` is whether that is because the scenario has it vanish.
-    `coverage` is what is known after it of servers without a range.
+    `failure` says why it was not completed; `vanished` is whether the scenario had the drone vanish. `coverage` is
+    the coverage of servers without a range after the mission.
     """
 
     events: KeptEvents
@@ -82,8 +82,8 @@ class Run:
 def simulate(config: DroneConfig) -> Run:
     """Flies the scenario's mission on virtual time; the same scenario and seed give the same run.
 
-    Raises MissionFailed for a mission program with a bug, and UsageError for what cannot be simulated; whatever else
-    ends a mission early is the run's `failure`.
+    Raises MissionFailed for a mission program with a bug, and UsageError for what cannot be simulated; another early
+    end is the run's `failure`.
     """
     if config.drones:
         raise UsageError(f"the scenario has {len(config.drones)} drones, and this is for one")
@@ -107,8 +107,8 @@ def simulate_fleet(
 ) -> list[Run]:
     """Flies the missions of several drones at the same time, among the servers of the first one's scenario.
 
-    Each is `there` when that says so, from the start to its mission's end by default. With `computing` the services
-    really compute, in no time, instead of returning empty results; what an onlooker sees of drones and servers is
+    `there` says when each drone is there; by default from the start to its mission's end. With `computing` the
+    services really compute, in no time, instead of returning empty results; observations of drones and servers are
     added to `seen`.
     """
     drones = [

@@ -21,9 +21,8 @@ _DRONES = "drones"
 def with_value(document: Document, file: Path, key: str, value: object) -> Document:
     """The document with one value changed or added.
 
-    A step of the key names a table's key; in an array of tables it is the `name` of one, or its number from 0. The
-    key `drones` leaves so many of the `[[drone]]` tables, the first ones. Raises ConfigError where the key leads
-    nowhere.
+    A step of the key names a table's key; in an array of tables it is the `name` of a table, or its number from 0.
+    The key `drones` keeps that number of the `[[drone]]` tables. Raises ConfigError for a key that leads nowhere.
     """
     changed = copy.deepcopy(document)
     if key == _DRONES:
@@ -43,7 +42,7 @@ def _first_drones(drones: list[Any], count: object, file: Path) -> list[Any]:
         raise ConfigError(
             str(file),
             _DRONES,
-            f"{count} are asked for, and the file has {len(drones)} [[drone]] tables: add some, or ask for fewer",
+            f"{count} are more than the file has: {len(drones)} [[drone]] tables: add some, or ask for fewer",
         )
     return drones[:count]
 

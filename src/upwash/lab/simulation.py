@@ -20,10 +20,10 @@ from upwash.lab.scenario import name_of, read_scenario
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simulation(RunResult):
-    """One simulated mission: what it came to, the least times that it could have taken, and its events.
+    """One simulated mission: its result, the least times that were possible, and its events.
 
-    `failure` says why it was not completed, "" where it was; then there is no bound either. `vanished` is whether
-    that is because the scenario has the drone vanish.
+    `failure` says why it was not completed, "" if it was; then there is no bound. `vanished` is whether the scenario
+    had the drone vanish.
     """
 
     scenario: str
@@ -56,7 +56,7 @@ def simulate(
     config = read_scenario(scenario, policy=policy, seed=seed, overrides=overrides)
     if config.drones:
         raise UsageError(
-            f"{name_of(scenario)} has [[drone]] tables ({len(config.drones)}), and one mission is to be simulated: "
+            f"{name_of(scenario)} has [[drone]] tables ({len(config.drones)}), and this simulates one mission: "
             "call simulate_fleet"
         )
     if keep_coverage and config.network.coverage_map is None:
@@ -68,7 +68,7 @@ def simulate(
 
 
 def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenario: str) -> Simulation:
-    """What the run of that configuration came to."""
+    """The simulation of that run."""
     result = {each.name: getattr(run.result, each.name) for each in fields(run.result)}
     return Simulation(
         **result | {"policy": config.policy.name},  # also of a mission that never began
@@ -83,11 +83,11 @@ def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenari
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetSimulation:
-    """Several missions at the same time, each by its drone's name, and what they came to; times in seconds.
+    """Several missions at the same time, by drone, and their common results; times in seconds.
 
-    `mean_s` and `worst_s` are of the missions that were completed, and None where there are none. `saved_s` is what
-    each of them saved against flying alone with every call on the drone, and `jain` says how even that is: 1 where
-    all saved the same, one n-th where one of n saved all. `bound` is the least mean that there could have been.
+    `mean_s` and `worst_s` are of the completed missions, None without any. `saved_s` is what each drone saved against
+    flying alone with every call on the drone. `jain` says how even that is: 1 if all saved the same, 1/n if one of n
+    saved all. `bound` is the least possible mean.
     """
 
     drones: Mapping[str, Simulation]
@@ -101,7 +101,7 @@ class FleetSimulation:
 
     @property
     def failures(self) -> dict[str, str]:
-        """By name, why missions were not completed, but for those of drones that vanished as the scenario has it."""
+        """By drone, why a mission was not completed, except of drones that the scenario had vanish."""
         return {
             name: each.failure for name, each in self.drones.items() if each.failure and not each.vanished
         }

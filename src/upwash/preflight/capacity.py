@@ -25,14 +25,14 @@ from upwash.lab.scenario import with_policy
 from upwash.preflight.prediction import LOCAL_ONLY
 from upwash.support.sentences import say
 
-SLOWER = 1.05  # so much longer, at most, a mission takes on average of drones that are carried
+SLOWER = 1.05  # the most that the mean time may grow for drones that are carried
 _NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 _WITHIN_S = 60.0
 _WORTH = 0.5  # of what one drone alone saves: with less, more drones are not asked for
 
 
 class Load(Struct, frozen=True, kw_only=True):
-    """So many drones at once: how long their missions take, what share of their calls ran where, and how many."""
+    """A number of drones at once: the times of their missions, and how many of their calls ran on servers."""
 
     drones: int
     mean_s: float
@@ -54,7 +54,7 @@ class Capacity(Struct, frozen=True, kw_only=True):
 def capacity_of(config: DroneConfig, name: str, flown: Callable[[Load], None] = lambda _: None) -> Capacity:
     """Flies the mission of a configuration of one drone; raises UsageError where nothing is offloaded."""
     if config.drones:
-        raise UsageError("capacity is asked of one drone's mission, and this file has [[drone]] tables")
+        raise UsageError("capacity is measured with one drone's mission, and this file has [[drone]] tables")
     if config.policy.name == LOCAL_ONLY or not config.servers:
         raise UsageError("every call runs on the drone: name servers, and another policy than local-only")
     (alone,) = simulate_fleet([with_policy(config, LOCAL_ONLY)])

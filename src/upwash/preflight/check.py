@@ -44,11 +44,11 @@ class CheckInput(Struct, frozen=True):
 class MissionCheck(Struct, frozen=True, kw_only=True):
     """What was found: the one object that `upwash check --json` prints.
 
-    `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` what the simulated one gives
-    above it, None where the file does not say, and `farthest` the waypoint from which the way home takes longest.
-    `order` says in which order the waypoints are flown and why, "" where nothing but the given one was asked for.
-    `notices` say what of a plan is flown otherwise than it says, or not at all.
-    `demanding_share` is that of the answers that demand something, where the drone may go on before they are there.
+    `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` the simulated battery's
+    energy above it; None if the file does not say. `farthest` is the waypoint with the longest way home. `order` is
+    the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
+    plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
+    them.
     """
 
     config: str
@@ -146,7 +146,7 @@ def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     """What `upwash fly` would refuse, and failures of the camera and the services in flight."""
     if not is_for_flight(config):
         return
-    # with all that flies a drone: only where one is to fly
+    # these import the whole flight program
     from upwash.launch.cameras import NO_CAMERA, needs_camera
     from upwash.launch.photos import Look, look
     from upwash.launch.readiness import expiry_trouble, refusals

@@ -48,9 +48,9 @@ from upwash.support.sentences import say
 
 
 class DroneForecast(Struct, frozen=True, kw_only=True):
-    """What is known of one drone's mission among the others; no `mission_time_s` of one that is to vanish on it.
+    """One drone's mission among the others; no `mission_time_s` if the drone vanishes.
 
-    `order` is as in `Check`.
+    `order` is as in `MissionCheck`.
     """
 
     drone: str
@@ -62,7 +62,7 @@ class DroneForecast(Struct, frozen=True, kw_only=True):
 
 
 class AskedServer(Struct, frozen=True):
-    """By how many of the drones a server is asked for a slot, of those who come into its range."""
+    """How many drones come into range of a server, and how many request a slot there."""
 
     server: str
     in_range_of: int
@@ -79,7 +79,7 @@ class FleetCheck(Struct, frozen=True, kw_only=True):
 
     @property
     def warnings(self) -> tuple[PreflightWarning, ...]:
-        """Those of all drones; what is said of several in the same words is said once, with their names."""
+        """The warnings of all drones; equal warnings are one, with the names of their drones."""
         names: dict[PreflightWarning, list[str]] = {}
         for each in self.drones:
             for warning in each.warnings:

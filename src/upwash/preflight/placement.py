@@ -43,9 +43,9 @@ def place(
 ) -> tuple[list[SuggestedPlace], Document]:
     """Puts one server after the other where the mission is then fastest; also returns the document with them.
 
-    Each is like the first one of the file, which stays with the others where it is, and is tried at STEPS by STEPS
-    places over the field, with one mission each and no noise. They are fewer than asked for where one more would gain
-    nothing. Raises UsageError where there is no server to be like, or no mission is completed.
+    Each is like the first server of the file, and is tried at STEPS by STEPS places over the field, with one mission
+    each and no noise. It stops early if one more server would gain nothing. Raises UsageError without a server in the
+    file, and if no mission is completed.
     """
     if not config.servers:
         raise UsageError("--place needs one [[server]] in the file: the servers to be placed are like it")

@@ -17,13 +17,12 @@ LOCAL_ONLY, AS_CONFIGURED, ALONE = "local-only", "as configured", "without any s
 
 
 class Prediction(Struct, frozen=True, kw_only=True):
-    """What became of one case in so many simulated missions.
+    """The simulated missions of one case.
 
-    `mission_time_s` is the mean of the completed ones, None where there are none; the true mean lies within
-    `margin_s` of it with a probability of 95 %. The margin is None where a single mission says all, or little.
-    `energy_wh` is what they draw from the battery, likewise, where the file has `[energy]`, and `lighter` how
-    many of their calls are lighter, where it has `mission.lighter`. `failures` are the reasons of those that were not
-    completed.
+    `mission_time_s` is the mean of the completed ones, None without any; the true mean lies within `margin_s` of it
+    with a probability of 95 %. The margin is None for a single mission. `energy_wh` is the mean energy from the
+    battery, with `[energy]` in the file, and `lighter` the mean number of lighter calls, with `mission.lighter`.
+    `failures` are the reasons of missions that were not completed.
     """
 
     case: str
@@ -42,12 +41,12 @@ class Prediction(Struct, frozen=True, kw_only=True):
 
 
 def without(server: str) -> str:
-    """The case in which that server is dead."""
+    """The case without that server."""
     return f"without {server}"
 
 
 def demanding_share(config: DroneConfig) -> float | None:
-    """The share of answers that demand something at their waypoint in what is flown; None where the drone stays."""
+    """The share of answers that demand an action at their waypoint; None if the drone stays for answers."""
     if config.policy.stay_or_go == "stay":
         return None
     if config.event is None:

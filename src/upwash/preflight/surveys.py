@@ -63,7 +63,7 @@ def _print(findings: Sequence[SurveyFinding], console: Console) -> bool:
 def check_vehicle(config: DroneConfig, console: Console, *, install_dead_man: bool = False) -> bool:
     """Connects to the vehicle, prints whether it and its dead man are ready; whether a flight would begin.
 
-    A dead man that is to be installed is installed first.
+    `install_dead_man` installs the dead man first.
     """
     from upwash.launch.survey import survey_vehicle
 

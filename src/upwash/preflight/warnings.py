@@ -49,7 +49,7 @@ def usable_wh(config: DroneConfig) -> float | None:
 
 
 def _level_percent(config: DroneConfig, energy: EnergyConfig) -> float:
-    """The battery level at which the flight ends."""
+    """The battery level that ends the flight."""
     return max(reserve_percent(config) or 0.0, energy.failsafe_percent)
 
 
@@ -59,7 +59,7 @@ def warnings(
     beliefs: Sequence[Belief],
     predictions: Sequence[Prediction],
 ) -> list[PreflightWarning]:
-    """All that may cause problems, but for what `upwash fly` refuses.
+    """All warnings, without those that `upwash fly` turns into refusals.
 
     The beliefs are those of the operations that the mission calls.
     """
@@ -82,7 +82,7 @@ def warnings(
 
 
 def is_for_flight(config: DroneConfig) -> bool:
-    """Whether the file says how anything real is reached; else it is a scenario, to be simulated only."""
+    """Whether the file has a real autopilot or server; else it is a scenario, for simulation only."""
     return config.autopilot.connection is not None or any(server.address for server in config.servers)
 
 
@@ -268,7 +268,7 @@ def _above_the_reserve(config: DroneConfig) -> str:
 
 
 def _way_home_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
-    """Warn of a waypoint from which the drone would turn back on arrival or before."""
+    """Warn of a waypoint that is too far to return from."""
     lasts_s = usable_s(config)
     if config.mission.reserve_s is None:
         return

@@ -17,10 +17,10 @@ from upwash.lab.observer import RangeInterval
 class ServerCoverage(Struct, frozen=True, kw_only=True):
     """One server as the mission meets it.
 
-    `nearest_m` is how far it stands from the nearest waypoint, and `longest_stay_s` the longest time that the drone
-    is in its range at a stretch when it computes everything itself, which is when it is slowest. A server without a
-    range, for which `range_m` and `nearest_m` are None, has been `measured` at some waypoints, and covers all but
-    those of them where it mostly did not answer.
+    `nearest_m` is its distance to the nearest waypoint. `longest_stay_s` is the longest time in its range at a
+    stretch if the drone computes every call itself, which makes it slowest. Without a range, `range_m` and
+    `nearest_m` are None; the server was `measured` at some waypoints, and covers all except those with mostly no
+    answer.
     """
 
     server: str
@@ -83,10 +83,10 @@ PX4_LOW_PERCENT = 15.0  # BAT_LOW_THR as a PX4 is delivered
 
 
 class Farthest(Struct, frozen=True, kw_only=True):
-    """The waypoint from which the way home takes longest, without wind; the way down with `on_failure = "land"`.
+    """The waypoint with the longest way home, without wind; the way down with `on_failure = "land"`.
 
-    `out_s` is the least time there from the ground, and `needed_percent` what the way home takes of the battery, None
-    where the file does not say how long that lasts.
+    `out_s` is the least time there from the ground, and `needed_percent` the share of the battery for the way home;
+    None if the file does not say how long the battery lasts.
     """
 
     waypoint: int
@@ -116,7 +116,7 @@ def farthest(config: DroneConfig) -> Farthest:
 
 
 def believed_way_home(config: DroneConfig) -> WayHome:
-    """How the vehicle returns; before it is connected only the simulated one's profile says so."""
+    """How the vehicle returns, by the profile of the simulated vehicle."""
     return ARDUCOPTER if config.vehicle.profile == "arducopter" else UNKNOWN
 
 

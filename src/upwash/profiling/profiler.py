@@ -27,9 +27,7 @@ from upwash.support.background import beside
 LONGEST_CALL_S = 600.0
 _PROBES = 7
 _LEAST_CARRIED_S = 1e-3  # a shorter difference is noise: the way is too fast to tell
-_UNDECODABLE = (
-    b"\xc1"  # the one byte that MessagePack never uses: a service refuses it before it computes anything
-)
+_UNDECODABLE = b"\xc1"  # never in MessagePack: a service refuses it without computing
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ def samples(spec: ServiceSpec, photos: Mapping[str, bytes]) -> list[CallSample]:
 
 
 def values_of(spec: ServiceSpec, setting: str) -> tuple[str, ...]:
-    """The words that a setting can be; raises UsageError for one that is not a Literal of words."""
+    """The words that a setting can be; raises UsageError if it is not a Literal of words."""
     settings = types.type_info(spec.settings)
     assert isinstance(settings, types.StructType)  # noqa: S101 - made by settings.py
     found = {field.name: field.type for field in settings.fields}
@@ -135,7 +133,7 @@ def values_of(spec: ServiceSpec, setting: str) -> tuple[str, ...]:
 
 
 def calls_to_make(found: Sequence[CallSample], calls: int) -> int:
-    """How often a Watch is told of a call while these are measured."""
+    """The number of calls of a Watch during the measurement."""
     return len(found) * (calls + 1)
 
 
@@ -153,7 +151,7 @@ async def profile_onboard(
 ) -> OnboardProfile:
     """Measures each operation in an instance of its own, so that each has a first call.
 
-    `memory_bytes()` is what the instance has needed so far.
+    `memory_bytes()` is the instance's peak memory.
     """
     profiles, starts_s, memories_bytes = [], [], []
     for sample in found:
@@ -209,23 +207,19 @@ async def profile_server(
     )
 
 
-Request = Callable[[CallSample, bytes], Awaitable[bytes]]
+Request = Callable[[Operation, bytes], Awaitable[bytes]]
 
 
 def _over(link: Link) -> Request:
-    def request(sample: CallSample, body: bytes) -> Awaitable[bytes]:
-        path = service_path(sample.operation.service, sample.operation.method)
-        return link.request(path, body, timeout_s=LONGEST_CALL_S)
-
-    return request
+    return lambda operation, body: link.request(
+        service_path(operation.service, operation.method), body, timeout_s=LONGEST_CALL_S
+    )
 
 
 def _to(session: ServerSession) -> Request:
-    def request(sample: CallSample, body: bytes) -> Awaitable[bytes]:
-        operation = sample.operation
-        return session.call(operation.service, operation.method, body, deadline_s=LONGEST_CALL_S)
-
-    return request
+    return lambda operation, body: session.call(
+        operation.service, operation.method, body, deadline_s=LONGEST_CALL_S
+    )
 
 
 async def _measure(sample: CallSample, request: Request, *, calls: int, watch: Watch) -> CallProfile:
@@ -233,7 +227,7 @@ async def _measure(sample: CallSample, request: Request, *, calls: int, watch: W
     for photo in itertools.islice(itertools.cycle(sample.requests), calls + 1):
         watch(str(sample.operation))
         began_s = _now_s()
-        reply = await request(sample, sample.requests[photo])
+        reply = await request(sample.operation, sample.requests[photo])
         delays_s.append(_now_s() - began_s)
         replies_bytes.append(len(reply))
         require_answer(sample, photo, reply)
@@ -255,7 +249,7 @@ async def _measure_transfer(sample: CallSample, request: Request) -> tuple[float
     for _ in range(_PROBES):
         for size_bytes in sizes_bytes:
             began_s = _now_s()
-            await request(sample, _UNDECODABLE * size_bytes)
+            await request(sample.operation, _UNDECODABLE * size_bytes)
             delays_s[size_bytes].append(_now_s() - began_s)
     small_s, large_s = (statistics.median(delays_s[size_bytes]) for size_bytes in sizes_bytes)
     carried_s = large_s - small_s

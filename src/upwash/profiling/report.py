@@ -34,7 +34,7 @@ def call_table(profiles: Sequence[CallProfile]) -> Table:
 
 
 def service_table(profile: OnboardProfile, *, program: str | None, computer: str, settings: str = "") -> str:
-    """The [[service]] table of a configuration; comments say what it was measured on, and with which settings."""
+    """The [[service]] table of a configuration; comments name the computer and the settings."""
     calls = profile.calls
     first_extra_s = max(0.0, *(each.first_s - each.mean_s for each in calls))
     lines = [
@@ -68,7 +68,7 @@ def chosen_setting(setting: str, profiles: Mapping[str, OnboardProfile]) -> str:
 
 
 def fastest(profiles: Mapping[str, OnboardProfile]) -> str:
-    """The value of a setting with which a call of each operation takes the least together."""
+    """The value of a setting with the least sum of mean delays."""
     return min(profiles, key=lambda value: profiles[value].mean_s)
 
 

@@ -23,7 +23,7 @@ from upwash.support.background import first
 from upwash.vehicle.ardupilot.airframe import TURN_DEG_S
 from upwash.vehicle.body.kinematics import Phase, duration_s, stretched
 
-_PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
+_PATIENCE_S = 60.0  # the most that a leg may exceed its time
 _GPS = GpsFix("3d", satellites=12, hdop=0.8)
 
 
@@ -160,7 +160,7 @@ class ModelAutopilot:
 
     @property
     def dead_man(self) -> DeadMan:
-        """One that has nothing to do."""
+        """Always ready, and never needed."""
         return ModelDeadMan()
 
     @property
@@ -263,7 +263,7 @@ class ModelAutopilot:
         self._nose_deg = self._turned_to_deg = heading_deg
 
     async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
-        """Accepted at once: it carries whatever is asked for."""
+        """Accepted at once."""
         self._command(name)
 
     def say(self, severity: int, text: str) -> None:
@@ -353,7 +353,7 @@ class ModelAutopilot:
     def _in_time(
         self, way: Callable[[Position], tuple[Phase, ...]], takes_s: Callable[[tuple[Phase, ...]], float]
     ) -> tuple[Phase, ...]:
-        """The way from here, in the time that it takes from the waypoint at which the vehicle has arrived.
+        """The way from here, in the time that the way from the last waypoint takes.
 
         How near the vehicle has crept depends on how long it hovered, thus on the policy; the time of a leg must not.
         """

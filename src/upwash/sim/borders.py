@@ -1,7 +1,6 @@
-"""When a vehicle on paper crosses borders, for whoever waits for that.
+"""When a simulated vehicle crosses borders.
 
-Nobody is woken when it begins to move otherwise: a timer is set anew for each who waits, for when they will have
-crossed.
+A change of its motion ends no wait: it only sets the timer of each wait to the next crossing.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ class _Asked:
 
     circles: Sequence[Circle]
     index: AreaIndex
-    crossings_s: Sequence[float] | None = None  # of the present motion, once they were asked for
+    crossings_s: Sequence[float] | None = None  # of the present motion, once computed
 
 
 @dataclass(slots=True, eq=False)
@@ -94,7 +93,7 @@ class Borders:
         return asked.crossings_s[later] if later < len(asked.crossings_s) else None
 
     def _all_crossings_s(self, asked: _Asked) -> Iterator[float]:
-        """Just after each time at which the motion crosses one of the circles."""
+        """Just after each crossing of the motion with a circle."""
         phases, begun_s = self._motion.phases, self._motion.begun_s
         if not phases:
             return
@@ -120,7 +119,7 @@ def _is_near(place: Position, circle: Circle, within_m: float) -> bool:
 
 
 def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:
-    """The times from the start of a phase at which it crosses the circle."""
+    """The crossings of a phase with the circle, in seconds from its start."""
     heading_east, heading_north = phase.heading.east_m_s, phase.heading.north_m_s
     squared = heading_east**2 + heading_north**2
     if squared == 0:

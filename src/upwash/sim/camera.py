@@ -1,4 +1,4 @@
-"""Cameras without a lens, and the waypoints at which their photos show an event."""
+"""Cameras without a lens, and the waypoints whose photos show an event."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _SAME_PLACE_M = 1.0
 
 
 class ModelCamera:
-    """Returns the same few bytes after `photo_s`: how large a photo is, the radio model knows.
+    """Returns the same few bytes after `photo_s`: the radio model knows the size of a photo.
 
-    At the places of `events` it shows one, which services that are modelled answer with something.
+    At the places of `events` the photo shows an event, for which modelled services have an answer.
     """
 
     def __init__(self, *, photo_s: float, events: Sequence[Position] = ()) -> None:

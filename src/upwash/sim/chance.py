@@ -16,7 +16,7 @@ class Chance:
         self._streams: dict[str, random.Random] = {}
 
     def stream(self, name: str) -> random.Random:
-        """The stream of that name, the same one at every call."""
+        """The stream of that name; later calls continue it."""
         if name not in self._streams:
             self._streams[name] = random.Random(f"{self._seed}/{name}")  # noqa: S311 - not for secrets
         return self._streams[name]

@@ -109,11 +109,11 @@ class EnergyMeter:
         self._rests_up = motion.end.altitude_m > 0
 
     def compute(self, load_j: float) -> None:
-        """A call adds so much to what the computer draws idle."""
+        """A call adds that energy to the computer's idle load."""
         self._load_j += load_j
 
     def transfer(self, transfer_s: float) -> None:
-        """A radio transfers, for so long."""
+        """A radio transfers for that time."""
         self._transfer_s += transfer_s
 
     def used(self) -> EnergyUsed:
@@ -129,7 +129,7 @@ class EnergyMeter:
 
     @property
     def failsafe_percent(self) -> float:
-        """At which the vehicle lands by itself."""
+        """The level of the fail-safe landing."""
         return self._config.failsafe_percent
 
     @property

@@ -187,11 +187,11 @@ class Plugboard(Protocol):
         """From now on the handler answers at the address."""
 
     def unplug(self, address: str) -> None:
-        """From now on nobody answers there."""
+        """From now on the address has no handler."""
 
 
 class FaultyServer:
-    """One server as it looks from outside: whatever is plugged in through it suffers from the server's faults."""
+    """One server as drones see it: handlers that are plugged in through it suffer from its faults."""
 
     def __init__(self, name: str, address: str, board: Plugboard, *, faults: Faults) -> None:
         self._name = name
@@ -210,7 +210,7 @@ class FaultyServer:
         self._board.plug(resolve(address, self._address), answer)
 
     def unplug(self, address: str) -> None:
-        """From now on nobody answers there."""
+        """From now on the address has no handler."""
         self._board.unplug(resolve(address, self._address))
 
     def plug_daemon(self, daemon: Handler, *, crash: Callable[[str], None]) -> None:

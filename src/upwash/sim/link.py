@@ -27,7 +27,7 @@ class Air(Protocol):
 
 @dataclass(slots=True)
 class Switchboard:
-    """Who answers at which address."""
+    """The handler of each address."""
 
     handlers: dict[str, Handler]
 
@@ -36,12 +36,12 @@ class Switchboard:
         self.handlers[address] = handler
 
     def unplug(self, address: str) -> None:
-        """From now on nobody answers there."""
+        """From now on the address has no handler."""
         self.handlers.pop(address, None)
 
 
 class ModelDialer:
-    """Opens links through the air to whoever is plugged in at an address."""
+    """Opens links through the air to the handler of an address."""
 
     def __init__(self, drone: str, switchboard: Switchboard, air: Air, *, life: Life | None = None) -> None:
         self._drone = drone
@@ -137,7 +137,7 @@ class ModelLink:
 
 
 class Life:
-    """Of one drone's computer; whatever would be heard of it asks here first."""
+    """Whether one drone's computer is still there."""
 
     def __init__(self) -> None:
         self.is_over = False
@@ -146,7 +146,7 @@ class Life:
 async def lived(program: Coroutine[object, object, None], life: Life, *, until_s: float | None) -> None:
     """Runs the drone's program to its end, or until its life is over; raises what it raises until then.
 
-    What the program still does on its way out, once it is cancelled, must reach nobody.
+    A program that is cancelled at the end of its life must reach no other program on its way out.
     """
     if until_s is None:
         await program

@@ -34,11 +34,11 @@ class DeadlockError(UpwashError):
 
 
 class LivelockError(UpwashError):
-    """Something goes on for ever, and time does not."""
+    """Work continues for ever at one moment."""
 
 
 class OutsideWorldError(UpwashError):
-    """Something was asked for that does not exist on virtual time."""
+    """A socket, thread or process was requested, which virtual time does not have."""
 
 
 def run_virtually(main: Coroutine[Any, Any, T]) -> T:
@@ -60,7 +60,7 @@ def _a_loop_runs_here() -> bool:
 
 
 def _run(main: Coroutine[Any, Any, T]) -> T:
-    # Not the runner's own `run`: it makes Ctrl-C a cancellation from another thread than the one that runs the loop.
+    # Not the runner's own `run`: it cancels on Ctrl-C from a thread that does not run the loop.
     with Interrupts() as interrupts, asyncio.Runner(loop_factory=VirtualLoop) as runner:
         loop = runner.get_loop()
         assert isinstance(loop, VirtualLoop)  # noqa: S101 - that is what was asked for
@@ -78,12 +78,12 @@ def end_run(failure: Exception) -> None:
 
 
 class VirtualLoop(base_events.BaseEventLoop):
-    """Runs what is ready in the order in which it became so, timers by their time, then by when they were set."""
+    """Runs ready callbacks in order, and timers by their time, then by when they were set."""
 
     def __init__(self) -> None:
         super().__init__()
         self._now_s = 0.0
-        self._ready: deque[asyncio.Handle]  # the base class's: what is to be run, in order
+        self._ready: deque[asyncio.Handle]  # the base class's: ready callbacks, in order
         self._left = 0  # of them, those of this round: what they make ready is the next one's
         self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []  # a heap
         self._numbers = itertools.count()  # of timers
@@ -97,7 +97,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         return self._now_s
 
     def mission_turn(self) -> MissionTurn:
-        """The turn of a mission's thread, which is to begin."""
+        """The turn of a new mission's thread."""
         return MissionTurn(self.turns, self, self._run_until)
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
@@ -112,8 +112,8 @@ class VirtualLoop(base_events.BaseEventLoop):
         if self.is_running():
             self.stop()
 
-    # What follows does what the base class does in fewer steps, as it is asked thousands of times a mission, and in
-    # debug mode without the question which thread this is: it is the one whose turn it is.
+    # These methods do the base class's work in fewer steps, as a mission calls them thousands of times. They do not
+    # check the thread in debug mode: only the thread with the turn calls them.
 
     def call_soon(  # type: ignore[override]
         self, callback: Callable[..., object], *args: Any, context: Context | None = None
@@ -130,13 +130,13 @@ class VirtualLoop(base_events.BaseEventLoop):
     def call_later(  # type: ignore[override]
         self, delay: float, callback: Callable[..., object], *args: Any, context: Context | None = None
     ) -> asyncio.TimerHandle:
-        """A timer for so many seconds from now."""
+        """A timer for `delay` seconds from now."""
         return self.call_at(self._now_s + delay, callback, *args, context=context)
 
     def call_at(  # type: ignore[override]
         self, when: float, callback: Callable[..., object], *args: Any, context: Context | None = None
     ) -> asyncio.TimerHandle:
-        """A timer; of those of the same instant the one that was set first runs first."""
+        """A timer; timers of one instant run in the order in which they were set."""
         timer = asyncio.TimerHandle(when, callback, args, self, context)
         heapq.heappush(self._timers, (when, next(self._numbers), timer))
         timer._scheduled = True  # type: ignore[attr-defined]

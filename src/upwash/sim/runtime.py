@@ -26,7 +26,7 @@ from upwash.sim.faults import Plugboard
 from upwash.support.background import never
 
 _FIRST_PORT = 40_000
-_NEGLIGIBLE_S = 1e-9  # by which the loop runs its timers early
+_NEGLIGIBLE_S = 1e-9  # timers may run early by this
 
 
 class Computer(Protocol):
@@ -102,9 +102,9 @@ class ModelRuntime:
 
 
 class ModelInstance:
-    """One instance: takes so many calls at a time, in order, as the real one does, and answers as the target, if any.
+    """One instance: takes `lanes` calls at a time, in order, as the real one does, and answers as the target, if any.
 
-    A call has its answer when its computer says so, which may be after it has given up its lane.
+    A call can have its answer after it has given up its lane: its computer says when.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class ModelInstance:
         self._computer = computer
         self._switchboard = switchboard
         self._gate = InstanceGate()
-        self._lanes = asyncio.Semaphore(lanes)  # which come free to whoever has waited longest
+        self._lanes = asyncio.Semaphore(lanes)  # first come, first served
         self._is_hung = False
         self._under_way = 0
         self._idle = asyncio.Event()
@@ -152,7 +152,7 @@ class ModelInstance:
         self._require_life()
 
     async def exited(self) -> str:
-        """Returns how the instance ended, when it does."""
+        """Returns how the instance ended, at its end."""
         return await asyncio.shield(self._ended)
 
     async def stop(self) -> None:
@@ -193,7 +193,7 @@ class ModelInstance:
     ) -> tuple[float, bytes]:
         """Compute a call; returns when it has its answer, and the answer."""
         began_s = _now_s()
-        outcome: Outcome | Literal[""] = "dropped"  # none of one that never ends, or kills the instance
+        outcome: Outcome | Literal[""] = "dropped"  # "" for a call that never ends, or kills the instance
         self._called(drone.key)
         try:
             answered_s = await self._computer.compute(self._spec, operation)
@@ -270,7 +270,7 @@ def _smallest(hint: Any, _: object) -> Any:
 
 
 def _filled(found: types.Type) -> Any:
-    """A truthy value of the type, if it has one."""
+    """A truthy value of the type, or an empty one."""
     match found:
         case (
             types.ListType(item) | types.VarTupleType(item) | types.SetType(item) | types.FrozenSetType(item)

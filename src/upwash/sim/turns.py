@@ -23,7 +23,7 @@ from typing import SupportsIndex
 from upwash.errors import UpwashError
 
 _LONGEST_TURN_S = 300.0  # of real time: a mission's code that takes longer between two verbs never ends
-_LOOK_AGAIN_S = 0.1  # whether the thread that runs the loop has noticed that it is to stop
+_LOOK_AGAIN_S = 0.1  # whether the thread that runs the loop has stopped
 
 
 class OverstayedError(UpwashError):
@@ -111,7 +111,7 @@ class ThreadTurns:
         self._pass_on()
 
     def fail(self, failure: BaseException) -> None:
-        """In a mission's thread that ran the loop, which raised this: the loop's own thread is to raise it."""
+        """In a mission's thread that ran the loop: the loop's own thread must raise this failure."""
         self._failure, self.next = failure, self.own
 
     def _pass_on(self) -> None:
@@ -138,8 +138,8 @@ class ThreadTurns:
 class Interrupts:
     """Has Ctrl-C end a simulation between two callbacks: in the middle of one it could be swallowed.
 
-    It is a KeyboardInterrupt when this goes off at the latest; the second Ctrl-C is one at once. Nothing is done in
-    another thread than the process's first, and where somebody else handles Ctrl-C.
+    KeyboardInterrupt is raised at the end at the latest; a second Ctrl-C raises it at once. Only the first thread
+    of the process handles Ctrl-C, and only if the process has no other handler.
     """
 
     def __init__(self) -> None:
@@ -187,7 +187,7 @@ class MissionTurn(ThreadTurn):
         self._run_until = run_until
 
     def give(self) -> None:
-        """In a callback of the loop: when that has run, the mission's code goes on, before anything else does."""
+        """In a callback of the loop: after it, the mission's code goes on, before all other callbacks."""
         self._turns.next = self
 
     def begin(self) -> None:
@@ -200,7 +200,7 @@ class MissionTurn(ThreadTurn):
         self._turns.begin_code()
 
     def wait(self) -> None:
-        """In the mission's thread, whose code waits for something: runs the loop; returns when it may go on."""
+        """In the mission's thread, whose code waits: runs the loop; returns when the code may go on."""
         if self._turns.end_code(self):
             asyncio._set_running_loop(self._loop)
             try:

@@ -89,7 +89,7 @@ class ModelVehicle:
         self._loop = asyncio.get_running_loop()
         self._manner = manner
         self._motion: Motion[Phase] = Motion(0.0, (), hovers_at or ground)
-        # Where it is is asked many times an instant, and computed once.
+        # The position is read many times an instant, and computed once.
         self._located_s = -math.inf
         self._position = self._motion.end
         self._astray_east_m = self._astray_north_m = 0.0  # of the estimate, from the true position
@@ -188,7 +188,7 @@ class ModelVehicle:
         self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
 
     def be_diverted(self, shift: tuple[float, float, float]) -> None:
-        """A ground station sends it so far east, north and up in the program's own mode, and later lands it.
+        """A ground station sends it east, north and up in the program's own mode, and later lands it.
 
         No ground station can send it anywhere in another mode, or while it stands.
         """
@@ -202,14 +202,14 @@ class ModelVehicle:
         self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
 
     def move_home(self, shift: tuple[float, float, float]) -> None:
-        """A ground station moves its home so far; one that stands sets it anew when it is armed."""
+        """A ground station moves its home in flight; on the ground, arming sets the home again."""
         if self.flies:
             east_m, north_m, up_m = shift
             home = self.home
             self.home = Position(home.east_m + east_m, home.north_m + north_m, home.altitude_m + up_m)
 
     def jump(self, east_m: float, north_m: float) -> tuple[Position, Position]:
-        """Its estimate jumps so far, and in the air it corrects its course by that; where it was and is by it."""
+        """Its estimate jumps, and in the air it corrects its course; returns its estimates before and after."""
         before = self.position
         here = Position(before.east_m + east_m, before.north_m + north_m, before.altitude_m)
         self._astray_east_m += east_m
@@ -220,9 +220,10 @@ class ModelVehicle:
         return before, here
 
     def restart(self, *, back_after_s: float) -> None:
-        """Its autopilot starts anew: until it is back, it says nothing and its motors stand still.
+        """Its autopilot restarts: until it is back, it sends nothing and its motors stand still.
 
-        One that is back soon catches itself in the air, in the mode that it had; later a pilot lands it. Others fall.
+        After a short restart it catches itself in the air, in its mode, and later a pilot lands it. After others it
+        falls.
         """
         if self.armed:
             self._observe("taken", by="restarted autopilot")
@@ -234,7 +235,7 @@ class ModelVehicle:
     def _be_back(self, soon: bool) -> None:
         self.is_booting = False
         self.boots += 1
-        if soon and self.flies and self.armed:  # one that falls already, disarmed, goes on falling
+        if soon and self.flies and self.armed:  # a disarmed vehicle keeps falling
             self._stop_coming_down()
             self._move_by_itself((), self.position)
             self._loop.call_later(_PILOT_LANDS_AFTER_S, self._be_landed_by_pilot)
@@ -338,7 +339,7 @@ _AT_ONCE = 1e9  # metres a second, and more of them each second
 
 @dataclass(frozen=True, slots=True)
 class Plain:
-    """Speeds up and brakes alike, and takes off, returns and lands in given times whatever the distance."""
+    """Speeds up and brakes alike; takes off, returns and lands in fixed times."""
 
     acceleration_m_s2: float
     takeoff_s: float
@@ -346,7 +347,7 @@ class Plain:
 
     @property
     def returning(self) -> WayHome:
-        """In its time, whatever the distance."""
+        """In its fixed time."""
         return WayHome(
             altitude_m=0.0,
             climb_m_s=_AT_ONCE,

@@ -30,7 +30,7 @@ class ModelVehicleLink:
         self._is_off = is_off
         self.latch = Latch(self._loop.time())
         self.lost: asyncio.Future[None] = self._loop.create_future()
-        self.jumped = asyncio.Event()  # set, anew each time, when the doubt about its place changes
+        self.jumped = asyncio.Event()  # replaced and set when the doubt about its position changes
         self.home = vehicle.home
         self._continuity = Continuity()
         self._doubted = False
@@ -120,7 +120,7 @@ class ModelVehicleLink:
         self.tell_control(before)
 
     def tell_control(self, before: Control) -> None:
-        """Passes on whose the vehicle is, after a change."""
+        """Reports the owner of the vehicle after a change."""
         if self.control != before:
             if before.is_ours and not self.control.is_ours:
                 self.lost.set_result(None)

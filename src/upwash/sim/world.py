@@ -17,7 +17,7 @@ from upwash.sim.radio import SteadyGoodput, goodput_of
 from upwash.sim.runtime import Hangs, Raises
 from upwash.support.heat import Heat
 
-_BREAKING = ("hung", "poisoned")  # the instance for good, however soon such a fault is over
+_BREAKING = ("hung", "poisoned")  # the instance, also after the fault
 
 
 class Wire:
@@ -48,7 +48,7 @@ class ModelRadio:
     ) -> None:
         self._areas = areas
         self._places = places
-        self._reached = reached  # whether a server in whose range a position is answers there too
+        self._reached = reached  # whether a server in range answers at a position
         self._goodputs = {
             (server, service.name): goodput_of(truth, service.name)
             for server, truth in truths.items()
@@ -97,7 +97,7 @@ class ModelRadio:
         begun_s = asyncio.get_running_loop().time()
         try:
             await asyncio.sleep(goodput.transfer_s(data_bytes, distance_m))
-        finally:  # also one that is given up has been on the air
+        finally:  # a cancelled transfer has been on the air too
             if self._energy is not None:
                 self._energy.transfer(asyncio.get_running_loop().time() - begun_s)
 
@@ -158,7 +158,7 @@ class DroneComputer:
 
 
 class ServerComputer:
-    """Runs the services of one server in the times that are true; while it is to crash, they die half-way."""
+    """Runs the services of one server in the true times; during a crash fault they die half-way."""
 
     def __init__(
         self, name: str, truth: ServerTruth, *, faults: Faults, noise: NoiseConfig, chance: Chance
@@ -181,7 +181,7 @@ class ServerComputer:
         self._cold.add(spec.service)
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
-        """What of the true delay occupies the instance; that delay, the processing alone where no other is told.
+        """Occupies the instance for its part of the true delay; returns when the answer is there.
 
         The first call after a start takes longer by the extra.
         """
@@ -216,7 +216,7 @@ class ServerComputer:
 
 
 def computing_s(operation: Operation, truth: ServerTruth) -> float:
-    """The true delay of a call on a server: end to end where that is told, else of the processing alone."""
+    """The true delay of a call on a server: end to end if that is given, else of the processing alone."""
     told = truth.remote_call_s.get(operation.service, {})
     return delay_of(operation, told or truth.processing_s[operation.service])
 

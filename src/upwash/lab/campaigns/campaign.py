@@ -31,7 +31,7 @@ _CHUNKS_OF_A_THREAD = 4  # of a cluster, handed out before they are needed
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Runs of one combination that one process does in one go."""
+    """Runs of one combination that one process flies together."""
 
     file: str
     values: tuple[str, ...]
@@ -41,15 +41,15 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class CombinationSummary:
-    """What the runs of one combination came to; without a completed run there is no mean."""
+    """The means of one combination; None without a completed run."""
 
     values: tuple[str, ...]
     mission_time_s: Mean | None
     bound_s: float | None  # the mean, of the same runs
-    energy_wh: Mean | None  # likewise, where it was metered
+    energy_wh: Mean | None  # likewise, with an energy meter
     worst_s: Mean | None  # likewise, where several drones flew
     jain: Mean | None
-    lighter: Mean | None  # calls, likewise, where a mission is to be over in time
+    lighter: Mean | None  # calls, likewise, with mission.lighter
     failures: dict[int, str]  # reason by seed
 
 
@@ -73,8 +73,8 @@ def run_campaign(
 ) -> list[CombinationSummary]:
     """Flies what is not yet in the file, and sorts it; returns a summary per combination, in the sweep's order.
 
-    `flown` is told how many runs have come in, first those that were there. `costs`, if given, is told what the rest
-    costs, once some missions of the campaign have been flown here for that.
+    `flown` gets the number of new runs, first those that the file had. `costs`, if given, gets the cost of the rest,
+    measured with some missions of the campaign.
     """
     flown(len(file.rows))
     chunk_runs = _CHUNK_RUNS

@@ -78,23 +78,23 @@ Results = Sequence[tuple[ComparedFlight, FlightOutcome]]
 
 @dataclass(frozen=True, slots=True)
 class ComparedPolicy:
-    """How long one policy's missions take in one scenario, each with a seed of its own; times in seconds.
+    """One policy's missions in one scenario, each with a seed of its own; times in seconds.
 
     The true mean lies within `half_width_s` of `mean_s` with a probability of 95 %; it is infinite for one mission.
-    `bound_s` is the theoretical minimum of the mean time, with every server ready at once. `energy_wh` is the mean of
-    what a mission draws from the battery, with its own half width; None where the scenario has no `[energy]`.
+    `bound_s` is the theoretical minimum of the mean time, with every server ready at once. `energy_wh` is the mean
+    energy of a mission from the battery, with its own half width; None without `[energy]` in the scenario.
 
-    Of the `missions` those count that were completed, which a battery may prevent; what there is none of is NaN.
+    Only `completed` missions count, which a battery may prevent; without any, means are NaN.
 
-    In a scenario of several drones a mission stands for those of all of them: their times and energy are means over
-    the drones, the bound is `FleetBound.shared_s`, and `worst_s` and `jain` are the means of the slowest drone's time
-    and of Jain's index; in any other they are None.
+    With several drones a mission stands for those of all of them. Times and energy are means over the drones, the
+    bound is `FleetBound.shared_s`, and `worst_s` and `jain` are the means of the slowest drone's time and of Jain's
+    index; with one drone they are None.
 
-    `turned_back` is how often a drone turned back for an answer, and `hidden_s` during how much of its calls it did
-    something else, both as means; None where no drone went on before an answer.
+    `turned_back` is the mean number of times that a drone turned back for an answer, and `hidden_s` the mean time of
+    calls during which it did other things; None if no drone went on before an answer.
 
-    `saved_s` is by how much a mission is shorter than the first policy's with the same seed, as a mean with its own
-    half width; None for the first policy, and where no two missions can be compared so.
+    `saved_s` is the mean by which a mission is shorter than the first policy's with the same seed, with its own half
+    width; None for the first policy, and without two such missions.
     """
 
     scenario: str
@@ -127,14 +127,14 @@ def compare(
     """Flies every policy in every scenario with the seeds 1 to `seeds`; returns a row for each scenario and policy.
 
     Scenarios are TOML files, or a dict of files or tables by the scenarios' names, with `overrides` as `simulate`
-    takes them; one without noise gets some, as without it all seeds are the same mission. With `thesis` the eight
-    cells of the thesis's experiments come first.
-    `progress` is called with the number of missions flown and of all. What takes more than some seconds is spread
-    over `workers` processes, one for each core by default: a script calls this under `if __name__ == "__main__":`, or
-    with one worker, which is the calling process itself.
+    takes them; without noise all seeds are the same mission, so a scenario without noise gets some. With `thesis` the
+    eight cells of the thesis's experiments come first.
+    `progress` is called with the number of missions flown and of all. Work of more than some seconds is spread over
+    `workers` processes, one for each core by default. A script calls this under `if __name__ == "__main__":`, or with
+    one worker, which is the calling process itself.
 
-    ConfigError for a scenario that cannot be flown, UsageError for a policy that there is not, and UpwashError for a
-    mission that is not completed though its battery is endless.
+    ConfigError for a scenario that cannot be flown, UsageError for an unknown policy, and UpwashError for a mission
+    that is not completed though its battery is endless.
     """
     entrants = _entrants(policies)
     named = [*(thesis_scenarios() if thesis else []), *read_scenarios(scenarios, overrides=overrides)]

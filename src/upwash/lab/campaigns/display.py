@@ -20,7 +20,7 @@ from upwash.support.sentences import say
 
 _LONGEST_SETTING = 14  # columns that it has in any case
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
-_FEW_MINUTES_S, _FEW_HOURS_S = 100.0, 6_000.0  # below these a time is said in seconds, in minutes
+_FEW_MINUTES_S, _FEW_HOURS_S = 100.0, 6_000.0  # below these times are printed in seconds, in minutes
 
 
 class _Rate(ProgressColumn):
@@ -39,9 +39,9 @@ def show_campaign(
     workers: int | None,
     figures: FigureFiles | None = None,
 ) -> bool:
-    """Runs the campaign, prints what it came to and draws it; returns whether every run was completed.
+    """Runs the campaign, prints and draws its results; returns whether every run was completed.
 
-    `workers` is how many missions fly at a time, None where that is not known.
+    `workers` is how many missions fly at a time, None if that is not known.
     """
     if figures is not None:
         import upwash.lab.figures.means  # noqa: F401 - a missing matplotlib is reported before, not after

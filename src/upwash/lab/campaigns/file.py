@@ -1,6 +1,6 @@
 """The file that a campaign writes: a CSV row per run, kept as the runs come in.
 
-Beside it lies a note of which campaign it belongs to, as rows of two campaigns in one file would be worthless.
+A note beside it names its campaign, as a file with rows of two campaigns would be worthless.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from upwash.support.output_files import append_whole, flush_to_disk, write_file
 
 
 class CampaignRow(msgspec.Struct, frozen=True):
-    """One run; what it came to is empty where the run broke off without a result."""
+    """One run; its results are empty if the run broke off."""
 
     values: tuple[str, ...]  # of the settings
     seed: int
@@ -51,7 +51,7 @@ class CampaignRow(msgspec.Struct, frozen=True):
     worst_s: float | None = None
     jain: float | None = None
     bound_shared_s: float | None = None
-    lighter: int | None = None  # calls, where a mission is to be over in time
+    lighter: int | None = None  # calls, with mission.lighter
 
 
 ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
@@ -95,7 +95,7 @@ class CampaignFile:
         Raises UsageError for a file of another campaign, or of none.
         """
         if out.suffix not in (".csv", ".parquet"):
-            raise UsageError(f"{out} ends neither in .csv nor in .parquet: name a file of one of these kinds")
+            raise UsageError(f"{out} is no .csv or .parquet file: give a name with one of these endings")
         if out.suffix == ".parquet":
             _check_parquet()
         csv_file = out.with_suffix(".csv")

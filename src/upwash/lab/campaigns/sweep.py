@@ -51,7 +51,7 @@ class ParameterSweep:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with anything that is flown, but not with the number of seeds."""
+        """Changes with every setting and scenario value, but not with the number of seeds."""
         flown = [(each.values, each.document) for each in self.combinations]
         return hashlib.sha256(msgspec.json.encode([self.keys, flown], order="sorted")).hexdigest()[:16]
 
@@ -94,7 +94,7 @@ def read_overrides(texts: Sequence[str]) -> dict[str, object]:
     for text in texts:
         setting = read_setting(text)
         if len(setting.values) > 1 or setting.key in overrides:
-            raise UsageError(f"{setting.key} has several values, and is to have one: {setting.key}=VALUE")
+            raise UsageError(f"{setting.key} has several values: give one, {setting.key}=VALUE")
         overrides[setting.key] = setting.values[0]
     return overrides
 

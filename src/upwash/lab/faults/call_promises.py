@@ -41,7 +41,7 @@ def bounded_calls(history: History) -> Iterator[Breach]:
         computed.setdefault(service_of(fact), deque()).append(fact)
     calls = list(calls_of(history.run.events))
     before_s: dict[str, float] = {}  # of the last hedged call, by service
-    if not history.seen:  # nobody saw what each took: none took longer than the longest that the log tells
+    if not history.seen:  # without an observer: no longer than the longest in the log
         for call in calls:
             service = service_of(call.ended)
             before_s[service] = max(before_s.get(service, 0.0), call.ended.onboard_s)
@@ -219,7 +219,7 @@ _MOST_CRASHES = 12  # that a flight is tested with
 
 
 def answers(history: History) -> Iterator[Breach]:
-    """Goes by what a mission told that may fly on before it has its answer; another one has no such answers."""
+    """Judge by what a `look_later` mission told its user; other missions never fly on before an answer."""
     if not history.config.mission.program.endswith(":look_later"):
         return
     places = [each.position for each in waypoints(history.config.mission)]

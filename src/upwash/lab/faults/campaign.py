@@ -34,7 +34,7 @@ class FlownWorld:
 
 @dataclass(frozen=True, slots=True)
 class WorldVerdict:
-    """What one world came to: the longest call with its bound, and the least that a call left of its bound."""
+    """The result of one world, with its longest call and that call's bound, and the least margin of any call."""
 
     seed: int
     broken: list[Broken]

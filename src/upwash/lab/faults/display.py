@@ -19,14 +19,14 @@ from upwash.lab.faults.worlds import as_toml
 from upwash.lab.processes import in_processes
 from upwash.support.output_files import write_file
 
-_CHUNK = 20  # worlds that one process flies in one go
-_REPLAYED_EVERY = 20  # worlds, of which one is flown again and must leave the same log
+_CHUNK = 20  # worlds that a process flies together
+_REPLAYED_EVERY = 20  # every 20th world is flown again and must leave the same log
 _FAILURES_SHOWN = 20
 _LINE_EVERY_S = 60.0
 
 
 class Summary(msgspec.Struct):
-    """What many worlds came to."""
+    """The results of many worlds."""
 
     worlds: int = 0
     flights: int = 0
@@ -62,7 +62,7 @@ def judge_all(seeds: Sequence[int]) -> list[WorldVerdict]:
 def show_chaos(
     seeds: range, *, minutes: float | None = None, workers: int | None = None, out: Path | None = None
 ) -> bool:
-    """Flies the worlds, prints each broken promise and what all came to; returns whether none was broken.
+    """Flies the worlds, prints each broken promise and a summary; returns whether none was broken.
 
     With `minutes` it hands out no more worlds after that time. The summary is left in the file `out`, as JSON.
     """
@@ -104,7 +104,7 @@ class _Bar:
         self._progress.stop()
 
     def advance(self, done: int) -> None:
-        """So many worlds have been flown."""
+        """Shows that this number of worlds is done."""
         self._progress.update(self._bar, completed=done)
         if not self._console.is_terminal and time.monotonic() - self._said_s > _LINE_EVERY_S:
             self._said_s = time.monotonic()
@@ -112,7 +112,7 @@ class _Bar:
 
 
 def replay(seed: int, log: Path | None) -> bool:
-    """Flies one world, prints what it came to, and returns whether no promise was broken.
+    """Flies one world, prints its result, and returns whether no promise was broken.
 
     With `log`, each drone's event log and scenario are written there and beside it, and what an observer saw.
     """

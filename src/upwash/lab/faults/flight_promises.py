@@ -47,10 +47,10 @@ def autonomy(history: History) -> Iterator[Breach]:
 
 
 def no_harm(history: History) -> Iterator[Breach]:
-    """No later than the drone alone, but for the waits and deadlines that the rules allowed.
+    """The mission ends no later than that of the drone alone, plus the waits and deadlines that the rules allowed.
 
-    Chance and heat make two local calls differ that would be alike: each counts here as long as it took alone. What a
-    drone loses that flies on before it has its answer depends on when that comes.
+    Chance and heat make equal local calls differ: each counts here as long as it took alone. Missions that fly on
+    before answers are not judged: their losses depend on when answers come.
     """
     yield from _hedged_too_much(history)
     if history.config.policy.stay_or_go != "stay":
@@ -110,7 +110,7 @@ _KEEP_TRYING_S = 600.0  # a safe end is given up no earlier
 def vehicle_first(history: History) -> Iterator[Breach]:
     """A mission that ends early in the air ends in the configured action, or has tried for long enough.
 
-    One that ends on the ground disarms the vehicle. A vehicle that somebody else has taken is theirs to end with.
+    A mission that ends on the ground disarms the vehicle. No rule holds once another party has the vehicle.
     """
     events = {type(event): event for event in history.run.events}  # the last of each kind
     for over in history.own("flight_over"):

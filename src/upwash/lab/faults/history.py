@@ -13,19 +13,19 @@ from upwash.lab.observer import Seen
 from upwash.lab.run import Run
 
 Fact = Event | Seen
-Breach = tuple[Fact | None, str]  # the bad event, where one can be named, and what is bad about it
+Breach = tuple[Fact | None, str]  # the bad event or None, and what is bad about it
 SLACK_S = 0.1
 ROUNDING_S = 2e-6  # of the times in a log
 _SOON_BACK_S = 40.0  # a vehicle whose position jumped, and well within the patience with a leg
-ANSWER_S = 5.0  # for which a daemon's word is waited for
+ANSWER_S = 5.0  # the timeout of a request to a daemon
 
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What is known of one flight when it is over.
+    """What is known of one flight after its end.
 
-    `seen` are the events of an observer, of other drones' flights in the same world too; `alone` is the same mission
-    by the same chance without any server, where that can be compared.
+    `seen` are the events of an observer, also those of other drones in the same world; `alone` is the same mission
+    with the same seed and no server, None if the two cannot be compared.
     """
 
     config: DroneConfig
@@ -40,7 +40,7 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class FlownCall:
-    """One call of the mission with the decisions that were made for it, and its hedge, if it had one."""
+    """One call of the mission, its decisions, and its hedge or None."""
 
     decisions: tuple[schema.Decided, ...]
     ended: schema.Call
@@ -48,10 +48,10 @@ class FlownCall:
 
     @property
     def allowed_s(self) -> float:
-        """What the rules allowed it to wait and to try: what was not allowed counts 0.
+        """The time that the rules allowed it for waits and tries, 0 for those that they did not allow.
 
-        A hedged call was tried alone until the drone's own service started; what comes then is that one's time, as
-        in a call that is raced.
+        A hedged call counts until the drone's own service started; from then on that service's time counts, as in a
+        call that is raced.
         """
         waits_s = sum((each.at_most_s or 0.0 for each in self.decisions), self.queued_s)
         if self.hedged is not None:
@@ -65,7 +65,7 @@ class FlownCall:
 
     @property
     def sent(self) -> schema.Decided | None:
-        """The decision for a server alone, if there was one, with the drone's own service not at the call too."""
+        """The decision for a server without the drone's own service beside it, or None."""
         return next((each for each in self.tried if not each.raced), None)
 
     @property
@@ -86,7 +86,7 @@ class FlownCall:
 
 
 def deadline_of(decided: schema.Decided) -> float:
-    """Within what time the server was to answer, by a decision for one."""
+    """The deadline (s) of a decision for a server."""
     assert decided.deadline_s is not None  # noqa: S101 - such a decision has one
     return decided.deadline_s
 

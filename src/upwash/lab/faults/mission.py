@@ -21,12 +21,12 @@ Mode = Literal["light", "heavy"]
 
 
 class Blurred(Exception):
-    """Nothing can be said about a number."""
+    """The number has no answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """What is to be seen in a number."""
+    """The answer for a number."""
 
     number: int
     mode: Mode
@@ -49,7 +49,7 @@ class ActionReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @service(profile_by="mode")
 class Spotter:
-    """Sees the digits of a number, but for every fifth number."""
+    """Reads the digits of a number, except of every fifth number."""
 
     def look(self, number: int, mode: Mode) -> Sighting:
         """Slow or fast, by the mode."""
@@ -60,7 +60,7 @@ class Spotter:
 
 @service
 class Gauge:
-    """Knows the square of a number, but for every seventh number."""
+    """Squares a number, except every seventh number."""
 
     def read(self, number: int) -> int:
         """Always takes as long."""
@@ -86,7 +86,7 @@ def look_and_read(drone: Drone, mode: Mode) -> None:
 
 
 def look_later(drone: Drone, mode: Mode) -> None:
-    """Has one number looked at, at each waypoint, and may fly on meanwhile; some answers demand something there."""
+    """Has one number looked at, at each waypoint, and may fly on meanwhile; some answers demand an action there."""
     spotter = drone.service(Spotter)
     drone.autopilot.arm()
     drone.autopilot.takeoff(drone.altitude_m)
@@ -101,7 +101,7 @@ def look_later(drone: Drone, mode: Mode) -> None:
 
 
 def demands_something(number: int) -> bool:
-    """Whether the answer about the number demands something at its waypoint, or the call raises."""
+    """Whether the answer demands an action at its waypoint, or the call raises."""
     return number % 3 == 0 or number % 5 == 2
 
 

@@ -60,7 +60,7 @@ class Promise(IntEnum):
 class Broken:
     """A promise that a flight broke, in the world of that seed.
 
-    `event` is the first bad one, if one can be named, as a log or an observer has it.
+    `event` is the first bad event, as a log or an observer has it; None if there is no single one.
     """
 
     promise: Promise

@@ -47,7 +47,7 @@ def one_selection(history: History) -> Iterator[Breach]:
 
 
 def _used_out_of_turn(history: History) -> Iterator[Breach]:
-    """Of the selected servers, the one that was selected first gets the calls."""
+    """Calls go to the selected server with the earliest selection."""
     selected: list[str] = []
     for event in history.run.events:
         if isinstance(event, schema.ServerStep):
@@ -75,7 +75,7 @@ def in_range(history: History) -> Iterator[Breach]:
 
 
 def respect(history: History) -> Iterator[Breach]:
-    """A blacklisted server is left alone, but for the farewell and probes; a call goes to a server that is READY."""
+    """A blacklisted server gets only the farewell and probes; calls go to servers that are READY."""
     for event in history.run.events:
         if isinstance(event, schema.Decided) and event.decision == "remote" and event.state != State.READY:
             yield event, f"{event.selected} is {event.state}"

@@ -21,7 +21,7 @@ from upwash.lab.field import daemon_address
 from upwash.lab.observer import Seen
 from upwash.rpc.protocol import AVAILABILITY, LEAVE, START
 
-_LOOK_S = 1.0  # a daemon looks no more often at what has come to its end
+_LOOK_S = 1.0  # a daemon's period of looking for ended leases
 _LEASE_S, _HOLD_S = AdmissionSettings().lease_s, AdmissionSettings().hold_s
 
 
@@ -80,7 +80,7 @@ def _leases(facts: Sequence[Seen], *, end_s: float) -> Iterator[Breach]:
             for drone in told.drones:
                 last_s = asked_s.get(drone, told.t)
                 ends_s = max(last_s + _LEASE_S, held_until_s.get(drone, 0.0)) + _LOOK_S + SLACK_S
-                if fact.t > max(ends_s, told.t):  # what it was told for may come after it, at one moment
+                if fact.t > max(ends_s, told.t):  # its cause may follow at the same moment
                     yield (
                         told,
                         f"{drone} still has its lease at {fact.t:.3f} s; it was over at {ends_s:.3f} s",

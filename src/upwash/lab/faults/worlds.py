@@ -45,7 +45,7 @@ _MOMENTS = (
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When something happened in a flight, and at which server, if at one."""
+    """The time and kind of an event of a flight, and the name of its server or None."""
 
     t: float
     what: str

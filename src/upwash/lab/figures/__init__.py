@@ -9,7 +9,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True)
 class FigureFiles:
-    """Where figures go, and in which formats: png, pdf, svg."""
+    """The folder of figures, and their formats: png, pdf, svg."""
 
     folder: Path
     formats: Sequence[str] = ("png",)

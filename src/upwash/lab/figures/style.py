@@ -1,7 +1,7 @@
 """How every figure looks, and how it is written: text stays text, and the same figure is the same bytes.
 
 Sizes are those of a journal's page: a column is 3.5 inches wide, a page 7.2. Colours are those of pages and reports.
-Whatever a colour tells is told by a shape or a name too.
+Every colour has a shape or a name beside it.
 """
 
 from __future__ import annotations

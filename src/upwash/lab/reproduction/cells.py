@@ -1,4 +1,4 @@
-"""The thesis's experiments flown again (its section 4.4): what is flown, and what each mission came to.
+"""The thesis's experiments flown again (its section 4.4): the missions, and the result of each.
 
 There is one parameter set per set-up, `thesis/hitl.toml` and `thesis/simulation.toml`; the experiments differ from
 it in the detector's mode, the policy and the load on s2, and in nothing else.
@@ -69,7 +69,7 @@ class CellFlight(NamedTuple):
 
 
 class CellResult(NamedTuple):
-    """What one mission came to; `s2_calls` ran on s2 and took `s2_call_s` on the average, without waits."""
+    """The result of one mission; `s2_calls` ran on s2 and took `s2_call_s` on average, without waits."""
 
     mission_min: float
     bound_min: float
@@ -133,7 +133,7 @@ def fly(cell: ThesisCell, seed: int) -> Run:
 def fly_all(
     flights: Sequence[CellFlight], *, workers: int | None = None, progress: Callable[[], None] = lambda: None
 ) -> list[CellResult]:
-    """What each flight came to, in their order, flown on all cores or so many; calls `progress` after each."""
+    """The result of each flight, in their order; calls `progress` after each."""
     return processes.in_order(_flown, flights, workers=workers, done=progress)
 
 

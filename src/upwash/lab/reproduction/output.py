@@ -29,7 +29,7 @@ from upwash.support.output_files import write_file
 
 
 class Results(msgspec.Struct, frozen=True):
-    """All that one command measured."""
+    """The results of a `reproduce` command."""
 
     comparisons: list[Comparison]
     moved: list[Moved] = []
@@ -40,7 +40,7 @@ def show_reproduction(
 ) -> None:
     """Reproduces with a progress bar and prints the comparison; with `vary` also the table of sensitivities.
 
-    Draws the figures into a folder and writes the values of each seed into a file, where these are given.
+    `figures` and `results`, if given, are where the figures and the values of each seed are written.
     """
     if figures is not None:
         import upwash.lab.figures.style  # noqa: F401 - a missing matplotlib is reported before, not after
@@ -122,7 +122,7 @@ def encoded(results: Results) -> bytes:
 
 
 def decoded(text: bytes) -> Results:
-    """The results of such a file."""
+    """The results of that JSON."""
     return msgspec.json.decode(text, type=Results)
 
 
@@ -141,9 +141,9 @@ _SEEDS = range(1, 31)
 
 
 def draw_figures(figures: FigureFiles, *, seeds: int) -> list[Path]:
-    """Draws them into the folder, with the spread of so many seeds; returns the files.
+    """Draws the figures, with the spread over the seeds; returns the files.
 
-    Where the thesis says how many waits of a figure were in vain, the mission is that of the first seed with as many.
+    If the thesis says how many waits of a figure were in vain, the mission is that of the first seed with as many.
     """
     from upwash.lab.figures.calls import draw_call_delays
     from upwash.lab.figures.coverage import draw_coverage

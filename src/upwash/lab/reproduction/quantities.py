@@ -60,7 +60,7 @@ _FORMS = {"min": "{:.2f} min", "ratio": "{:.2f} x", "count": "{:.1f}", "percent"
 
 @dataclass(frozen=True)
 class Comparison:
-    """One figure as flown, a value per seed, and as printed in the thesis, where it is."""
+    """One figure as flown, a value per seed, and as the thesis prints it, or None."""
 
     setup: str
     experiment: Experiment
@@ -106,7 +106,7 @@ def reproduce(
 
 
 def missions(seeds: int) -> int:
-    """How many missions a reproduction with so many seeds flies."""
+    """The number of missions that `reproduce` flies."""
     return len(cells()) * seeds
 
 
