@@ -460,13 +460,23 @@ def test_frames_are_counted_however_they_are_cut(kinds: list[int], size: int, pa
 
 
 def test_the_oldest_of_a_crowded_group_goes_and_of_the_largest_where_all_are_too_many() -> None:
-    limits: ConnectionLimits[str] = ConnectionLimits(3, per_group=2)
-    assert [limits.add(member, member[0]) for member in ("a1", "a2", "b1")] == [None, None, None]
-    assert limits.add("a3", "a") == "a1"
-    assert limits.add("c1", "c") == "a2"
-    limits.remove("b1")
-    limits.remove("b1")
-    assert len(limits) == 2
+    async def scenario() -> None:
+        limits = ConnectionLimits(3, per_group=2)
+        a1, a2, b1, a3, c1 = tasks = [asyncio.create_task(never()) for _ in range(5)]
+        for task, group in ((a1, "a"), (a2, "a"), (b1, "b")):
+            limits.add(task, group)
+        assert not any(task.cancelling() for task in tasks)
+        limits.add(a3, "a")
+        assert [task.cancelling() for task in tasks] == [1, 0, 0, 0, 0]
+        limits.add(c1, "c")
+        assert [task.cancelling() for task in tasks] == [1, 1, 0, 0, 0]
+        limits.remove(b1)
+        limits.remove(b1)
+        assert len(limits) == 2
+        for task in tasks:
+            task.cancel()
+
+    asyncio.run(scenario())
 
 
 def test_who_asks_again_and_again_keeps_nobody_else_out() -> None:

@@ -37,7 +37,6 @@ from upwash.support.background import beside, end, only_logged, start, thread
 _log = logging.getLogger("upwash.door")
 _log.addFilter(RateLimitedLog())
 
-_Connections = ConnectionLimits[asyncio.Task[Any]]
 OnTraffic = Callable[[str, str], None]  # to the server of that name, from the caller known by `Client.key`
 
 _OUT_OF_SOCKETS_S = 0.1
@@ -76,9 +75,9 @@ class Door:
         self._on_traffic = on_traffic
         self._trust = trust
         self._limits = limits = limits or DoorLimits()
-        self._strangers = _Connections(limits.strangers, per_group=limits.strangers_per_address)
-        self._handshakes = _Connections(limits.handshakes, per_group=limits.handshakes_per_address)
-        self._callers = _Connections(limits.connections, per_group=limits.connections_per_certificate)
+        self._strangers = ConnectionLimits(limits.strangers, per_group=limits.strangers_per_address)
+        self._handshakes = ConnectionLimits(limits.handshakes, per_group=limits.handshakes_per_address)
+        self._callers = ConnectionLimits(limits.connections, per_group=limits.connections_per_certificate)
         self._certificates: dict[asyncio.Task[Any], bytes] = {}
         self._limit_of = functools.lru_cache(limits.connections)(
             lambda _certificate: CertificateLimit(limits)
@@ -176,10 +175,9 @@ class Door:
                 site = _site(peer[0])
                 welcome = self._welcome(connection, site, inside, server)
                 task = start(welcome, name=f"serving {site}", failed=only_logged)
-                displaced = self._strangers.add(task, site)
                 task.add_done_callback(self._strangers.remove)
                 task.add_done_callback(functools.partial(_close_unseen, connection))
-                _cancel(displaced)
+                self._strangers.add(task, site)
 
     async def _welcome(self, connection: socket.socket, site: str, inside: Connect, server: str) -> None:
         """From the first byte of a connection to its last."""
@@ -209,7 +207,7 @@ class Door:
 
     async def _shake_hands(self, connection: socket.socket, site: str) -> StreamEnd:
         task = _own_task()
-        _cancel(self._handshakes.add(task, site))
+        self._handshakes.add(task, site)
         try:
             return await shake_hands(connection, self._trust.context, within_s=self._limits.handshake_s)
         finally:
@@ -235,7 +233,7 @@ class Door:
         client, task = holder.client, _own_task()
         self._strangers.remove(task)
         self._certificates[task] = certificate
-        _cancel(self._callers.add(task, client.certificate))
+        self._callers.add(task, client.certificate)
         left_s = (holder.ends - datetime.now(UTC)).total_seconds()
         counter, limit = FrameCounter(), self._limit_of(client.certificate)
         reports, now_s = Allowance(_TRAFFIC_PER_S, at_once=1), asyncio.get_running_loop().time
@@ -267,11 +265,6 @@ def _own_task() -> asyncio.Task[Any]:
     task = asyncio.current_task()
     assert task is not None  # noqa: S101 - each connection has one
     return task
-
-
-def _cancel(displaced: asyncio.Task[Any] | None) -> None:
-    if displaced is not None:
-        displaced.cancel()
 
 
 def _close_unseen(connection: socket.socket, task: asyncio.Task[Any]) -> None:

@@ -115,20 +115,17 @@ async def hand_over(
                 env={**os.environ, **environment, _VARIABLE: msgspec.json.encode(given).decode()},
             )
         try:
-            await _until_ready(new, ready, timeout_s=timeout_s)
-        except BaseException:
+            async with asyncio.timeout(timeout_s):
+                await readable(ready)
+            if ready.recv(len(_READY)) != _READY:
+                code = await asyncio.to_thread(new.wait)
+                raise UpwashError(f"the new daemon ended with code {code}: its own log says why")
+        except BaseException as error:
             new.kill()
             await asyncio.to_thread(new.wait)
+            if isinstance(error, TimeoutError):
+                raise UpwashError(
+                    f"the new daemon was not ready within {timeout_s:g} s: it was ended"
+                ) from None
             raise
     return new.pid
-
-
-async def _until_ready(new: subprocess.Popen[bytes], ready: socket.socket, *, timeout_s: float) -> None:
-    try:
-        async with asyncio.timeout(timeout_s):
-            await readable(ready)
-    except TimeoutError:
-        raise UpwashError(f"the new daemon was not ready within {timeout_s:g} s: it was ended") from None
-    if ready.recv(len(_READY)) != _READY:
-        code = await asyncio.to_thread(new.wait)
-        raise UpwashError(f"the new daemon ended with code {code}: its own log says why")

@@ -6,11 +6,9 @@ import asyncio
 import resource
 from collections import Counter
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any
 
 from upwash.core.admission.limits import Allowance
-
-C = TypeVar("C")
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"  # of a client's HTTP/2 connection: RFC 9113
 _HEADER_BYTES = 9  # of a frame: 3 with the length of its payload, 1 with its type, 5 others
@@ -49,8 +47,8 @@ class DoorLimits:
         return DoorLimits(connections=min(1024, files // 6), strangers=min(256, files // 8))
 
 
-class ConnectionLimits(Generic[C]):
-    """At most `most` connections, and `per_group` in a group: an address, or a certificate. The oldest gives way.
+class ConnectionLimits:
+    """At most `most` connections, and `per_group` in a group: an address, or a certificate. The oldest is cancelled.
 
     Newcomers are let in: an honest caller needs a moment only, or connects again because its connection is dead.
     """
@@ -58,23 +56,22 @@ class ConnectionLimits(Generic[C]):
     def __init__(self, most: int, *, per_group: int) -> None:
         self._most = most
         self._per_group = per_group
-        self._groups: dict[C, str] = {}  # by connection, the oldest first
+        self._groups: dict[asyncio.Task[Any], str] = {}  # by the task of a connection, the oldest first
         self._sizes: Counter[str] = Counter()
 
     def __len__(self) -> int:
         return len(self._groups)
 
-    def add(self, connection: C, group: str) -> C | None:
-        """Counts the connection; returns a connection that must go for it, and is not counted any more."""
+    def add(self, connection: asyncio.Task[Any], group: str) -> None:
+        """Counts the connection; cancels another one that must go for it."""
         self._groups[connection] = group
         self._sizes[group] += 1
         if self._sizes[group] > self._per_group:
-            return self._remove_oldest(group)
-        if len(self._groups) > self._most:
-            return self._remove_oldest(self._sizes.most_common(1)[0][0])
-        return None
+            self._cancel_oldest(group)
+        elif len(self._groups) > self._most:
+            self._cancel_oldest(self._sizes.most_common(1)[0][0])
 
-    def remove(self, connection: C) -> None:
+    def remove(self, connection: asyncio.Task[Any]) -> None:
         """Counts the connection no longer."""
         group = self._groups.pop(connection, None)
         if group is not None:
@@ -82,10 +79,10 @@ class ConnectionLimits(Generic[C]):
             if not self._sizes[group]:
                 del self._sizes[group]
 
-    def _remove_oldest(self, group: str) -> C:
+    def _cancel_oldest(self, group: str) -> None:
         oldest = next(connection for connection, of in self._groups.items() if of == group)
         self.remove(oldest)
-        return oldest
+        oldest.cancel()
 
 
 class RateLimit:
