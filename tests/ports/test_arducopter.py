@@ -28,6 +28,7 @@ from upwash.eventlog.schema import (
     HomeMoved,
     LinkLost,
     LinkRestored,
+    LinkTrouble,
     PositionDoubted,
     VehicleSaid,
 )
@@ -742,3 +743,33 @@ def test_what_arrives_late_or_twice_changes_nothing() -> None:
         await vehicle.close()
 
     run_virtually(scenario())
+
+
+def test_heartbeats_go_on_after_a_defect_which_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario() -> None:
+        came: list[str] = []
+
+        def note(message: Any) -> list[Any]:
+            came.append(message.get_type())
+            return []
+
+        receiver = Scripted(note)
+        vehicle = MavlinkVehicle(receiver.open, Patience(), [ARDUCOPTER])
+        failed, news = asyncio.Event(), list[VehicleNews]()
+
+        def fail_once() -> int:
+            if not failed.is_set():
+                failed.set()
+                raise LookupError("a defect")
+            return 0
+
+        vehicle.heartbeat_word = fail_once
+        vehicle.listen(news.append)
+        await asyncio.sleep(5.0)
+        assert failed.is_set() and came
+        (trouble,) = news
+        assert isinstance(trouble, LinkTrouble) and "LookupError: a defect" in trouble.why
+        await vehicle.close()
+
+    run_virtually(scenario())
+    assert "the vehicle's link failed: LookupError: a defect" in caplog.text

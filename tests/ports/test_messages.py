@@ -270,6 +270,24 @@ def test_a_vehicle_may_say_so_much_and_no_more() -> None:
     fly(flight)
 
 
+def said_of(*texts: bytes, number: int = 0) -> list[str]:
+    telemetry = VehicleTelemetry()
+    for chunk, text in enumerate(texts):
+        sent = mavlink.MAVLink_statustext_message(4, text, number, chunk % 256)
+        wire = mavlink.MAVLink(None, 1, 1)
+        telemetry.take(wire.parse_char(sent.pack(mavlink.MAVLink(None, 1, 1))), 1.0)
+    return [text.text for _, text in telemetry.texts]
+
+
+def test_control_characters_of_a_vehicle_become_escapes() -> None:
+    assert said_of(b"\x1b[2Jall\r\n\x7f") == [r"\x1b[2Jall\r\n\x7f"]
+
+
+def test_a_text_without_end_is_taken_in_parts() -> None:
+    texts = said_of(*[b"x" * 50] * 255, number=7)
+    assert [len(text) for text in texts] == [1000] * (255 // 20)
+
+
 def test_texts_that_do_not_end_take_no_room() -> None:
     telemetry = VehicleTelemetry()
     for number in range(1, 65_536):

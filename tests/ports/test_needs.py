@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.memory import AGILE, Bench, bench, driven
+from tests.ports.memory import AGILE, AT_ONCE, Bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import GeoPosition, Position
@@ -21,7 +21,6 @@ from upwash.real.mavlink.needs import require_reposition
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot import commands
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
-from upwash.vehicle.body import connection
 from upwash.vehicle.body.connection import PeerConnection
 from upwash.vehicle.body.firmware import CommandReply
 from upwash.vehicle.px4.settings import Px4Settings
@@ -32,92 +31,70 @@ PX4 = Px4Settings(GeoPosition(39.3666, 22.9507), parameters={"COM_OBL_RC_ACT": 3
 Story = Callable[[Bench, MavlinkAutopilot], Awaitable[None]]
 
 
-@pytest.fixture
-def commanded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The commands that a stand-in gets, questions left out."""
-    questions = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE
-    heard: list[int] = []
-
-    def note(to: PeerConnection, message: Any) -> None:
-        if message.command not in questions:
-            heard.append(message.command)
-        PeerConnection._hear_command(to, message)
-
-    for kind in ("COMMAND_LONG", "COMMAND_INT"):
-        monkeypatch.setitem(connection._LISTENERS, kind, note)
-    return heard
-
-
-@pytest.fixture
-def tell(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+def tell(story: Story, settings: VehicleSettings = AGILE, *, discreet: bool = False) -> None:
     """Runs a story with a stand-in ArduCopter, on virtual time; it may keep its version to itself."""
 
-    def told(story: Story, settings: VehicleSettings = AGILE, *, discreet: bool = False) -> None:
-        async def live() -> None:
-            async with bench(settings) as made:
-                if discreet:
-                    made.firmware.reports = {
-                        number: report
-                        for number, report in made.firmware.reports.items()
-                        if number != VERSION
-                    }
-                async with made.program() as autopilot:
-                    await story(made, autopilot)
+    async def live() -> None:
+        before = keep_version_back if discreet else None
+        async with driven(settings, AT_ONCE, 60.0, before) as (made, autopilot):
+            await story(made, autopilot)
 
-        run_virtually(live())
-
-    return told
+    run_virtually(live())
 
 
-def test_an_old_version_is_refused_before_arming(tell: Callable[..., None], commanded: list[int]) -> None:
-    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
+async def keep_version_back(made: Bench) -> None:
+    made.firmware.reports = {
+        number: report for number, report in made.firmware.reports.items() if number != VERSION
+    }
+
+
+def test_an_old_version_is_refused_before_arming() -> None:
+    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=False)
         refusal = (
             "runs ArduCopter 4.0.7; upwash flies ArduCopter 4.1.0 and newer.*update the vehicle's firmware"
         )
         with pytest.raises(AutopilotRefused, match=refusal):
             await autopilot.ready()
-        assert commanded == []
+        assert made.commands() == []
 
     tell(story, replace(AGILE, version=Version(4, 0, 7)))
 
 
 @pytest.mark.parametrize("discreet", [False, True])
 def test_a_firmware_that_does_not_know_how_to_be_sent_to_a_place_is_refused_before_arming(
-    tell: Callable[..., None], monkeypatch: pytest.MonkeyPatch, commanded: list[int], *, discreet: bool
+    monkeypatch: pytest.MonkeyPatch, *, discreet: bool
 ) -> None:
     monkeypatch.delitem(commands._HANDLERS, REPOSITION)
 
-    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
+    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=False)
         version = "of a version that it does not tell" if discreet else "4.7.0-dev"
         refusal = f"the vehicle, ArduCopter {version}, does not know MAV_CMD_DO_REPOSITION"
         await autopilot.ready()
         with pytest.raises(AutopilotRefused, match=refusal):
             await autopilot.arm()
-        assert commanded[-1] == REPOSITION
-        assert ARM not in commanded
+        assert made.commands()[-1] == REPOSITION
+        assert ARM not in made.commands()
 
     tell(story, discreet=discreet)
 
 
-def test_the_try_moves_nothing_and_changes_no_mode(tell: Callable[..., None], commanded: list[int]) -> None:
+def test_the_try_moves_nothing_and_changes_no_mode() -> None:
     async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
         for mode in (CopterMode.STABILIZE, CopterMode.GUIDED):
             made.copter.change_mode(made.now_s, mode)
             await autopilot.claim(resumes=False)
             await require_reposition(autopilot.vehicle)
             assert made.copter.mode is mode
-        assert commanded == [REPOSITION, REPOSITION]
+        assert made.commands() == [REPOSITION, REPOSITION]
         await claim_and_arm(autopilot)
         assert made.copter.target(made.now_s) is None
 
     tell(story)
 
 
-def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
-    tell: Callable[..., None], commanded: list[int]
-) -> None:
+def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has() -> None:
     async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=False)
         made.copter.arm(made.now_s, forced=True)
@@ -125,12 +102,12 @@ def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
         assert not autopilot.armed
         with pytest.raises(AutopilotOverruled):
             await autopilot.arm()
-        assert commanded == []
+        assert made.commands() == []
 
     tell(story)
 
 
-def test_a_vehicle_that_does_not_tell_its_version_is_flown(tell: Callable[..., None]) -> None:
+def test_a_vehicle_that_does_not_tell_its_version_is_flown() -> None:
     async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
         assert autopilot.vehicle.version is None
         await take_off(autopilot)
@@ -139,9 +116,7 @@ def test_a_vehicle_that_does_not_tell_its_version_is_flown(tell: Callable[..., N
     tell(story, discreet=True)
 
 
-def test_a_firmware_that_only_knows_the_old_question_is_asked_that(
-    tell: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_firmware_that_only_knows_the_old_question_is_asked_that(monkeypatch: pytest.MonkeyPatch) -> None:
     known = PeerConnection._obey
 
     def obey(to: PeerConnection, message: Any) -> Any:
@@ -186,8 +161,3 @@ def test_a_px4_in_development_without_a_version_is_flown_by_what_it_reports() ->
             assert CURRENT_MODE in sky.vehicle.firmware.reports
 
     run_virtually(live())
-
-
-async def keep_version_back(sky: Bench) -> None:
-    firmware: Any = sky.vehicle.firmware
-    firmware.reports = {number: report for number, report in firmware.reports.items() if number != VERSION}
