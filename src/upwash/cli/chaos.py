@@ -48,5 +48,5 @@ def seeds(text: str) -> range:
     """Whole numbers from 1 to N, or from A to B where they are written A..B."""
     first, dots, last = text.partition("..") if ".." in text else ("1", "..", text)
     if not (dots and first.isdecimal() and last.isdecimal() and 1 <= int(first) <= int(last)):
-        raise argparse.ArgumentTypeError(f"{text!r} is neither N nor A..B, such as 200 or 1..2000")
+        raise argparse.ArgumentTypeError(f"{text!r} is not N or A..B, such as 200 or 1..2000")
     return range(int(first), int(last) + 1)

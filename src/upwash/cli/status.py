@@ -125,13 +125,9 @@ def _holders(server: ServerStatus) -> Iterator[str]:
 
 def _waiting(server: ServerStatus) -> Iterator[str]:
     """A line for each drone that waits for a slot, the next one first."""
-    waiting = [
-        (account.had_s, -account.waits_s, account.drone, account)
-        for account in server.accounts
-        if account.waits_s is not None
-    ]
-    for _, waits_s, drone, account in sorted(waiting, key=lambda entry: entry[:3]):
-        yield f"{drone}: waits for {_duration(-waits_s)}, {_counts_as(account)}"
+    waiting = [(account, account.waits_s) for account in server.accounts if account.waits_s is not None]
+    for account, waits_s in sorted(waiting, key=lambda entry: (entry[0].had_s, -entry[1], entry[0].drone)):
+        yield f"{account.drone}: waits for {_duration(waits_s)}, {_counts_as(account)}"
 
 
 def _counts_as(account: AccountStatus) -> str:

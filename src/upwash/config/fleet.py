@@ -39,7 +39,7 @@ def presences(config: DroneConfig) -> tuple[Presence, ...]:
 def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConfig:
     digest = hashlib.sha256(
         f"{config.seed}/{drone.name}".encode()
-    ).digest()  # whatever other drones there are
+    ).digest()  # independent of the other drones
     return replace(
         config,
         name=drone.name,

@@ -42,10 +42,11 @@ def movable_waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     Where a plan sets speeds each has its own: what a plan sets once else holds until it sets another.
     """
     given = waypoints(mission)
-    if all(each.ground_speed_m_s is None for each in given):
+    if all(waypoint.ground_speed_m_s is None for waypoint in given):
         return given
     return tuple(
-        replace(each, ground_speed_m_s=each.ground_speed_m_s or mission.ground_speed_m_s) for each in given
+        replace(waypoint, ground_speed_m_s=waypoint.ground_speed_m_s or mission.ground_speed_m_s)
+        for waypoint in given
     )
 
 
@@ -145,7 +146,7 @@ def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
 
 
 def server_places(config: DroneConfig) -> dict[str, Position]:
-    """Where each server stands, by its name; a server whose place nobody needs to know stands at home."""
+    """Where each server stands, by its name; a server without a place stands at home."""
     return {
         server.name: Position(0.0, 0.0)
         if server.east_m is None and server.latitude_deg is None

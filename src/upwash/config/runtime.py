@@ -47,7 +47,7 @@ class EngineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The addresses that containers get, and the interface on which they are answered for."""
+    """The addresses of containers, and the interface that answers for them."""
 
     subnet: Text = "10.147.70.0/24"
     """Of the containers."""

@@ -58,7 +58,7 @@ class LoadedService:
 
 
 def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedService]:
-    """The services of a configuration, by name; raises UsageError for one that does not fit its class."""
+    """The services of a configuration, by name; raises UsageError if a service does not fit its class."""
     return {
         service.name: load_configured(service, f"service[{index}]")
         for index, service in enumerate(configured)
@@ -66,7 +66,7 @@ def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedSe
 
 
 def load_specs(configured: Sequence[ConfiguredService]) -> dict[str, ServiceSpec]:
-    """What the services of a configuration offer, by name; raises UsageError as `load_services` does."""
+    """The declarations of a configuration's services, by name; raises UsageError."""
     return {name: spec_of(each.cls) for name, each in load_services(configured).items()}
 
 
@@ -77,7 +77,7 @@ def load_service_alone(name: str) -> LoadedService:
 
 
 def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
-    """The service that stands at that key of a configuration; raises UsageError where it does not fit its class."""
+    """The service at that key of a configuration; raises UsageError if it does not fit its class."""
     path = configured.program or bundled_service(configured.name)
     cls = load_service(path)
     spec = spec_of(cls)

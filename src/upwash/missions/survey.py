@@ -1,4 +1,4 @@
-"""The thesis's mission (its algorithm 1): a photo at every waypoint, and a word to the user about what is on it."""
+"""The thesis's mission (its algorithm 1): a photo at every waypoint, and a message to the user about it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _TRIES = 2  # of a photo, before the survey goes on without it
 
 
 def survey(drone: Drone, mode: Mode = "heavy") -> None:
-    """Visits the plan's waypoints and has every photo looked at, before it moves on or soon after.
+    """Visit the plan's waypoints and inspect a photo of each, before moving on or soon after.
 
-    The user is told of a waypoint without a photo that can be looked at, and the survey goes on.
+    Where no photo can be inspected, the user gets a message, and the survey goes on.
     """
     detector = drone.service(Detector)
     drone.autopilot.arm()
@@ -24,14 +24,14 @@ def survey(drone: Drone, mode: Mode = "heavy") -> None:
         if photo is not None:
             pending = drone.start(detector.process_photo, photo, mode=mode)
             drone.stay_or_go(
-                pending, partial(tell, drone, waypoint), failed=partial(tell_failure, drone, waypoint)
+                pending, partial(notify, drone, waypoint), failed=partial(notify_failure, drone, waypoint)
             )
     drone.end_flight()
     drone.autopilot.disarm()
 
 
 def photo_at(drone: Drone, waypoint: Waypoint) -> bytes | None:
-    """A photo, taken again where the camera gives none; None, of which the user is told, where it still does not."""
+    """A photo, tried twice; None, with a message to the user, if the camera gives none."""
     for left in reversed(range(_TRIES)):
         try:
             return drone.camera.take_photo()
@@ -41,14 +41,14 @@ def photo_at(drone: Drone, waypoint: Waypoint) -> bytes | None:
     return None
 
 
-def tell_failure(drone: Drone, waypoint: Waypoint, error: Exception) -> None:
-    """Tells the user of a photo that cannot be looked at; raises whatever else failed."""
+def notify_failure(drone: Drone, waypoint: Waypoint, error: Exception) -> None:
+    """Notify the user of a photo that cannot be inspected; raises any other error."""
     if not isinstance(error, NotAPhoto):
         raise error
     drone.user.notify(f"no photo: {error}", at=waypoint)
 
 
-def tell(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
-    """Tells the user what was found at the waypoint, and stays there for them to look at it."""
+def notify(drone: Drone, waypoint: Waypoint, found: list[Detection]) -> None:
+    """Notify the user of what was found at the waypoint, and hover there for the action."""
     drone.user.notify(found, at=waypoint)
     drone.autopilot.hover(drone.action_s)

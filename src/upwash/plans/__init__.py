@@ -3,10 +3,10 @@
 A plan is never flown otherwise than it says without a word. Each item of a file is flown, left out or changed with a
 notice, or refused: ConfigError names the file, the item, and what to do.
 
-    qgroundcontrol, waypoint_list    a file's text -> items, home and fences
-    items                            the commands: which are flown, left out, refused
-    course                           the items, one after the other -> a plan
-    foreign                          what a file is that is no plan
+    qgroundcontrol, waypoint_list    a file's text becomes items, home and fences.
+    items                            The commands: which are flown, left out, refused.
+    course                           The items, one after the other, become a plan.
+    foreign                          Names the kind of a file that is no plan.
 
 Ugly is that autopilots understand items differently. `course` takes them as ArduCopter flies them, and for a waypoint
 list, which mostly comes from Mission Planner, fills gaps as ArduCopter does (`as_arducopter`).
@@ -29,7 +29,7 @@ _MOST_BYTES = 10_000_000
 
 
 def read_plan(file: Path) -> Plan:
-    """The plan in the file; raises ConfigError with the item's number for anything that is not understood."""
+    """The plan in the file; raises ConfigError with the number of the item that is not understood."""
     try:
         return _parsed(read_named_file(file, most_bytes=_MOST_BYTES))
     except PlanRefusal as refusal:

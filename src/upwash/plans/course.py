@@ -1,6 +1,6 @@
-"""A plan's items, taken in one after the other, become what is flown; what cannot be flown is left out or refused.
+"""A plan's items, one after the other, become the flight; an item that cannot be flown is left out or refused.
 
-Where autopilots differ, an item is understood as ArduCopter flies it, and the notice says so.
+Where autopilots differ, an item is flown as ArduCopter flies it, with a notice.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def make_plan(
     ground_speed_m_s: float | None = None,
     as_arducopter: bool = False,
 ) -> Plan:
-    """The plan that the items make; raises PlanRefusal for the first item that can be neither flown nor left out.
+    """The plan that the items make; raises PlanRefusal for the first item that can be refused only.
 
     With `as_arducopter` a waypoint's altitude of 0, or its place of 0 and 0, is that of the waypoint before, and a
     landing may have any altitude.
@@ -145,7 +145,7 @@ class PlannedCourse:
         self._unused_speed: Item | None = None
 
     def take(self, item: Item) -> None:
-        """Takes the next item in."""
+        """Add the next item."""
         if self._is_left_out(item):
             return
         if self.ending:
@@ -172,7 +172,7 @@ class PlannedCourse:
                 item.refuse(why_refused(item.command))
 
     def finish(self) -> None:
-        """Nothing comes any more."""
+        """Check the flight after its last item."""
         if not self.waypoints:
             raise PlanRefusal("", "no waypoint in it: add at least one")
         if self._unused_speed is not None:
@@ -190,7 +190,7 @@ class PlannedCourse:
         self._notices.add(f"{item.name}: {what}", item.number)
 
     def _is_left_out(self, item: Item) -> bool:
-        """Whether it asks for nothing that is flown; a notice says so."""
+        """Whether the item is not flown; adds a notice if so."""
         why = LEFT_OUT.get(item.command)
         if item.command == SET_HOME and item.value(1) == 1 and not self.waypoints:
             why = "left out: home is where the vehicle takes off"
@@ -214,7 +214,7 @@ class PlannedCourse:
             self._fly_to(item, item.place(), self._flown_height(item), hold_s)
 
     def _flown_height(self, item: Item) -> Height:
-        """The altitude, or the one before for an altitude of 0 where that means it."""
+        """The item's altitude; for ArduCopter's 0 the altitude before."""
         before = self._before()
         if item.value(7) != 0 or before is None or not self._as_arducopter:
             return self._height(item)
@@ -222,7 +222,7 @@ class PlannedCourse:
         return before
 
     def _stay(self, item: Item, hold_s: float) -> None:
-        """An item without a place is of the place before, at the altitude before where it says none."""
+        """Add an item without a place: at the place before, and without an altitude at the altitude before."""
         before = self._before()
         may_stay = item.command == Command.LOITER_TIME or self._as_arducopter
         if not may_stay or before is None or self._home is None:
@@ -325,13 +325,13 @@ class PlannedCourse:
         self._fly_to(item, place, height)
 
     def _is_on_the_ground(self, item: Item) -> bool:
-        """Whether it is at home's altitude, as far as the plan can know."""
+        """Whether the item is at home's altitude, as far as the plan can know."""
         if item.frame in ABOVE_SEA_LEVEL and (self._home is None or self._home.altitude_m is None):
             return True
         return item.frame in ABOVE_TERRAIN or abs(self._height_as_written(item).altitude_m) <= _SAME_PLACE_M
 
     def _before(self) -> Height | None:
-        """The altitude of the flight so far; None before a take-off."""
+        """The altitude of the flight before this item; None before a take-off."""
         if self.waypoints:
             last = self.waypoints[-1]
             return Height(last.place.altitude_m, last.above_sea_m)

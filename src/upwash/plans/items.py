@@ -71,7 +71,7 @@ _REFUSED: Mapping[int, str] = {
 
 
 def why_refused(command: int) -> str:
-    """What to do about a command that cannot be flown; goes on from the command's name."""
+    """What to do about a command that cannot be flown; continues the command's name."""
     return _REFUSED.get(
         command,
         "is not understood: remove it; a plan may have waypoints, a take-off, hold times, changes of the ground "
@@ -126,7 +126,7 @@ class Item:
         return not any(self.value(index) for index in (5, 6))
 
     def refuse(self, problem: str) -> NoReturn:
-        """Raises the refusal of this item; the problem goes on from the command's name."""
+        """Raise the refusal of this item; the problem continues the command's name."""
         raise PlanRefusal(f"item {self.number}", f"{self.name} {problem}")
 
     def value(self, index: int) -> float | None:
@@ -142,7 +142,7 @@ class Item:
         return value
 
     def require_unset(self, *indexes: int, **named: int) -> None:
-        """Refuses a parameter that is neither left open nor 0."""
+        """Refuse a parameter that is set to another number than 0."""
         for what, index in [*((f"parameter {index}", index) for index in indexes), *named.items()]:
             if value := self.value(index):
                 self.refuse(f"has {what.replace('_', ' ')} {value:g}, which is not understood: set it to 0")

@@ -1,4 +1,4 @@
-"""A plan, whatever its format, and the notices of what is flown differently; altitudes are metres above home."""
+"""A plan of any format, and the notices of what is flown differently; altitudes are metres above home."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class PlanNotices:
         self._items.setdefault(what, []).extend(items)
 
     def all(self) -> tuple[PlanNotice, ...]:
-        """The notices so far."""
+        """All notices."""
         return tuple(PlanNotice(tuple(items), what) for what, items in self._items.items())
 
 

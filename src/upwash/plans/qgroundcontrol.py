@@ -119,23 +119,15 @@ def parse_plan(text: str) -> Plan:
         raise PlanRefusal(
             "hoverSpeed", f"expected above 0 and up to {FASTEST_M_S:g} m/s, found {speed_m_s:g}"
         )
-    return make_plan(
-        home,
-        items,
-        notices,
-        fences=tuple(_fences(document.geo_fence)),
-        ground_speed_m_s=speed_m_s,
-    )
+    fences = tuple(_fences(document.geo_fence))
+    return make_plan(home, items, notices, fences=fences, ground_speed_m_s=speed_m_s)
 
 
 def _check_kind(document: _Document) -> None:
     mission, fence = document.mission, document.geo_fence
     if document.file_type != "Plan":
         raise PlanRefusal("fileType", f'expected "Plan", found "{_name_of(document.file_type)}": {WANTED}')
-    for where, version, known in [
-        ("version", document.version, 1),
-        ("mission.version", mission.version, 2),
-    ]:
+    for where, version, known in (("version", document.version, 1), ("mission.version", mission.version, 2)):
         if version != known:
             raise PlanRefusal(where, f"expected {known}, found {version}: {_SAVED_ANEW}")
     if fence.version != 2 and (fence.version != 1 or fence.polygons or fence.circles):
@@ -159,13 +151,13 @@ def _items(tables: list[dict[str, Any]], notices: PlanNotices) -> Iterator[Item]
         if pattern:
             last = number + len(inner)
             notices.add(f"{pattern} is flown as its {len(inner)} single commands, items {number + 1}-{last}")
-        for each in inner:
+        for item in inner:
             number += 1
             if number > MOST_ITEMS:
                 raise PlanRefusal(
                     "mission.items", f"more than {MOST_ITEMS} items, those of patterns counted: fly less"
                 )
-            yield _item(number, each)
+            yield _item(number, item)
 
 
 def _singly(number: int, table: dict[str, Any]) -> tuple[list[dict[str, Any]], str]:
@@ -197,7 +189,7 @@ def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
     polygons = list(fence.polygons)
     if fence.polygon:
         polygons.append(_PolygonFence(polygon=fence.polygon, inclusion=True))
-    if sum(len(each.polygon) for each in polygons) + len(fence.circles) > _MOST_CORNERS:
+    if sum(len(polygon.polygon) for polygon in polygons) + len(fence.circles) > _MOST_CORNERS:
         raise PlanRefusal("geoFence", f"more than {_MOST_CORNERS} corners: draw it with fewer")
     for number, polygon in enumerate(polygons, start=1):
         name = _name(polygon, "polygon", number)
@@ -205,13 +197,12 @@ def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
             raise PlanRefusal(name, f"{len(polygon.polygon)} corners: a polygon has at least 3")
         corners = tuple(checked_place(name, *corner) for corner in polygon.polygon)
         yield PlannedPolygon(name, polygon.inclusion, corners)
-    for number, each in enumerate(fence.circles, start=1):
-        name = _name(each, "circle", number)
-        if not 0 < each.circle.radius <= _LARGEST_RADIUS_M:
-            raise PlanRefusal(name, f"radius {each.circle.radius:g} m: expected above 0, up to 100 km")
-        yield PlannedCircle(
-            name, each.inclusion, checked_place(name, *each.circle.center), each.circle.radius
-        )
+    for number, circle in enumerate(fence.circles, start=1):
+        name, radius_m = _name(circle, "circle", number), circle.circle.radius
+        if not 0 < radius_m <= _LARGEST_RADIUS_M:
+            raise PlanRefusal(name, f"radius {radius_m:g} m: expected above 0, up to 100 km")
+        centre = checked_place(name, *circle.circle.center)
+        yield PlannedCircle(name, circle.inclusion, centre, radius_m)
 
 
 def _name(fence: _PolygonFence | _CircleFence, shape: str, number: int) -> str:

@@ -1,4 +1,4 @@
-"""What a camera's source is called where people read it: in logs, in messages and on pages."""
+"""A camera's source as people read it: in logs, in messages and on pages, without passwords."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _MAY_BEGIN_A_SECRET = re.compile(r"[?#=;&]")
 
 
 def is_pipeline(source: int | str) -> bool:
-    """Whether it is one as gst-launch has them, such as "v4l2src ! videoconvert ! appsink"."""
+    """Whether the source is a pipeline of gst-launch, such as "v4l2src ! videoconvert ! appsink"."""
     return isinstance(source, str) and _PIPELINE in source and "://" not in source.split(maxsplit=1)[0]
 
 
 def shown_source(source: int | str) -> str:
-    """The source without any part of a password: "…" stands for what may hold one.
+    """The source with "…" for each part that may hold a password.
 
-    A URL is shown without user, password and query. Where a password may have unescaped marks of a URL in it, so
-    that nobody can tell where it ends, no more is shown than is surely no part of it.
+    A URL is shown without user, password and query. If a password may contain unescaped marks of a URL, its end is
+    unknown, and only the parts that are surely no password are shown.
     """
     text = str(source)
     if is_pipeline(source):

@@ -43,7 +43,7 @@ def mean_saving(before: Mapping[int, float], after: Mapping[int, float]) -> Mean
 
 @cache
 def student_quantile(freedom: int, *, within: float = 0.95) -> float:
-    """The t that a Student-distributed number of so many degrees of freedom stays within, either side of 0."""
+    """The t within which a Student-distributed number of that many degrees of freedom lies, on either side of 0."""
     low, high = 0.0, math.pi / 2
     while (middle := (low + high) / 2) not in (low, high):
         low, high = (middle, high) if _probability(middle, freedom) < within else (low, middle)

@@ -1,14 +1,13 @@
 """How a small computer gets hot, and slow: two thermal poles and a step-wise frequency.
 
 The frequencies and the 80 °C are those of a Raspberry Pi 4 (its documentation). The rest is fitted to the thesis's
-mission without offloading, heavy calls of 10 s with 10 s between them. What it prints is a mean: by its mission
-times a heavy call takes (47.5 - 26.5) min / 121 longer than a light one of 3 s, 13.4 s on the average of the
-mission (13.6 s in its simulation), and the calls level off "only after a large number of invocations". The ambient
-temperature of its set-ups, 45 °C, is fitted to that mean; the poles, the hysteresis and how power falls with
-frequency are such that the slow-down begins with the eighth call and is over by the twenty-fourth. This is
-calibration, not validation: what the model says about other rates of calls follows from it (at 45 °C calls level
-off at 13.8 s, with 5 s between them at 15.9 s, with 15 s at 12.0 s, with 20 s at 10.8 s), and about another
-computer, case or wind it says nothing.
+mission without offloading: heavy calls of 10 s with 10 s between them. The thesis prints a mean. By its mission
+times a heavy call takes (47.5 - 26.5) min / 121 longer than a light call of 3 s: 13.4 s on average (13.6 s in its
+simulation). The calls level off "only after a large number of invocations". The ambient temperature, 45 °C, is
+fitted to that mean. The poles, the hysteresis and the exponent of power let the slow-down begin with the eighth
+call and end by the twenty-fourth. This is calibration, not validation. Calls level off at 13.8 s; with 5 s between
+them at 15.9 s, with 15 s at 12.0 s, with 20 s at 10.8 s. The model does not hold for another computer, case or
+wind.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class _Pole:
         self.rise_k = goal_k + (self.rise_k - goal_k) * math.exp(-duration_s / self.time_constant_s)
 
     def add(self, power_w: float, duration_s: float, *, ago_s: float) -> None:
-        """What so much more power has left that was there for the duration, up to so long ago."""
+        """Add the heat of that power, which lasted for the duration and ended `ago_s` ago."""
         left = math.exp(-ago_s / self.time_constant_s) - math.exp(
             -(ago_s + duration_s) / self.time_constant_s
         )
@@ -44,7 +43,7 @@ class _Pole:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a computer's heat depends on: the air around it, in °C, and the power that a call adds, in W."""
+    """The air around a computer, in °C, and the power that a call adds, in W."""
 
     ambient_c: float
     load_w: float
@@ -59,7 +58,7 @@ class Heat:
     _step: int = 0
     _looked_c: float = 0.0  # the temperature at the governor's last look
     _until_s: float = 0.0
-    burnt_j: float = 0.0  # by all the work so far
+    burnt_j: float = 0.0  # by all work until now
 
     @property
     def temperature_c(self) -> float:
@@ -75,7 +74,7 @@ class Heat:
     def work(self, work_s: float, *, now_s: float) -> float:
         """Does `work_s` seconds' work of a cool computer from now on; returns how long that takes.
 
-        Work that is done at the same time adds its heat; how long that other work takes was said and stays so.
+        Simultaneous work adds its heat; the duration of that other work stays as it was returned.
         """
         self.rest(now_s)
         left_s, took_s, beside_s = work_s, 0.0, self._until_s - now_s

@@ -1,6 +1,6 @@
 """Files that a user names: read with a bound on their size, and TOML with a bound on its nesting.
 
-Whatever is named, a device, a pipe that nobody writes to, a file without end, is told within a second.
+A device, an idle pipe or an endless file is refused within a second.
 """
 
 from __future__ import annotations
@@ -25,10 +25,7 @@ _LONG_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{_MOST_PARTS}}}", re.ASCI
 
 
 def read_file(file: Path, *, most_bytes: int) -> bytes:
-    """The content of a file, or what comes through a pipe until its end.
-
-    Raises OSError where it cannot be read, and ValueError where it is larger, or neither a file nor a pipe.
-    """
+    """The content of a file or of a pipe; raises OSError, or ValueError if it is larger or something else."""
     descriptor = os.open(
         file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     )  # a pipe does not hold it up
@@ -49,7 +46,7 @@ def read_file(file: Path, *, most_bytes: int) -> bytes:
 
 
 def read_named_file(file: Path, *, most_bytes: int) -> bytes:
-    """The same of a file that a user names; raises ConfigError, which says what to do."""
+    """The content of a file or of a pipe; raises ConfigError, which says what to do."""
     try:
         return read_file(file, most_bytes=most_bytes)
     except FileNotFoundError:
@@ -60,14 +57,14 @@ def read_named_file(file: Path, *, most_bytes: int) -> bytes:
 
 
 def why_unreadable(error: OSError | ValueError) -> str:
-    """What read_file says, without the name of the file."""
+    """The message of a failed `read_file`, without the name of the file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def text_of(content: bytes) -> str:
-    """The text in a file's content: UTF-8, or UTF-16 where a byte order mark says so; without the mark.
+    """The text in a file's content, as editors and shells of Windows write it too.
 
-    Editors and shells of Windows write either. Raises UnicodeDecodeError, a ValueError, for anything else.
+    The encoding is UTF-8, or UTF-16 with a byte order mark. Raises UnicodeDecodeError, a ValueError.
     """
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         with contextlib.suppress(UnicodeDecodeError):
@@ -76,12 +73,12 @@ def text_of(content: bytes) -> str:
 
 
 def read_toml(text: str) -> dict[str, object]:
-    """What the TOML says; raises ValueError, TOMLDecodeError among them, where it is none or nested too deeply."""
+    """The tables of the TOML; raises ValueError if it is invalid or nested too deeply."""
     if found := _LONG_KEY.search(
         text
     ):  # before it is parsed: time and memory grow with the square of the parts
         line = text.count("\n", 0, found.start()) + 1
-        raise ValueError(f"line {line}: a key of more than {_MOST_PARTS} parts, and no key has so many")
+        raise ValueError(f"line {line}: a key has more than {_MOST_PARTS} parts")
     try:
         return tomllib.loads(text)
     except RecursionError:

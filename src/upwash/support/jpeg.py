@@ -29,7 +29,7 @@ class Segment(NamedTuple):
 
 
 def segments_of(jpeg: bytes) -> Iterator[Segment]:
-    """The segments up to the end of the image (EOI), at most MOST_SEGMENTS; fewer where the bytes are no JPEG."""
+    """The segments up to the end of the image (EOI), at most MOST_SEGMENTS; fewer if the bytes are no JPEG."""
     if not jpeg.startswith(SOI):
         return
     find, at, marker = _NEXT.match, len(SOI), None

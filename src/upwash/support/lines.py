@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 
 
 async def lines_of(stream: asyncio.StreamReader) -> AsyncIterator[bytes]:
-    """Each line as it comes, with its end; a line beyond the stream's limit comes in pieces."""
+    """Each line with its end; a line beyond the stream's limit comes in pieces."""
     while True:
         try:
             yield await stream.readuntil(b"\n")

@@ -1,4 +1,4 @@
-"""What is imported by name: missions and services (`package.module:Name`, `path/to/file.py:Name`), optional parts."""
+"""Imports by name: missions and services (`package.module:Name`, `path/to/file.py:Name`), and optional parts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def load(program: str) -> object:
         raise UsageError(f"{program!r}: write it as package.module:Name or path/to/file.py:Name")
     try:
         with _no_bytecode():
-            module = _load_file(Path(module_path)) if module_path.endswith(".py") else _import(module_path)
+            is_file = module_path.endswith(".py")
+            module = _load_file(Path(module_path)) if is_file else importlib.import_module(module_path)
     except (Exception, SystemExit) as error:
         raise UsageError(
             f"{program!r} cannot be loaded from {module_path}: {type(error).__name__}: {error}"
@@ -33,7 +34,7 @@ def load(program: str) -> object:
 
 
 def import_remedy(error: BaseException, place: str) -> str:
-    """What to do about an import that failed in the module or file at that place, after a semicolon; else nothing."""
+    """The remedy for a failed import in the module or file at that place, after a semicolon; "" if unknown."""
     if isinstance(error, AttributeError):
         wanted = getattr(error.obj, "__name__", "") if isinstance(error.obj, ModuleType) else ""
     else:
@@ -64,7 +65,7 @@ def module_command(module: str, *arguments: str) -> list[str]:
 
 
 def look_here() -> None:
-    """Has modules found in the folder where this program is started too, after all others."""
+    """Search the folder where this program is started for modules too, last."""
     with contextlib.suppress(OSError):  # the folder is gone
         sys.path.append(str(Path.cwd()))
 
@@ -73,7 +74,7 @@ def look_here() -> None:
 def _no_bytecode() -> Iterator[None]:
     """Imports without leaving compiled files: a full disk may cut one short, and no later flight could load it.
 
-    Pythons before 3.12.8 and 3.13.1 keep such a file: CPython issue 126606.
+    Pythons before 3.12.8 and 3.13.1 keep a file that was cut short: CPython issue 126606.
     """
     before = sys.dont_write_bytecode
     sys.dont_write_bytecode = True
@@ -83,20 +84,14 @@ def _no_bytecode() -> Iterator[None]:
         sys.dont_write_bytecode = before
 
 
-def _import(name: str) -> ModuleType:
-    return importlib.import_module(name)
-
-
 def _load_file(path: Path) -> ModuleType:
     path = path.resolve()
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))  # the file may import its neighbours
     found = None if "." in path.stem else importlib.util.find_spec(path.stem)
     if found is not None and found.origin == str(path):
-        return importlib.import_module(
-            path.stem
-        )  # one module, however it is named, or its exceptions would be two
-    # It has the name of another module, or none that can be imported. In every process the same.
+        return importlib.import_module(path.stem)  # a second module would have exception classes of its own
+    # The file has the name of another module, or a name that cannot be imported. In every process the same:
     name = f"upwash_program_{path.stem.replace('.', '_')}"
     loaded = sys.modules.get(name)
     if loaded is not None and loaded.__file__ == str(path):
@@ -116,7 +111,7 @@ def _load_file(path: Path) -> ModuleType:
 
 @contextlib.contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Imports what `pip install 'upwash[name]'` brings; raises UsageError where it was not done."""
+    """Import what `pip install 'upwash[name]'` installs; raises UsageError without it."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -16,9 +16,9 @@ _NO_FILES = (("/", "dev"), ("/", "proc"))  # the first parts of paths that are w
 
 
 def write_file(file: Path, content: bytes | Iterable[bytes], *, mode: int = 0o666) -> None:
-    """Makes the file, and its folder, or gives it other content; raises NotWritten, and it is as it was before.
+    """Write the file, and make its folder; raises NotWritten, and leaves a former file unchanged.
 
-    The content may come in pieces. A new file has that mode, less the umask; one that was there keeps its own.
+    The content may come in pieces. A new file has that mode, less the umask; a former file keeps its mode.
     """
     content = (content,) if isinstance(content, bytes) else content
     try:
@@ -33,15 +33,15 @@ def write_file(file: Path, content: bytes | Iterable[bytes], *, mode: int = 0o66
 
 
 def write_all(descriptor: int, content: bytes) -> None:
-    """Writes all of it, in one write where the system takes it so; raises OSError, some of it perhaps written."""
+    """Write all of it, in one write if possible; raises OSError after perhaps a part."""
     while content:
         content = content[os.write(descriptor, content) :]
 
 
 def append_whole(descriptor: int, content: bytes) -> None:
-    """Appends all of it; raises OSError, and what was written of it is taken back where the file allows that.
+    """Append all of it; raises OSError, and takes back what was written of it, if possible.
 
-    Nobody else may append to the file meanwhile.
+    No other program may append to the file meanwhile.
     """
     before_bytes = os.fstat(descriptor).st_size
     try:
@@ -53,7 +53,7 @@ def append_whole(descriptor: int, content: bytes) -> None:
 
 
 def flush_to_disk(descriptor: int) -> None:
-    """Returns when what was written is on the disk; raises OSError where it did not get there."""
+    """Wait until the written bytes are on the disk; raises OSError."""
     try:
         os.fsync(descriptor)
     except OSError as error:
@@ -71,7 +71,7 @@ def _write_to(file: Path, content: Iterable[bytes]) -> None:
 
 
 def _look_like(former: os.stat_result, descriptor: int) -> None:
-    with contextlib.suppress(PermissionError):  # who may not give files away leaves one of their own
+    with contextlib.suppress(PermissionError):  # without the right to give files away, the file stays ours
         os.fchown(descriptor, former.st_uid, former.st_gid)
     os.fchmod(descriptor, stat.S_IMODE(former.st_mode))
 

@@ -8,7 +8,7 @@ from rich.text import Text
 
 
 def say(sentence: str | Text, console: Console, *, indent: int = 0) -> None:
-    """Prints a sentence, indented by so many columns, also where it is continued."""
+    """Print a sentence, all its lines indented by that many columns."""
     if console.is_terminal:
         console.print(Padding(sentence, (0, 0, 0, indent), expand=False) if indent else sentence)
     else:

@@ -1,4 +1,4 @@
-"""The standard streams of a program, which may be closed, full, or a pipe that nobody reads any more."""
+"""The standard streams of a program, which may be closed, full, or a pipe without a reader."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from upwash.errors import UpwashError
 
 
 class Forgiving:
-    """A text stream that takes everything; what the one below does not take is lost, for the reason in `trouble`."""
+    """A text stream that never raises; what `stream` does not take is lost, for the reason in `trouble`."""
 
     def __init__(self, stream: TextIO) -> None:
         self.trouble: OSError | None = None
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Writes it, if it can be written."""
+        """Write the text, if possible."""
         with self._noting_trouble():
             self._stream.write(text)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Writes one after the other."""
+        """Write one after the other."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Passes on what was written, if that can be."""
+        """Flush the stream, if possible."""
         with self._noting_trouble():
             self._stream.flush()
 
@@ -42,13 +42,13 @@ class Forgiving:
             self.trouble = self.trouble or error
 
     def __getattr__(self, name: str) -> Any:
-        """Whatever else streams have is the one's below."""
+        """All other attributes are those of the stream."""
         return getattr(self._stream, name)
 
 
 @contextlib.contextmanager
 def forgiving_streams() -> Iterator[Forgiving]:
-    """Lets nothing that is printed within raise; yields standard output, which knows what went wrong with it."""
+    """Let no print within the block raise; yields standard output, with the first failure in `trouble`."""
     output, errors = _forgiving(sys.stdout), _forgiving(sys.stderr)
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
         try:
@@ -62,7 +62,7 @@ def _forgiving(stream: TextIO | Forgiving) -> Forgiving:
 
 
 def print_bytes(content: bytes) -> None:
-    """Prints what is no text; raises UpwashError where standard output does not take all of it."""
+    """Print bytes; raises UpwashError if standard output does not take all of them."""
     try:
         sys.stdout.buffer.write(content)
         sys.stdout.buffer.flush()
@@ -72,7 +72,7 @@ def print_bytes(content: bytes) -> None:
 
 
 def open_closed_streams() -> None:
-    """Leads standard streams that are closed nowhere: else the next file that is opened would be one of them."""
+    """Point closed standard streams to /dev/null: else the next opened file would become one of them."""
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         if getattr(sys, name) is None:
             _lead_nowhere(number)
@@ -80,7 +80,7 @@ def open_closed_streams() -> None:
 
 
 def give_up_output() -> None:
-    """Leads standard output nowhere, as the interpreter would else try again what is left to print as it ends."""
+    """Point standard output to /dev/null: else the interpreter tries again at its end to print the rest."""
     with contextlib.suppress(OSError, ValueError):
         _lead_nowhere(sys.stdout.fileno())
 
