@@ -26,7 +26,7 @@ from upwash.config import DroneConfig, server_areas, waypoints
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog.fleet import FleetProgress
 from upwash.eventlog.schema import Event
-from upwash.launch.flight_program import INTERRUPTED
+from upwash.launch.processes import INTERRUPTED
 
 SIZES = range(2, 9)
 

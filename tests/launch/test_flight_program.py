@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.launch.flight_program import INTERRUPTED, FlightProgram
+from upwash.launch.processes import INTERRUPTED, FlightProgram
 
 pytestmark = pytest.mark.system
 

@@ -11,9 +11,8 @@ import pytest
 
 from upwash.config import DroneConfig, drone_config
 from upwash.errors import CameraError, UsageError
-from upwash.launch import photos
-from upwash.launch.cameras import NoCamera, needs_camera
-from upwash.launch.photos import Look, look
+from upwash.launch import cameras
+from upwash.launch.cameras import Look, NoCamera, look, needs_camera
 
 MISSIONS = """
 import helping
@@ -59,7 +58,7 @@ def test_each_photo_that_is_no_whole_jpeg_is_named(tmp_path: Path, bad: bytes) -
 
 
 def test_what_is_named_and_looked_at_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(photos, "_MOST_FILES", 8)
+    monkeypatch.setattr(cameras, "_MOST_FILES", 8)
     seen = looked_at(tmp_path, **{f"p{number}": b"" for number in range(9)})
     assert len(seen.troubles) == 6
     assert seen.troubles[-1] == "and 4 more photos like these"
@@ -80,7 +79,7 @@ def write_video(file: Path, *frames: int) -> str:
 def test_a_device_whose_picture_is_black_or_stands_still_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: list[int], said: str
 ) -> None:
-    monkeypatch.setattr(photos, "_APART_S", 0.05)
+    monkeypatch.setattr(cameras, "_APART_S", 0.05)
     seen = asyncio.run(look(configured(tmp_path, device=write_video(tmp_path / "flight.avi", *frames))))
     assert len(seen.photos) == 1
     assert len(seen.troubles) == bool(said)

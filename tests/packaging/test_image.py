@@ -14,11 +14,10 @@ import pytest
 from upwash.config import read_daemon_config
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
-from upwash.packaging import sources
-from upwash.packaging.archive import write_packed
+from upwash.packaging import contents
 from upwash.packaging.base import lay_base, lay_init
 from upwash.packaging.contents import copy_distributions, copy_program, copy_setting, extra_of
-from upwash.packaging.image import Recipe, package
+from upwash.packaging.image import Recipe, package, write_packed
 from upwash.packaging.shipping import find_service
 from upwash.real.instances.containers import HeldImage, newest_images
 
@@ -141,7 +140,7 @@ def test_a_folder_that_is_too_large_is_refused_before_it_is_copied(
         sparse.truncate(2**40)
     assert "more than 100000 files or 32 GiB" in refused(folder)
     (folder / "sparse").unlink()
-    monkeypatch.setattr(sources, "_MOST_FILES", 10)
+    monkeypatch.setattr(contents, "_MOST_FILES", 10)
     for number in range(11):
         (folder / str(number)).touch()
     assert "more than 10 files" in refused(folder)

@@ -26,8 +26,7 @@ from upwash.eventlog.fleet import FleetProgress
 from upwash.eventlog.log import EventLog, LineReader
 from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
-from upwash.launch.flight_program import INTERRUPTED, FlightProgram
-from upwash.launch.processes import ends_with_us, ready_vehicle
+from upwash.launch.processes import INTERRUPTED, FlightProgram, ends_with_us, ready_vehicle
 from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.trust.authority import make_keys
 from upwash.support.background import beside

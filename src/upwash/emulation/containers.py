@@ -20,9 +20,8 @@ from upwash.config.runtime import ContainerNetworkConfig
 from upwash.emulation.enclosure import MARK, enter_groups
 from upwash.emulation.namespaces import command, make_quiet, require_tools
 from upwash.errors import EngineError, UpwashError, UsageError
-from upwash.packaging.archive import write_packed
 from upwash.packaging.contents import extra_of
-from upwash.packaging.image import Recipe, package
+from upwash.packaging.image import Recipe, package, write_packed
 from upwash.packaging.shipping import find_service
 
 _TOOLS = {

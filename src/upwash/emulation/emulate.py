@@ -16,8 +16,7 @@ from upwash.emulation.programs import Computers, NamespaceComputers, flight_prog
 from upwash.emulation.radios import GhostRadio, ShapedRadio
 from upwash.emulation.request import ComputerKind, EmulationOutcome, EmulationRequest, RadioKind
 from upwash.emulation.vehicles import relayed, tracked
-from upwash.launch.flight_program import FlightProgram
-from upwash.launch.processes import ready_vehicle
+from upwash.launch.processes import FlightProgram, ready_vehicle
 from upwash.real.trust.authority import make_keys
 
 

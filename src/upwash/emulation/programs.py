@@ -30,8 +30,7 @@ from upwash.config.values import PlanFile
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.namespaces import inside, make_namespace
 from upwash.emulation.request import server_paces
-from upwash.launch.flight_program import FlightProgram
-from upwash.launch.processes import ready_program
+from upwash.launch.processes import FlightProgram, ready_program
 from upwash.real.trust.authority import keys_in
 from upwash.support.output_files import write_file
 

@@ -23,7 +23,7 @@ from upwash.config import (
     server_truth,
 )
 from upwash.errors import UsageError
-from upwash.launch.flight_program import INTERRUPTED
+from upwash.launch.processes import INTERRUPTED
 from upwash.support.output_files import write_file
 
 RadioKind = Literal["table", "ns3"]

@@ -162,7 +162,7 @@ def keep_heaps_few() -> None:
 
 @contextlib.asynccontextmanager
 async def _door(keys: DaemonKeys, on_traffic: OnTraffic) -> AsyncIterator[Door | None]:
-    """The door that checks certificates, if there are any."""
+    """The door that checks certificates; None without certificates."""
     if keys.credentials is None:
         yield None
         return
@@ -203,7 +203,7 @@ def _instance_ports(config: DaemonConfig) -> Mapping[int, int]:
 
 
 def _folder_for_sockets(config: DaemonConfig) -> tempfile.TemporaryDirectory[str]:
-    """A folder beside the daemon's own socket, if it has one: drones call only sockets below that folder."""
+    """A folder for sockets, beside the daemon's own socket: drones call only sockets of that folder."""
     own = config.listen.removeprefix("unix:")
     beside = None if own == config.listen else Path(own).absolute().parent
     return tempfile.TemporaryDirectory(prefix="u-", dir=beside)

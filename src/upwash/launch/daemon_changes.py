@@ -31,7 +31,7 @@ _PACES = 10.0  # a call may take this multiple of the slowest pace
 
 @dataclass(frozen=True, slots=True)
 class RunningDaemon:
-    """A daemon that runs; `outside` is the socket at which drones connect, if it has certificates."""
+    """A daemon that runs; drones connect at the socket `outside`, which is None without certificates."""
 
     config: DaemonConfig
     edge: EdgeServer

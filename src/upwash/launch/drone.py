@@ -1,4 +1,4 @@
-"""What the programs on a drone share: how its vehicle, its servers and its own services are reached."""
+"""How the programs on a drone reach its vehicle, its servers and its own services."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def require_address(server: ServerConfig) -> None:
 
 
 def require_certificates(server: ServerConfig, config: DroneConfig) -> None:
-    """Raises UsageError for a server that is not to be called without certificates, where there are none."""
+    """Raises UsageError if there are no certificates, and the server is not on this machine."""
     if config.keys is None and server.address and not is_on_this_machine(server.address):
         raise UsageError(
             f"server {server.name} at {server.address} needs certificates: make them with "
@@ -119,7 +119,7 @@ def server_dialer(config: DroneConfig, credentials: Credentials | None) -> GrpcD
 
 
 def server_finder(config: DroneConfig) -> Finder | None:
-    """How the addresses of servers are found, where some are to be; raises UsageError without the library for it."""
+    """Finds servers by mDNS; None if all addresses are configured. Raises UsageError without the library for it."""
     if all(server.address != MDNS for server in config.servers):
         return None
     with extra("discovery"):
@@ -128,9 +128,9 @@ def server_finder(config: DroneConfig) -> Finder | None:
 
 
 def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credentials | None:
-    """What the drone shows servers, None without [keys]; raises CredentialsError where that is not the drone's.
+    """The drone's certificate and key, None without [keys]; raises CredentialsError for another drone's certificate.
 
-    With `valid_now` it is valid by this computer's clock.
+    With `valid_now`, also for a certificate that is not valid by this computer's clock.
     """
     keys = config.keys
     if keys is None:

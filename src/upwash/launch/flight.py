@@ -43,8 +43,8 @@ from upwash.support.background import end, only_logged, start
 from upwash.support.loading import extra
 
 _TRACK_PERIOD_S = 1.0
-_GPS_FIX_S = 60.0  # an autopilot that was just switched on needs about so long
-_GPS_REPORT_S = 2.0  # until it was asked for, and has told
+_GPS_FIX_S = 60.0  # about what an autopilot needs after it is switched on
+_GPS_REPORT_S = 2.0  # for the request and its reply
 _LOOK_S = 0.1
 
 
@@ -60,10 +60,9 @@ async def fly(
 ) -> None:
     """Flies the configured mission with the configured vehicle, or another program with it.
 
-    The event log goes to `log`, and each event to the watchers too; what the log lacks at the end is in `unwritten`.
-    With `resumes` it takes up the mission that this log is of, where that was broken off. Ctrl-C ends the mission, as
-    any failure does: in what autopilot.on_failure says; a second one ends the program at once. Raises what ended the
-    mission early.
+    The event log goes to `log`, and each event to the watchers too; `unwritten` gets events that could not be logged.
+    With `resumes` the log's mission goes on from its last waypoint. Ctrl-C or a failure ends the mission with the
+    action of autopilot.on_failure; a second Ctrl-C ends the program at once. Raises what ended the mission early.
     """
     if program is not None:
         config = replace(config, mission=replace(config.mission, program=program))
@@ -104,7 +103,7 @@ async def fly(
 
 
 def _keep_coverage(config: DroneConfig, flight: Flight, journal: Journal) -> None:
-    """What the flight has learnt of servers without a range, for the next one."""
+    """Save what the flight has learnt of servers without a range, for the next flight."""
     try:
         if flight.coverage is not None:
             coverage_kept(config, flight.coverage)
@@ -146,7 +145,7 @@ async def _autopilot(
 
 
 async def _above_home(config: DroneConfig, autopilot: MavlinkAutopilot, journal: Journal) -> DroneConfig:
-    """The mission with its altitudes above the vehicle's home, which is waited for where they count from the sea."""
+    """The mission with altitudes above the vehicle's home; altitudes above the sea have to wait for its position."""
     if altitudes_above_sea(config.mission) is None:
         return config
 
@@ -185,7 +184,7 @@ async def _ports(
 
 
 async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tuple[Watcher, ...]:
-    """What keeps the metrics up to date, where they are asked for; they are offered from now on."""
+    """The watcher that counts metrics, which are offered from now on; empty without `metrics`."""
     if config.metrics is None:
         return ()
     with extra("metrics"):
@@ -197,7 +196,7 @@ async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tup
 
 
 async def _gps_unix_s(autopilot: MavlinkAutopilot, problem: str, journal: Journal) -> float | None:
-    """The time by the vehicle's GPS; where certificates are not valid by this computer's, its fix is waited for."""
+    """The time by the vehicle's GPS; its fix is awaited if this computer's clock makes certificates invalid."""
     if problem and autopilot.vehicle.unix_s is None:
         journal.record(schema.WaitingForTheTime(why=problem))
     with contextlib.suppress(TimeoutError):

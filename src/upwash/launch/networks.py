@@ -14,7 +14,7 @@ from upwash.support.loading import extra
 async def opened_networks(
     config: DroneConfig, autopilot: Autopilot, journal: Journal, stack: contextlib.AsyncExitStack
 ) -> list[Network]:
-    """A network for each radio, until the stack is closed; raises NetworkError where one cannot be used."""
+    """A network for each radio, until the stack is closed; raises NetworkError if a radio cannot be used."""
     radios = range(config.network.radios)
     if config.network.kind == "wired":
         return [NoNetwork() for _ in radios]
@@ -34,14 +34,14 @@ async def opened_networks(
 async def network_on_the_ground(
     config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
 ) -> Network:
-    """The network of the first radio, before a flight: where a position stands in for networks, none is joined."""
+    """The network of the first radio, before a flight; nothing is joined if a position stands in for networks."""
     if config.network.kind != "networkmanager":
         return NoNetwork()
     return await _managed_network(_per_radio(config)[0], config, journal, stack)
 
 
 def _per_radio(config: DroneConfig) -> list[tuple[str, ...]]:
-    """The interfaces of each radio: a single one joins networks on whichever fits, of several each has its own."""
+    """The interfaces of each radio: a single radio may use all, and each of several has one of its own."""
     interfaces = config.network.interfaces
     return [interfaces] if config.network.radios == 1 else [(each,) for each in interfaces]
 

@@ -1,35 +1,38 @@
-"""Runs upwash's own commands as processes beside this one."""
+"""Runs upwash's own commands as processes."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from upwash.config import DroneConfig, pace_in_numbers
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.errors import UpwashError, UsageError
+from upwash.support.lines import lines_of
 from upwash.support.loading import module_command
 
 STOP_S = 5.0  # that a program has to end by itself
 _HOME = Position(0.0, 0.0)
+INTERRUPTED = 130  # the exit code of a flight that a Ctrl-C has ended
 
 
 def ends_with_us() -> list[str]:
-    """What a command is run through so that it ends where this process is killed; empty where nothing does that."""
+    """A prefix for commands that ends them when this process is killed; empty without `setpriv`."""
     return ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
 
 
 @contextlib.contextmanager
 def ready_program(name: str, folder: Path, *arguments: str, through: Sequence[str] = ()) -> Iterator[str]:
-    """Runs an upwash command until the end of the block, its log in the folder; yields its address once ready.
+    """Run an upwash command until the end of the block, its log in the folder; yields its address once ready.
 
-    `through` is a command that runs it, such as one that enters a namespace. A session of its own keeps a Ctrl-C at
-    the terminal from it: the drone lands first. Where this process is killed, it ends too.
+    `through` is a prefix, for example to enter a namespace. The command has a session of its own, without the
+    terminal's Ctrl-C: the drone lands first. When this process is killed, the command ends too.
     """
     with (folder / f"{name}.log").open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 - this very program
@@ -56,10 +59,7 @@ def ready_program(name: str, folder: Path, *arguments: str, through: Sequence[st
 def ready_vehicle(
     name: str, folder: Path, config: DroneConfig, *, start: Position = _HOME, through: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Runs a stand-in for the configured vehicle until the end of the block; yields how to connect to it.
-
-    At its boot it stands at `start`.
-    """
+    """Run a stand-in for the configured vehicle, at `start`, until the end of the block; yields its connection."""
     home = config.mission.home
     if home is None:
         raise UsageError("mission.home is missing: a stand-in vehicle needs a place on the Earth")
@@ -87,3 +87,64 @@ def _end(process: subprocess.Popen[str]) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+class FlightProgram:
+    """A process of `upwash fly` with that configuration and log; `say` gets each line that it prints.
+
+    `options` are added to the command, and `through` is a prefix, for example to enter a namespace.
+    """
+
+    def __init__(
+        self,
+        config: Path,
+        log: Path,
+        *,
+        say: Callable[[str], None],
+        options: Sequence[str] = (),
+        through: Sequence[str] = (),
+    ) -> None:
+        python, *fly = module_command("upwash", "fly", "--config", str(config), "--log", str(log))
+        self._command = (*through, python, "-u", *fly, *options)  # unbuffered, for people who watch
+        self._say = say
+        self._process: asyncio.subprocess.Process | None = None
+        self._stopped = asyncio.Event()
+
+    async def run(self, *, after_s: float = 0.0) -> int:
+        """Run the flight after `after_s`, unless it is stopped before; returns its exit code.
+
+        A cancellation ends it at once.
+        """
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._stopped.wait(), after_s)
+        if self._stopped.is_set():
+            return INTERRUPTED
+        self._process = process = await asyncio.create_subprocess_exec(
+            *self._command,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+        )
+        assert process.stdout is not None  # noqa: S101
+        try:
+            async for line in lines_of(process.stdout):
+                self._say(line.decode(errors="replace").rstrip("\r\n"))
+            return await process.wait()
+        finally:
+            if process.returncode is None:
+                await _stop(process)
+
+    def stop(self) -> None:
+        """Have the flight end its mission and land, like Ctrl-C."""
+        self._stopped.set()
+        if self._process is not None and self._process.returncode is None:
+            self._process.send_signal(signal.SIGINT)
+
+
+async def _stop(process: asyncio.subprocess.Process) -> None:
+    process.terminate()
+    try:
+        await asyncio.wait_for(process.wait(), STOP_S)
+    except TimeoutError:
+        process.kill()
+        await process.wait()

@@ -75,7 +75,7 @@ async def profile_at(
 
 
 def _peak_memory_bytes() -> int:
-    """The sum of the peak memory of each running process below this one."""
+    """The sum of the peak memory of each running process that this process started, and of theirs."""
     return sum(map(_peak_bytes, _descendants(os.getpid())))
 
 

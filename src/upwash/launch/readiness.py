@@ -1,6 +1,6 @@
-"""What keeps a configured drone from flying: what `upwash fly` refuses, and `upwash check` warns of.
+"""What prevents a configured drone from flying: `upwash fly` refuses it, and `upwash check` warns of it.
 
-Everything is found on this computer: no vehicle, camera or server is reached for.
+All checks are of this computer: they connect to no vehicle, camera or server.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from upwash.support.loading import extra
 _A_DAY = timedelta(days=1)  # longer than any flight
 
 
-class Refusal(NamedTuple):
+class FlightRefusal(NamedTuple):
     """Why a flight would not begin; its kind stays the same from version to version."""
 
     kind: str
@@ -35,21 +35,21 @@ class Refusal(NamedTuple):
 
 
 def require_ready(config: DroneConfig) -> None:
-    """Raises the first reason for which a flight would not begin; the clock need not be right yet."""
+    """Raises the first reason why a flight would not begin; the clock need not be right yet."""
     for refusal in refusals(config, valid_now=False):
         raise refusal.error
 
 
-def refusals(config: DroneConfig, *, valid_now: bool = True) -> Iterator[Refusal]:
-    """Each reason for which a flight would not begin.
+def refusals(config: DroneConfig, *, valid_now: bool = True) -> Iterator[FlightRefusal]:
+    """Each reason why a flight would not begin.
 
-    With `valid_now` the drone's certificate is to be valid by this computer's clock.
+    With `valid_now` the drone's certificate must be valid by this computer's clock.
     """
     for kind, step in _steps(config, valid_now=valid_now):
         try:
             step()
         except UpwashError as error:
-            yield Refusal(kind, error)
+            yield FlightRefusal(kind, error)
 
 
 def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -69,7 +69,7 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
 
 
 def expiry_trouble(config: DroneConfig) -> str:
-    """That the drone's certificate, or its authority's, ends within a day; "" where each is valid for longer."""
+    """A warning if the drone's certificate, or its authority's, ends within a day; else ""."""
     try:
         credentials = drone_credentials(config)
     except UpwashError:  # which is a refusal of its own

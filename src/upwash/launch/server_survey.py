@@ -1,35 +1,39 @@
-"""Asks each server, before a flight, for all that a flight asks of it."""
+"""Tries, before a flight, all that it will use of its servers and its own services, with a photo of its camera."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig
 from upwash.core.knowledge.estimates import Estimates
+from upwash.core.operation import ON_DRONE
 from upwash.core.policies.policy import Deadline
 from upwash.core.selection.radios import check_limit_s
+from upwash.drone.onboard import started
 from upwash.drone.preparation import endpoints, make_estimates
 from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.errors import DeadlineExceeded, Unreachable, UpwashError
+from upwash.errors import DeadlineExceeded, Unreachable, UpwashError, UsageError
+from upwash.launch.cameras import Look, look
 from upwash.launch.drone import (
     drone_credentials,
+    onboard,
     require_address,
     require_certificates,
     server_dialer,
     server_finder,
 )
 from upwash.launch.networks import network_on_the_ground
-from upwash.launch.photos import Look, look
-from upwash.launch.trials import call_limit_s, requests_of, trials
-from upwash.missions.bundled import load_specs
-from upwash.ports import Network
-from upwash.profiling.profiler import CallSample, require_answer
+from upwash.missions.bundled import load_services, load_specs
+from upwash.ports import InstanceSpec, Network
+from upwash.profiling.profiler import CallSample, require_answer, samples
+from upwash.real.instances.runtime import OwnProcesses
 from upwash.real.link.link import GrpcDialer
 from upwash.real.network import SurveyFinding
-from upwash.rpc.service import ServiceSpec
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import ServiceSpec, spec_of
 from upwash.sim.journal import MemoryJournal
 from upwash.support.background import beside
 from upwash.support.text import command
@@ -38,11 +42,12 @@ _OTHER_PORTS = (
     "the daemon answers, and the port of this service does not: calls go to the ports of instance_ports in the "
     "daemon's file, which have to lead to that computer under the same numbers, or under those of outside_ports"
 )
+_LEAST_CALL_S = 60.0  # the first call after a start may have much to load
 
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """What the drone has, and wants of each server."""
+    """The drone's services, estimates and photos, for calls at each server."""
 
     config: DroneConfig
     specs: Mapping[str, ServiceSpec]
@@ -61,10 +66,10 @@ class _Wanted:
 
 
 async def survey_servers(config: DroneConfig) -> list[SurveyFinding]:
-    """Whether each server can be used: its network joined, the drone's services started, each of them called.
+    """Whether each server can be used: its network is joined, and the drone's services are started and called.
 
-    A call has a photo of the drone's camera, if the service takes one. Raises CredentialsError where the drone's
-    certificate cannot be shown, and NetworkError where no network can be joined at all.
+    Calls have a photo of the drone's camera, if the service takes photos. Raises CredentialsError for an invalid
+    certificate of the drone, and NetworkError if no network can be joined at all.
     """
     seen, findings = await _photos(config)
     specs = load_specs(config.services)
@@ -135,7 +140,7 @@ def _started(server: ServerConfig, services: Sequence[str], *, running: bool, to
 async def _called(
     session: ServerSession, server: ServerConfig, wanted: _Wanted, found: list[CallSample]
 ) -> str:
-    """Makes each call, over the way that a flight's calls take; returns what the first of each operation took."""
+    """The time of the first call of each operation, as text; raises UpwashError for a call that fails or is late."""
     said: dict[str, str] = {}
     for sample, photo, request in requests_of(found):
         took_s = await _call(session, wanted, sample, photo, request)
@@ -175,7 +180,7 @@ async def _call(
 
 
 async def _probed(session: ServerSession) -> None:
-    """Sees that the services, none of which takes a photo alone, are reached."""
+    """Raises Unreachable if the services, which take more than a photo, cannot be reached."""
     try:
         await session.probe()
     except Unreachable as error:
@@ -187,3 +192,64 @@ def _measured(server: ServerConfig, sample: CallSample) -> str:
     return command(
         "upwash", "profile", service, "--config", "CONFIG", "--server", server.name, "--photos", "DIR"
     )
+
+
+def trials(spec: ServiceSpec, estimates: Estimates, photos: Mapping[str, bytes]) -> list[CallSample]:
+    """The operations that a flight may call, each with these photos; empty for a service that takes no photo."""
+    if not photos:
+        return []
+    try:
+        found = samples(spec, photos)
+    except UsageError:
+        return []
+    return [each for each in found if estimates.local_s(each.operation) is not None]
+
+
+def call_limit_s(local_s: float | None) -> float:
+    """The time limit for a trial of an operation that takes `local_s` on the drone."""
+    return max(_LEAST_CALL_S, 10 * (local_s or 0.0))
+
+
+async def services_in_trouble(config: DroneConfig, photos: Mapping[str, bytes]) -> list[UpwashError]:
+    """Why some of the drone's own services cannot be used: each is started, called with the photos, and ended."""
+    services = load_services(config.services)
+    estimates = make_estimates(config, {name: spec_of(each.cls) for name, each in services.items()})
+    own, failed = onboard(config.name, max_message_bytes=config.max_message_bytes), list[UpwashError]()
+    for name, service in services.items():
+        spec = InstanceSpec(config.name, name, service.program)
+        found = trials(spec_of(service.cls), estimates, photos)
+        try:
+            await _try_out(config, own, spec, found, estimates=estimates)
+        except UpwashError as error:
+            failed.append(error)
+    return failed
+
+
+async def _try_out(
+    config: DroneConfig,
+    own: OwnProcesses,
+    spec: InstanceSpec,
+    found: list[CallSample],
+    *,
+    estimates: Estimates,
+) -> None:
+    instance = await started(own, spec, within_s=config.start_timeout_s)
+    try:
+        await instance.admit(frozenset({config.name}))
+        link = own.dial(instance.endpoint, server=ON_DRONE)
+        try:
+            for sample, photo, request in requests_of(found):
+                path = service_path(sample.operation.service, sample.operation.method)
+                limit_s = call_limit_s(estimates.local_s(sample.operation))
+                require_answer(sample, photo, await link.request(path, request, timeout_s=limit_s))
+        finally:
+            await link.close()
+    finally:
+        await instance.stop()
+
+
+def requests_of(found: list[CallSample]) -> Iterator[tuple[CallSample, str, bytes]]:
+    """Each request, with its operation and the name of its photo."""
+    for sample in found:
+        for photo, request in sample.requests.items():
+            yield sample, photo, request

@@ -1,4 +1,4 @@
-"""Asks an edge daemon how it is, for an operator."""
+"""An edge daemon's status, for an operator."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STATUS_S = 10.0
 
 
 async def ask_status(address: str, *, server: str, operator: str, keys: Path | None) -> StatusReply:
-    """How the daemon at the address is; `server` is one that it acts as. Raises LinkError where it does not say."""
+    """The status of the daemon at the address, which acts as `server`; raises LinkError if it does not reply."""
     if not is_address(address):
         raise UsageError(f'"{address}" is no address: give host:port, or unix:path')
     if keys is None and not is_on_this_machine(address):

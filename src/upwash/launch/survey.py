@@ -1,4 +1,4 @@
-"""Asks what is needed for a flight whether it is ready: the vehicle, the servers' networks, and the servers."""
+"""Whether the vehicle and the servers' networks are ready for a flight."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _START_S = 120.0
 class VehicleSurvey:
     """The vehicle that answered, and what its dead man lacks; empty for a dead man that is ready.
 
-    `version` is its firmware's, empty if the vehicle does not tell it. `unfit` says why it cannot be flown, empty if
-    it can. `settings` are the parameters that a person should know of before a flight.
+    `version` is its firmware's, or empty. `unfit` is why the vehicle cannot be flown, or empty. `settings` are the
+    parameters that a person should know before a flight.
     """
 
     vehicle: str

@@ -21,7 +21,7 @@ async def run_vehicle(
     ready: Callable[[str], None],
     signing_key: Path | None = None,
 ) -> None:
-    """Runs a stand-in vehicle until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
+    """Run a stand-in vehicle until SIGTERM or Ctrl-C; `ready` gets its address once it answers."""
     signing = Signing(read_key(signing_key)) if signing_key else None
     vehicle = await serve_vehicle(listen, settings, signing=signing)
     stopped = asyncio.Event()

@@ -1,7 +1,7 @@
-"""Offers metrics over HTTP, as Prometheus fetches them.
+"""Offers metrics to Prometheus over HTTP.
 
-One thread answers everybody on an event loop of its own: whoever asks slowly, reads slowly or never goes holds up
-neither the program nor Prometheus. Of too many the one that came first has to go.
+One thread answers on an event loop of its own, so that slow clients delay neither the program nor Prometheus. Beyond
+64 connections the oldest is closed.
 """
 
 from __future__ import annotations
@@ -81,9 +81,7 @@ class _Server:
         self._warnings = Allowance(_WARNINGS_PER_S, at_once=1)
         self._loop = asyncio.new_event_loop()
         self._stopped = asyncio.Event()
-        self._connections: dict[
-            asyncio.Task[None], asyncio.StreamWriter
-        ] = {}  # in the order in which they came
+        self._connections: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # oldest first
 
     def run(self) -> None:
         """Serves until it is stopped; to be the whole of a thread."""

@@ -13,7 +13,7 @@ from upwash.errors import UsageError
 
 Base = Literal["host", "debootstrap"]
 
-PYTHON = "/usr/bin/python3"  # in the image, whatever runs here
+PYTHON = "/usr/bin/python3"  # in the image
 ENVIRONMENT = {
     "PATH": "/usr/sbin:/usr/bin",
     "HOME": "/tmp",  # noqa: S108 - its own

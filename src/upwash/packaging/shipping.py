@@ -22,8 +22,8 @@ E = TypeVar("E", bound=Engine | DockerEngine)
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
-    """What a daemon has of a service, in words; `image` is empty for one that runs as a process."""
+class HeldService:
+    """The program and the image of a daemon's service, for people; `image` is empty for a process."""
 
     service: str
     program: str
@@ -50,12 +50,13 @@ async def import_image(file: Path, kind: Format, daemon: DaemonConfig | None) ->
         await engine.import_image(file)
 
 
-async def list_images(daemon: DaemonConfig) -> list[Offer]:
+async def list_images(daemon: DaemonConfig) -> list[HeldService]:
     """What the daemon has of each of its services."""
     match daemon.runtime.kind:
         case "process":
             return [
-                Offer(image.name, image.program or bundled_service(image.name)) for image in daemon.images
+                HeldService(image.name, image.program or bundled_service(image.name))
+                for image in daemon.images
             ]
         case "docker":
             return await _docker_offers(daemon)
@@ -63,13 +64,13 @@ async def list_images(daemon: DaemonConfig) -> list[Offer]:
             return await _lxd_offers(daemon)
 
 
-async def _lxd_offers(daemon: DaemonConfig) -> list[Offer]:
+async def _lxd_offers(daemon: DaemonConfig) -> list[HeldService]:
     async with _connected(lxd_engine(daemon.runtime)) as engine:
         newest = newest_images(await engine.images())
     return [_offer(image.name, newest.get(image.name)) for image in daemon.images]
 
 
-async def _docker_offers(daemon: DaemonConfig) -> list[Offer]:
+async def _docker_offers(daemon: DaemonConfig) -> list[HeldService]:
     offers = []
     async with _connected(docker_engine(daemon.runtime)) as engine:
         for service, reference in docker_images(daemon).items():
@@ -79,13 +80,13 @@ async def _docker_offers(daemon: DaemonConfig) -> list[Offer]:
     return offers
 
 
-def _offer(service: str, image: ServiceImage | None, reference: str = "") -> Offer:
+def _offer(service: str, image: ServiceImage | None, reference: str = "") -> HeldService:
     if image is None:
-        return Offer(service, "", f"{reference} missing".strip(), can_run=False)
+        return HeldService(service, "", f"{reference} missing".strip(), can_run=False)
     made_with = (
         f"{image.base}, Python {image.python}, upwash {image.release}" if image.release else "a Dockerfile"
     )
-    return Offer(service, image.program.path, reference or image.fingerprint[:_HASH_SHOWN], made_with)
+    return HeldService(service, image.program.path, reference or image.fingerprint[:_HASH_SHOWN], made_with)
 
 
 @contextlib.asynccontextmanager

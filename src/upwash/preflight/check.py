@@ -147,10 +147,9 @@ def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     if not is_for_flight(config):
         return
     # these import the whole flight program
-    from upwash.launch.cameras import NO_CAMERA, needs_camera
-    from upwash.launch.photos import Look, look
+    from upwash.launch.cameras import NO_CAMERA, Look, look, needs_camera
     from upwash.launch.readiness import expiry_trouble, refusals
-    from upwash.launch.trials import services_in_trouble
+    from upwash.launch.server_survey import services_in_trouble
 
     refused = list(refusals(config))
     for refusal in refused:

@@ -34,7 +34,7 @@ from upwash.support.text import printable
 
 _log = logging.getLogger("upwash.server")
 _usage = logging.getLogger("upwash.usage")
-_LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
+_LEAST_LOOK_S = 1.0  # between two checks for leases and instances that are due
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 _WATCH_S = 5.0  # between two looks at whether an instance is of use
 _LAST_CALLS_S = 2.0  # for the other calls of an instance of no use
@@ -138,7 +138,7 @@ class EdgeServer:
         }
 
     async def handle(self, path: str, body: bytes, client: Client) -> bytes:
-        """The reply to a request; raises Refused for an invalid request, or one that this client may not make."""
+        """The reply to a request; raises Refused for a request that is invalid or not allowed."""
         if not client.name:
             raise Refused("this request names no drone")
         if path not in self._routes:

@@ -49,8 +49,8 @@ _REFUSED: Mapping[int, Mapping[str, tuple[int, int]]] = {
         "unshare": (272, 97),
         "userfaultfd": (323, 282),
     },
-    # As on an older kernel, which libraries handle. Filters do not see the flags of clone3, io_uring bypasses filters,
-    # and the others give memory that RLIMIT_DATA does not count.
+    # As on an older kernel, which libraries handle. Filters do not see the flags of clone3, io_uring bypasses
+    # them, and the others give memory that RLIMIT_DATA does not count.
     errno.ENOSYS: {
         "clone3": (435, 435),
         "io_uring_enter": (426, 426),
