@@ -65,7 +65,7 @@ from upwash.services.heads import HEADS_METADATA, Head, encode_heads
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.sim.radio import read_goodput
-from upwash.support.exif import Shot, with_place
+from upwash.support.exif import PhotoPlace, with_place
 
 ROOT = Path(__file__).parents[2]
 Decode = Callable[[bytes], object]
@@ -342,7 +342,7 @@ def _exif_of_a_camera() -> bytes:
     return photo[:2] + b"\xff\xe1" + (2 + len(exif)).to_bytes(2) + exif + photo[2:]
 
 
-_SHOT = Shot(39.3666, 22.9507, 415.25, 271.5, 1.7e9)
+_SHOT = PhotoPlace(39.3666, 22.9507, 415.25, 271.5, 1.7e9)
 
 
 def _coverage(file: Path) -> None:

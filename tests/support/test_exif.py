@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import ExifTags, Image
 
-from upwash.support.exif import Shot, with_place
+from upwash.support.exif import PhotoPlace, with_place
 
 GPS, TIFF_ORDERS = ExifTags.GPS, ("<", ">")
 UNIX_S = datetime(2026, 3, 1, 23, 59, 58, 250_000, UTC).timestamp()
@@ -48,7 +48,7 @@ def decoded(jpeg: bytes) -> bytes:
 
 
 def test_all_that_is_known_is_written() -> None:
-    located = with_place(PLAIN, Shot(-20.4998, 130.2502, 415.25, 271.5, UNIX_S))
+    located = with_place(PLAIN, PhotoPlace(-20.4998, 130.2502, 415.25, 271.5, UNIX_S))
     gps = gps_of(located)
     assert degrees(gps, GPS.GPSLatitude, GPS.GPSLatitudeRef) == pytest.approx(-20.4998, abs=3e-8)
     assert degrees(gps, GPS.GPSLongitude, GPS.GPSLongitudeRef) == pytest.approx(130.2502, abs=3e-8)
@@ -64,7 +64,7 @@ def test_all_that_is_known_is_written() -> None:
 
 
 def test_what_is_not_known_is_left_out() -> None:
-    located = with_place(PLAIN, Shot(39.3666, -22.9507))
+    located = with_place(PLAIN, PhotoPlace(39.3666, -22.9507))
     assert set(gps_of(located)) == {
         GPS.GPSVersionID,
         GPS.GPSLatitudeRef,
@@ -77,7 +77,7 @@ def test_what_is_not_known_is_left_out() -> None:
 
 
 def test_a_place_below_the_sea_is_told_apart() -> None:
-    gps = gps_of(with_place(PLAIN, Shot(31.5, 35.5, above_sea_m=-412.3)))
+    gps = gps_of(with_place(PLAIN, PhotoPlace(31.5, 35.5, above_sea_m=-412.3)))
     assert float(gps[GPS.GPSAltitude]) == 412.3 and gps[GPS.GPSAltitudeRef] == b"\1"  # type: ignore[arg-type]
 
 
@@ -90,7 +90,7 @@ def test_a_place_below_the_sea_is_told_apart() -> None:
 def test_every_place_is_read_back(
     latitude_deg: float, longitude_deg: float, above_sea_m: float | None, heading_deg: float | None
 ) -> None:
-    gps = gps_of(with_place(PLAIN, Shot(latitude_deg, longitude_deg, above_sea_m, heading_deg)))
+    gps = gps_of(with_place(PLAIN, PhotoPlace(latitude_deg, longitude_deg, above_sea_m, heading_deg)))
     assert degrees(gps, GPS.GPSLatitude, GPS.GPSLatitudeRef) == pytest.approx(latitude_deg, abs=3e-8)
     assert degrees(gps, GPS.GPSLongitude, GPS.GPSLongitudeRef) == pytest.approx(longitude_deg, abs=3e-8)
     if heading_deg is not None:
@@ -105,7 +105,7 @@ def test_what_the_camera_wrote_is_kept(order: str) -> None:
     exif[ExifTags.Base.Orientation] = 6
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = 4.5
     before = photo(exif)
-    located = with_place(before, Shot(1.0, 2.0, 3.0, unix_s=UNIX_S))
+    located = with_place(before, PhotoPlace(1.0, 2.0, 3.0, unix_s=UNIX_S))
     after = read(located)
     assert after[ExifTags.Base.Make] == "A maker of cameras with a long name"
     assert after[ExifTags.Base.Orientation] == 6
@@ -116,14 +116,14 @@ def test_what_the_camera_wrote_is_kept(order: str) -> None:
 
 @pytest.mark.parametrize("unix_s", [1e13, -1e13, float("inf"), float("nan")])
 def test_a_time_that_no_calendar_has_is_left_out(unix_s: float) -> None:
-    located = with_place(PLAIN, Shot(1.0, 2.0, unix_s=unix_s))
+    located = with_place(PLAIN, PhotoPlace(1.0, 2.0, unix_s=unix_s))
     assert GPS.GPSDateStamp not in gps_of(located)
     assert not read(located).get_ifd(ExifTags.IFD.Exif)
 
 
 def test_a_photo_with_a_place_is_left_as_it_is() -> None:
-    located = with_place(PLAIN, Shot(1.0, 2.0))
-    assert with_place(located, Shot(3.0, 4.0)) is located
+    located = with_place(PLAIN, PhotoPlace(1.0, 2.0))
+    assert with_place(located, PhotoPlace(3.0, 4.0)) is located
 
 
 @given(junk=st.binary(max_size=40))
@@ -139,22 +139,22 @@ def test_a_photo_with_a_place_is_left_as_it_is() -> None:
 )
 def test_bytes_that_are_no_jpeg_are_left_or_only_grow(start: bytes, junk: bytes) -> None:
     before = start + junk
-    after = with_place(before, Shot(1.0, 2.0))
+    after = with_place(before, PhotoPlace(1.0, 2.0))
     assert after is before or len(after) > len(before)
 
 
 @pytest.mark.parametrize("cut", [3, 10, 30, 100])
 def test_a_header_that_is_cut_off_is_left_as_it_is(cut: int) -> None:
-    assert with_place(PLAIN[:cut], Shot(1.0, 2.0)) == PLAIN[:cut]
+    assert with_place(PLAIN[:cut], PhotoPlace(1.0, 2.0)) == PLAIN[:cut]
 
 
 def test_a_header_without_room_is_left_as_it_is() -> None:
     exif = Image.Exif()
     exif[ExifTags.Base.Make] = "x" * 65_450
     full = photo(exif)
-    assert with_place(full, Shot(1.0, 2.0)) == full
+    assert with_place(full, PhotoPlace(1.0, 2.0)) == full
 
 
 def test_a_photo_with_too_many_segments_is_left_as_it_is() -> None:
     full = PLAIN[:2] + b"\xff\xfe\0\2" * 5000 + PLAIN[2:]
-    assert with_place(full, Shot(1.0, 2.0)) is full
+    assert with_place(full, PhotoPlace(1.0, 2.0)) is full

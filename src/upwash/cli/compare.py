@@ -113,17 +113,15 @@ def _verdict(rows: Sequence[ComparedPolicy]) -> str:
     if not flown:
         return "no policy completed a mission"
     best = min(flown, key=lambda row: row.mean_s)
-    others = sum(row is not best and _is_alike(row, best) for row in flown)
+    others = sum(
+        row is not best and row.mean_s - best.mean_s <= row.half_width_s + best.half_width_s for row in flown
+    )
     verb = "is" if others == 1 else "are"
     alike = f"; {others} more {verb} as quick within the margin of error" if others else ""
     return (
         f"{best.policy} is quickest: {_minutes(best.mean_s)} min, {_above_bound(best)} above the theoretical minimum "
         f"of {_minutes(best.bound_s)}{alike}"
     )
-
-
-def _is_alike(row: ComparedPolicy, best: ComparedPolicy) -> bool:
-    return row.mean_s - best.mean_s <= row.half_width_s + best.half_width_s
 
 
 def _interval(row: ComparedPolicy) -> str:

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from upwash.cli.arguments import add_folder, add_live, add_policy, count, new_run_folder, require_linux
-from upwash.errors import UsageError
-from upwash.support.input_files import read_file, text_of
+from upwash.support.input_files import read_named_text
 from upwash.support.loading import extra
 
 _MOST_RUNTIME_BYTES = 100_000
@@ -43,7 +42,7 @@ def run(options: argparse.Namespace) -> bool:
         from upwash.cli.demonstration import fly_demonstration, read_demonstration
     config = read_demonstration(policy=options.policy, stay_or_go=options.stay_or_go)
     folder = options.folder or new_run_folder()
-    runtime = _read(options.runtime) if options.runtime else ""
+    runtime = read_named_text(options.runtime, most_bytes=_MOST_RUNTIME_BYTES) if options.runtime else ""
     if options.drones == 1:
         fly_demonstration(folder, config, runtime=runtime, live_port=options.live)
         return True
@@ -57,10 +56,3 @@ def _drones(text: str) -> int:
     if number > _MOST_DRONES:
         raise argparse.ArgumentTypeError(f"{number} drones are too many: give a number up to {_MOST_DRONES}")
     return number
-
-
-def _read(file: Path) -> str:
-    try:
-        return text_of(read_file(file, most_bytes=_MOST_RUNTIME_BYTES))
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--runtime {file} cannot be read: {error}") from None

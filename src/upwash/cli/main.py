@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             output.flush()
             if output.trouble is None:
                 raise
-            code = _code_of(end)
+            code = end.code if isinstance(end.code, int) else int(end.code is not None)
     if output.trouble is None:
         return code
     give_up_output()
@@ -74,12 +74,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if code != ExitCode.NOT_KEPT and not is_closed:
         _complain(UpwashError(f"standard output cannot be written ({output.trouble.strerror})"), code)
     return code or ExitCode.NOT_KEPT
-
-
-def _code_of(end: SystemExit) -> int:
-    if isinstance(end.code, int):
-        return end.code
-    return ExitCode.DONE if end.code is None else ExitCode.FAILURE
 
 
 def _run(arguments: Sequence[str]) -> int:

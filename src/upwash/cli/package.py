@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from upwash.cli.arguments import announce
-from upwash.config import DaemonConfig, read_daemon_config
+from upwash.config import read_daemon_config
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Format, Recipe, package
 from upwash.packaging.shipping import find_service, import_image
@@ -46,7 +46,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> bool:
     """Make the image and print its file's path."""
     daemon = read_daemon_config(options.config) if options.config else None
-    chosen: Format = options.format or _format_of(daemon)
+    configured: Format = "docker" if daemon and daemon.runtime.kind == "docker" else "lxd"
+    chosen: Format = options.format or configured
     recipe = Recipe(
         service=find_service(options.service, daemon),
         requirements=(*extra_of(options.service, chosen), *options.requires),
@@ -61,7 +62,3 @@ def run(options: argparse.Namespace) -> bool:
             asyncio.run(import_image(file, chosen, daemon))
     announce(str(file))
     return True
-
-
-def _format_of(daemon: DaemonConfig | None) -> Format:
-    return "docker" if daemon and daemon.runtime.kind == "docker" else "lxd"

@@ -46,6 +46,7 @@ from upwash.config.values import (
     VideoSource,
     is_on_this_machine,
 )
+from upwash.core.geo import GeoPosition
 from upwash.core.policies.names import PolicyName
 
 Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
@@ -81,6 +82,11 @@ class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """North of the equator."""
     longitude_deg: Longitude
     """East of Greenwich."""
+
+    @property
+    def place(self) -> GeoPosition:
+        """The place on the ground."""
+        return GeoPosition(self.latitude_deg, self.longitude_deg)
 
 
 class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -199,19 +199,18 @@ def _reach(server: ServerConfig, config: DroneConfig, radius_m: float | None) ->
 
 def frame_of(mission: MissionConfig) -> LocalFrame | None:
     """Where on the Earth the mission's metres are; None where it has no home."""
-    home = _around(mission)
-    return None if home is None else LocalFrame(home)
+    return None if mission.home is None else LocalFrame(mission.home.place)
 
 
 def _around(mission: MissionConfig) -> GeoPosition | None:
     home = mission.home
-    return GeoPosition(home.latitude_deg, home.longitude_deg) if home is not None else None
+    return home.place if home is not None else None
 
 
 def _frame(home: HomeConfig | None) -> LocalFrame:
     if home is None:
         raise ValueError("degrees without a home: read the configuration from a file")
-    return LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
+    return LocalFrame(home.place)
 
 
 def _planned_waypoints(plan: Plan, frame: LocalFrame) -> tuple[Waypoint, ...]:

@@ -18,7 +18,7 @@ from upwash.config.coverage import CoverageFile
 from upwash.config.values import PlanFile, SettingsTable, is_listening_address
 from upwash.core.operation import ON_DRONE
 from upwash.errors import ConfigError
-from upwash.support.input_files import read_named_file, read_toml, text_of
+from upwash.support.input_files import read_named_text, read_toml
 
 T = TypeVar("T")
 Document = dict[str, Any]
@@ -32,12 +32,9 @@ _HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
 
 def read_document(file: Path) -> Document:
     """The file's tables as plain values; numbers are finite, except of an endless turn, and fit 64 bits."""
-    content = read_named_file(file, most_bytes=_MOST_BYTES)
+    text = read_named_text(file, most_bytes=_MOST_BYTES)
     try:
-        document = read_toml(text_of(content))
-    except UnicodeDecodeError as error:
-        problem = f"not UTF-8 text (byte {error.start}): save it as UTF-8"
-        raise ConfigError(str(file), "", problem) from None
+        document = read_toml(text)
     except ValueError as error:
         raise ConfigError(str(file), "", f"not valid TOML: {error}") from None
     refuse_first(file, impossible_values(document, ""))

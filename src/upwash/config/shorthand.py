@@ -12,6 +12,7 @@ from typing import Any
 from upwash.config.drone import RADIOS
 from upwash.config.reading import Document
 
+_LOCAL = ("local_call_s", "local_pace_s", "local_joining_slowdown")
 _REMOTE = ("processing_s", "remote_call_s")
 
 
@@ -21,7 +22,7 @@ def written_out(document: Document, folder: Path) -> Document:
     services = [table for table in found if isinstance(table, dict)] if isinstance(found, list) else []
     changes: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         "mission": lambda table: _with_program_from(table, folder),
-        "service": lambda table: _service(table, folder),
+        "service": lambda table: _with_program_from(table, folder) | _by_key(table, *_LOCAL),
         "server": lambda table: _server(table, services, folder),
         "drone": lambda table: table | _by_service(table, services, "local_call_s"),
     }
@@ -43,22 +44,16 @@ def _with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(program, str) and ".py:" in program:
         paths["program"] = str(folder / program)
     if isinstance(command, list):
-        paths["command"] = [_file_of(word, folder) if isinstance(word, str) else word for word in command]
+        paths["command"] = [
+            str(folder / word) if isinstance(word, str) and word and (folder / word).is_file() else word
+            for word in command
+        ]
     return table | paths
-
-
-def _file_of(word: str, folder: Path) -> str:
-    return str(folder / word) if word and (folder / word).is_file() else word
 
 
 def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:
     """A daemon's service with its times by profile key and its program's file as a path from the folder."""
     return _with_program_from(image, folder) | _by_key(image, "pace_s")
-
-
-def _service(service: dict[str, Any], folder: Path) -> dict[str, Any]:
-    by_key = _by_key(service, "local_call_s", "local_pace_s", "local_joining_slowdown")
-    return _with_program_from(service, folder) | by_key
 
 
 def _by_key(table: dict[str, Any], *names: str) -> dict[str, Any]:

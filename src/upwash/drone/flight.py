@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from msgspec import Struct
 
 from upwash.config import DroneConfig, ending, geofence, server_areas
-from upwash.core.geo import Circle, GeoPosition, rounded
+from upwash.core.geo import Circle, rounded
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
@@ -170,7 +170,7 @@ class Flight:
         order = [each.index for each in self._order.waypoints]
         places = {each.index: each.position for each in self._order.waypoints}
         return schema.Planned(
-            home=GeoPosition(home.latitude_deg, home.longitude_deg) if home else None,
+            home=home.place if home else None,
             waypoints_m=[(places[index].east_m, places[index].north_m) for index in sorted(order)],
             altitudes_m=[places[index].altitude_m for index in sorted(order)],
             order=order if self._order.why else [],

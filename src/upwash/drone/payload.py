@@ -19,7 +19,7 @@ from upwash.drone.mission import MissionThread
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Camera, Journal
-from upwash.support.exif import Shot, with_place
+from upwash.support.exif import PhotoPlace, with_place
 
 _DIGITS = 7  # of a degree: about a centimetre
 
@@ -62,8 +62,8 @@ class Photographer:
         return jpeg
 
 
-def _shot(earth: EarthPosition, heading_deg: float | None) -> Shot:
-    return Shot(earth.latitude_deg, earth.longitude_deg, earth.above_sea_m, heading_deg, earth.unix_s)
+def _shot(earth: EarthPosition, heading_deg: float | None) -> PhotoPlace:
+    return PhotoPlace(earth.latitude_deg, earth.longitude_deg, earth.above_sea_m, heading_deg, earth.unix_s)
 
 
 def _to_the_centimetre(length_m: float | None) -> float | None:

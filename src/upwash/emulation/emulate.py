@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from upwash.config import DroneConfig
-from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.geo import LocalFrame, Position
 from upwash.emulation.field import EmulatedRadio, Field, drone_namespace
 from upwash.emulation.namespaces import add_route, join_by_cable
 from upwash.emulation.programs import Computers, NamespaceComputers, flight_program, ready_daemon
@@ -88,7 +88,7 @@ def _vehicle(
     """The connection to the drone's vehicle, and its position, until the end of the block."""
     namespace, home = drone_namespace(drone.name), drone.mission.home
     assert home is not None  # noqa: S101 - EmulationRequest.read gives it one
-    frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
+    frame = LocalFrame(home.place)
     if request.autopilots:
         reached = relayed(request.autopilots[number], namespace=namespace, outside=request.outside)
     else:

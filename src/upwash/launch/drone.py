@@ -74,7 +74,7 @@ def home_of(config: DroneConfig) -> GeoPosition:
             "mission.home is missing: a flight needs the place where east and north are 0, such as "
             "home = { latitude_deg = 39.3666, longitude_deg = 22.9507 } in [mission]"
         )
-    return GeoPosition(home.latitude_deg, home.longitude_deg)
+    return home.place
 
 
 def connection_of(config: DroneConfig) -> str:

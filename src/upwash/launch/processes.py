@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from upwash.config import DroneConfig, pace_in_numbers
-from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.geo import LocalFrame, Position
 from upwash.errors import UpwashError, UsageError
 from upwash.support.lines import lines_of
 from upwash.support.loading import module_command
@@ -63,7 +63,7 @@ def ready_vehicle(
     home = config.mission.home
     if home is None:
         raise UsageError("mission.home is missing: a stand-in vehicle needs a place on the Earth")
-    stands = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg)).geo(start)
+    stands = LocalFrame(home.place).geo(start)
     arguments = ["--listen", "udp:127.0.0.1:0", "--home", f"{stands.latitude_deg},{stands.longitude_deg}"]
     if config.vehicle.profile is None:
         arguments += ["--acceleration", str(pace_in_numbers(config.vehicle).acceleration_m_s2)]

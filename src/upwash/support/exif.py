@@ -27,7 +27,7 @@ _INLINE = 4  # bytes of a value that stand in its entry
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class PhotoPlace:
     """Where a photo was taken: degrees (WGS 84), metres above the sea, clockwise from north, seconds since 1970.
 
     None stands for what is not known.
@@ -46,7 +46,7 @@ class _Value(NamedTuple):
     data: bytes
 
 
-def with_place(jpeg: bytes, shot: Shot) -> bytes:
+def with_place(jpeg: bytes, shot: PhotoPlace) -> bytes:
     """The photo with the place in it; as it is where it has one already, or its bytes are no whole JPEG header."""
     place, exif = len(SOI), None
     for segment in segments_of(jpeg):
@@ -68,7 +68,7 @@ def with_place(jpeg: bytes, shot: Shot) -> bytes:
     return b"".join((jpeg[:start], header, _EXIF, located, memoryview(jpeg)[end:]))
 
 
-def _located(tiff: bytes, shot: Shot) -> bytes | None:
+def _located(tiff: bytes, shot: PhotoPlace) -> bytes | None:
     """The TIFF with a directory of the place; None where it has one, or cannot be read."""
     order = _ORDERS.get(tiff[:4])
     if order is None or len(tiff) < 8:
@@ -125,7 +125,7 @@ def _pointer(offset: int, order: str) -> bytes:
     return struct.pack(f"{order}HII", _LONG, 1, offset)
 
 
-def _gps(shot: Shot, order: str) -> dict[int, _Value]:
+def _gps(shot: PhotoPlace, order: str) -> dict[int, _Value]:
     """The directory of the place, by the numbers of its tags."""
     values = {
         0x00: _Value(_BYTE, 4, bytes((2, 3, 0, 0))),
@@ -148,19 +148,21 @@ def _gps(shot: Shot, order: str) -> dict[int, _Value]:
     return values
 
 
-def _taken(shot: Shot) -> dict[int, _Value]:
-    """The directory of the time, in UTC; empty where that is not known."""
+def _taken(shot: PhotoPlace) -> dict[int, _Value]:
+    """The directory of the time, in UTC; empty if it is unknown."""
     taken = _time(shot)
-    if taken is None:
-        return {}
-    return {
-        0x9000: _Value(_UNDEFINED, 4, b"0232"),
-        0x9003: _text(f"{taken:%Y:%m:%d %H:%M:%S}"),
-        0x9011: _text("+00:00"),
-    }
+    return (
+        {}
+        if taken is None
+        else {
+            0x9000: _Value(_UNDEFINED, 4, b"0232"),
+            0x9003: _text(f"{taken:%Y:%m:%d %H:%M:%S}"),
+            0x9011: _text("+00:00"),
+        }
+    )
 
 
-def _time(shot: Shot) -> datetime | None:
+def _time(shot: PhotoPlace) -> datetime | None:
     """None where the time is not known, or is outside the calendar, as a receiver's nonsense may be."""
     try:
         return None if shot.unix_s is None else datetime.fromtimestamp(shot.unix_s, UTC)

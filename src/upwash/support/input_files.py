@@ -26,9 +26,8 @@ _LONG_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{_MOST_PARTS}}}", re.ASCI
 
 def read_file(file: Path, *, most_bytes: int) -> bytes:
     """The content of a file or of a pipe; raises OSError, or ValueError if it is larger or something else."""
-    descriptor = os.open(
-        file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
-    )  # a pipe does not hold it up
+    # Not blocking: opening a pipe would wait for its writer.
+    descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     try:
         mode = os.fstat(descriptor).st_mode
         if stat.S_ISDIR(mode):
@@ -43,6 +42,16 @@ def read_file(file: Path, *, most_bytes: int) -> bytes:
     finally:
         os.close(descriptor)
     return bytes(content)
+
+
+def read_named_text(file: Path, *, most_bytes: int) -> str:
+    """The text of a file or of a pipe; raises ConfigError, which says what to do."""
+    content = read_named_file(file, most_bytes=most_bytes)
+    try:
+        return text_of(content)
+    except UnicodeDecodeError as error:
+        problem = f"not UTF-8 text (byte {error.start}): save it as UTF-8"
+        raise ConfigError(str(file), "", problem) from None
 
 
 def read_named_file(file: Path, *, most_bytes: int) -> bytes:
@@ -74,9 +83,8 @@ def text_of(content: bytes) -> str:
 
 def read_toml(text: str) -> dict[str, object]:
     """The tables of the TOML; raises ValueError if it is invalid or nested too deeply."""
-    if found := _LONG_KEY.search(
-        text
-    ):  # before it is parsed: time and memory grow with the square of the parts
+    # Before parsing, whose time and memory grow with the square of the parts.
+    if found := _LONG_KEY.search(text):
         line = text.count("\n", 0, found.start()) + 1
         raise ValueError(f"line {line}: a key has more than {_MOST_PARTS} parts")
     try:
