@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.lossy import Air
 
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.mavlink.packets import PacketReader
@@ -33,13 +33,45 @@ AGILE = VehicleSettings(
 )
 AT_ONCE = FlightSettings(patience=Patience(others_s=0.0))  # knows that no other vehicle is there
 HASTY = FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=Patience(others_s=0.0))
-PERFECT = Air(0.0, seed=1)
+LATE_S = 0.05
 _QUESTIONS = (
     mavlink.MAV_CMD_REQUEST_MESSAGE,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
     401,
 )
+
+
+class Air:
+    """Each share: of packets that are lost, that come twice, and that come late, after others."""
+
+    def __init__(self, share: float, *, seed: int) -> None:
+        self.share = share
+        self._chance = random.Random(seed)
+
+    @property
+    def room(self) -> bool:
+        """Whether the vehicle's side takes another packet."""
+        return True
+
+    def carry(self, packet: bytes, send: Callable[[bytes], None]) -> None:
+        if self._happens():
+            return
+        self._send(packet, send)
+        if self._happens():
+            self._send(packet, send)
+
+    def _send(self, packet: bytes, send: Callable[[bytes], None]) -> None:
+        if self._happens():
+            asyncio.get_running_loop().call_later(self._chance.uniform(0, LATE_S), send, packet)
+        else:
+            send(packet)
+
+    def _happens(self) -> bool:
+        return self._chance.random() < self.share
+
+
+PERFECT = Air(0.0, seed=1)
 
 
 class Bench:

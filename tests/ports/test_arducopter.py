@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.lossy import Air
-from tests.ports.memory import AGILE, HASTY, HOME, Bench, bench, driven
+from tests.ports.memory import AGILE, HASTY, HOME, Air, Bench, bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import LocalFrame, Position, distance_m

@@ -21,6 +21,8 @@ from upwash.errors import (
 )
 from upwash.ports import Autopilot
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
+from upwash.real.mavlink.arducopter import ARDUCOPTER
+from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.server import VehicleServer, serve_vehicle
 
@@ -121,6 +123,34 @@ def test_over_tcp_it_comes_back_after_the_connection_broke() -> None:
             await again.close()
 
     asyncio.run(mission())
+
+
+def test_a_connection_on_which_nothing_comes_any_more_is_made_anew() -> None:
+    async def scenario() -> None:
+        connections: list[asyncio.StreamWriter] = []
+        codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+        async def greet_and_hang(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            connections.append(writer)
+            if len(connections) != 2:  # the second says nothing at all
+                writer.write(bytes(mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3).pack(codec)))
+
+        server = await asyncio.start_server(greet_and_hang, "127.0.0.1", 0)
+        connection = f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}"
+        copter = MavlinkVehicle(
+            connection, Patience(answer_s=0.15, others_s=0.0, dead_after_s=1.5), [ARDUCOPTER]
+        )
+        await copter.found(within_s=2.0)
+        await copter.link_lost()
+        async with asyncio.timeout(12.0):
+            await copter.link_restored()
+        assert len(connections) == 3
+        await copter.close()
+        for writer in connections:
+            writer.close()
+        server.close()
+
+    asyncio.run(scenario())
 
 
 def test_udpin_answers_the_vehicle_that_speaks_first() -> None:

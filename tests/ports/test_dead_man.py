@@ -7,8 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
 import pytest
-from tests.ports.lossy import Air
-from tests.ports.memory import AGILE, Bench, bench
+from tests.ports.memory import AGILE, Air, Bench, bench
 from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import Position

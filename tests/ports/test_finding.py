@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.lossy import Air
-from tests.ports.memory import AGILE, Bench, bench
+from tests.ports.memory import AGILE, Air, Bench, bench
 from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import Position

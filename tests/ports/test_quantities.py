@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.lossy import Air
-from tests.ports.memory import AGILE, Bench, bench, driven
+from tests.ports.memory import AGILE, Air, Bench, bench, driven
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.ports.lossy import Air
-from tests.ports.memory import AGILE, AT_ONCE, Bench, bench, driven
+from tests.ports.memory import AGILE, AT_ONCE, Air, Bench, bench, driven
 
 from upwash.eventlog.schema import LinkTrouble
 from upwash.mavlink.px4 import CURRENT_MODE
