@@ -10,6 +10,8 @@ Laws: no clock, socket, randomness, log or asyncio; time and position are argume
     vehicle/         who has the vehicle, its fences, its battery
     admission/       the server's machine: `AdmissionController`, and what it keeps
 
-Drive it by hand with docs/driving-the-core.md. What is ugly: `Selection` and `AdmissionController` keep state: a machine
-of values alone would copy hundreds of servers at each event. Tests copy the machine where they need its past.
+Drive it by hand with docs/driving-the-core.md.
+
+What is ugly: `Selection` and `AdmissionController` keep state, as a machine of values alone would copy hundreds of
+servers at each event. Tests copy the machine where they need its past.
 """

@@ -1,8 +1,8 @@
 """Positions and distances in metres around the mission's home.
 
-The mission area is small, so upwash computes on a plane that touches the Earth (the WGS 84 ellipsoid) at home:
-a degree of latitude and one of longitude have the lengths there that they have at home. Within 10 km of a home
-up to 60 degrees of latitude the error stays below 0.1 % of the distance.
+The mission area is small, so upwash computes on a plane that touches the Earth (the WGS 84 ellipsoid) at home.
+Degrees of latitude and longitude have the lengths that they have at home. Within 10 km of a home up to 60 degrees of
+latitude the error stays below 0.1 % of the distance.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Position(msgspec.Struct, frozen=True, gc=False):
     altitude_m: Metres = 0.0
 
     def at_altitude(self, altitude_m: float) -> Position:
-        """The place at that altitude above, or below, this one."""
+        """The place at that altitude above or below."""
         return Position(self.east_m, self.north_m, altitude_m)
 
 
@@ -73,11 +73,11 @@ class EarthPosition:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """A place where the mission wants something done; `index` counts from 0 in flight order.
+    """A place where the mission does something; `index` counts from 0 in flight order.
 
-    `ground_speed_m_s` is the speed of the way to it, None for the one that is set. `above_sea_m` is its altitude
-    where a plan counts it from the sea: the position's altitude is sure only where home's altitude above the sea is.
-    `hold_s` is the time for which the drone hovers there first.
+    `ground_speed_m_s` is the speed of the way there, None for the current speed. `above_sea_m` is its altitude in a
+    plan that counts from the sea, which is sure only with home's altitude above the sea. The drone first hovers for
+    `hold_s`.
     """
 
     index: int
@@ -154,7 +154,7 @@ class LocalFrame:
 
 
 def ground_distance_m(a: Position, b: Position) -> float:
-    """Distance over the ground, whatever the altitudes."""
+    """Distance over the ground, without the altitudes."""
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
 
 

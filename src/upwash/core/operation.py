@@ -1,7 +1,7 @@
 """What a call asks for, and the name of the place where it runs.
 
-A call runs at a server, which is known by its name, or on the drone, which is None. In files and messages the drone's
-name is one that no server may have: the configuration refuses it.
+A call runs at a server, known by its name, or on the drone, which is None. In files and messages the drone has a
+name that no server may have: the configuration refuses it.
 """
 
 from __future__ import annotations

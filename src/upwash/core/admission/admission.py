@@ -53,10 +53,10 @@ _ELSEWHERE = ""  # where a request is counted that is for no server here
 
 @dataclass(frozen=True, slots=True)
 class ServerOffer:
-    """What one server offers: the services it can run, how many drones at once, and for how long in turns.
+    """What one server offers: its services, how many drones it serves at once, and the length of a turn.
 
-    "auto" has as many slots as the server measures to be right. `lanes` says of services how many calls an instance
-    computes at a time, unless one. `call_limits_s` bounds the time for which a call may keep an instance busy.
+    With "auto" slots the server measures their number. `lanes` has the calls that an instance of a service computes
+    at a time, unless one. `call_limits_s` bounds how long a call may keep an instance busy.
     """
 
     images: frozenset[str]
@@ -80,10 +80,7 @@ class AdmissionSettings(Struct, frozen=True):
 
 
 class Available(Struct, frozen=True):
-    """The server can serve the drone; `endpoints` are of those wanted services that run already.
-
-    So many others wait for a slot.
-    """
+    """The server can serve the drone; `endpoints` of its running services. `waiting` other drones queue."""
 
     endpoints: Mapping[str, str]
     waiting: int = 0
@@ -92,8 +89,9 @@ class Available(Struct, frozen=True):
 class Denied(Struct, frozen=True):
     """The server cannot serve the drone, and why.
 
-    Where only a slot is wanting it is to ask again in so long; so many wait, with it, and it may have done so before.
-    A service that keeps failing is left alone for another `pause_s`.
+    If the server is full, `waiting` drones queue, this one included; retry after `ask_again_s`. A service that keeps
+    failing is left alone for another `pause_s`. `is_news` is False if the drone was refused for the same reason
+    before.
     """
 
     why: str
@@ -110,7 +108,7 @@ class ServiceRunning(Struct, frozen=True):
 
 
 class StartPending(Struct, frozen=True):
-    """The instance of that number is starting, or still stopping; ask again when it is ready or gone."""
+    """The instance of that number starts or still stops; ask again when it is ready or gone."""
 
     number: int
     stopping: bool
@@ -147,14 +145,14 @@ class _Server:
         return self.measured.why if self.offer.slots == "auto" else "configured"
 
     def change(self, offer: ServerOffer) -> None:
-        """From now on it offers this."""
+        """Replace the offer."""
         self.offer = offer
         self.turns.turn_s = offer.turn_s
         self.measured.offer(offer.lanes_of_each)
         self.instances.offer(offer.images)
 
     def ask_for_slot(self, drone: str, *, now_s: float) -> tuple[Denied | None, list[Command]]:
-        """Whether the drone, which holds no slot, may have one now; for it a holder may have to yield."""
+        """Whether the drone, which holds no slot, may have one now; a holder may have to yield."""
         is_news = self.turns.asked(drone, now_s=now_s)
         free = self.slots - len(self.leases)
         rank = self.turns.rank(drone, now_s=now_s)
@@ -168,11 +166,11 @@ class _Server:
         return None if is_given else self._no_slot(now_s, is_news=is_news), commands
 
     def has_room(self, *, now_s: float) -> bool:
-        """Whether a slot is free that nobody waits for."""
+        """Whether a slot is free and no drone waits for it."""
         return self.slots - len(self.leases) > len(self.turns.waiting(now_s=now_s))
 
     def status(self, *, now_s: float) -> ServerStatus:
-        """What there is to see of it."""
+        """The server's part of the status page."""
         return ServerStatus(
             self.name,
             self.slots,
@@ -221,7 +219,7 @@ class AdmissionController:
     def availability(
         self, server: str, services: Iterable[str], drone: Client, *, now_s: float
     ) -> tuple[Available | Denied, list[Command]]:
-        """Whether the drone can be served now; if so it holds a slot until its lease ends."""
+        """Whether the server can serve the drone now; if so, the drone holds a slot until its lease ends."""
         wanted = sorted(set(services))
         denied, commands = self._lease(server, wanted, drone, now_s)
         if denied is not None:
@@ -233,7 +231,7 @@ class AdmissionController:
     def start(
         self, server: str, service: str, drone: Client, *, now_s: float
     ) -> tuple[ServiceRunning | StartPending | Denied, list[Command]]:
-        """Has the service running for the drone; two starts of one service make one instance."""
+        """Start the service for the drone; two starts of one service make one instance."""
         denied, commands = self._lease(server, [service], drone, now_s)
         if denied is not None:
             return denied, commands
@@ -247,7 +245,7 @@ class AdmissionController:
     def send_ahead(
         self, server: str, peer: str, drone: Client, *, for_s: float, now_s: float
     ) -> tuple[Denied | None, list[Command]]:
-        """Whether the drone, which is served here, may have the peer hold a slot for it; one at a time may be."""
+        """Have the peer hold a slot for a drone that is served here; a drone may have one slot held at a time."""
         commands = self._end_leases(now_s)
         why = (
             self._mistrust(drone)
@@ -262,7 +260,7 @@ class AdmissionController:
         return None, commands
 
     def leave(self, server: str, drone: Client, *, now_s: float) -> list[Command]:
-        """The drone needs the server no more: its slot is free, and it waits for none."""
+        """Free the drone's slot, or its place in the queue."""
         state = self._servers.get(server)
         if state is None:
             return []
@@ -272,7 +270,7 @@ class AdmissionController:
     def take_up(
         self, server: str, drones: Iterable[Client], services: Iterable[str], *, now_s: float
     ) -> list[Command]:
-        """Serves whom another daemon served in this one's place, with the services that ran there."""
+        """Serve the drones of a daemon that this daemon replaces, with the services that ran there."""
         state = self._servers.get(server)
         if state is None:
             return []
@@ -287,14 +285,14 @@ class AdmissionController:
     def take_up_usage(
         self, server: str, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float
     ) -> None:
-        """Goes on from what that other daemon counted of drones and teams, once their leases are taken up."""
+        """Continue the usage that the former daemon counted, once its leases are taken up."""
         if server in self._servers:
             self._servers[server].usage.take_up(drones, teams, now_s=now_s)
 
     # --- what peers ask and answer --------------------------------------------------------------------------
 
     def not_held(self, peer: str, drone: Client) -> None:
-        """The peer refused what it was asked last; what it granted before still counts."""
+        """The peer refused the latest hold; earlier holds still count."""
         self._peers.refused(drone.name, peer)
 
     def hold(
@@ -307,7 +305,7 @@ class AdmissionController:
         for_s: float,
         now_s: float,
     ) -> tuple[Held | Denied, list[Command]]:
-        """Has the services running for a drone that a peer expects to come, and a slot, as if the drone had asked."""
+        """Hold a slot and start the services for a drone that a peer announces, as if the drone had asked."""
         commands = self._end_leases(now_s)
         why = self._mistrust(peer) or self._peers.unknown(peer.name)
         if not why and peer.certificate and peer.role is not Role.SERVER:
@@ -351,15 +349,15 @@ class AdmissionController:
         return self._servers[server].leases.admitted()
 
     def has_place(self, server: str, service: str, number: int) -> bool:
-        """Whether it is the instance of that number that drones are sent to; others end soon, or are starting."""
+        """Whether drones are sent to the instance of that number; others end soon, or are starting."""
         return self._servers[server].instances[service].number == number
 
     def gone(
         self, server: str, service: str, number: int, why: str = "", *, now_s: float = 0.0
     ) -> list[StartInstance]:
-        """The instance of that number ended: it did not start or crashed, for that reason, or it was stopped.
+        """The instance of that number ended: it failed for the reason `why`, or it was stopped.
 
-        An instance of no use is followed by another, if a drone with a slot may call it.
+        A useless instance is replaced if a drone with a slot may call it.
         """
         state = self._servers[server]
         was_useless = state.instances.gone(service, number, why, now_s=now_s)
@@ -370,11 +368,11 @@ class AdmissionController:
         return []
 
     def heard(self, server: str, service: str, *, now_s: float) -> None:
-        """The instance that runs has given a sign of life."""
+        """The running instance has given a sign of life."""
         self._servers[server].instances[service].watch.heard(now_s)
 
     def watch(self, server: str, service: str, *, now_s: float) -> list[Command]:
-        """Stops the running instance if it is of no use."""
+        """Stop the running instance if it is of no use."""
         state = self._servers[server]
         instance, at_most_s = state.instances[service], state.offer.call_limits_s.get(service, CALL_LIMIT_S)
         useless = instance.watch.verdict(
@@ -386,13 +384,13 @@ class AdmissionController:
         return self._condemn(state, service, useless, now_s)
 
     def silent(self, server: str, service: str, why: str, *, now_s: float) -> list[Command]:
-        """Stops the running instance, which does not confirm whom it serves."""
+        """Stop the running instance, which does not confirm whom it serves."""
         state = self._servers[server]
         useless = Useless(why, state.instances[service].watch.callers)
         return self._condemn(state, service, useless, now_s)
 
     def deny(self, server: str, services: Iterable[str], drone: Client, *, now_s: float) -> list[Command]:
-        """These services raised in calls of the drone, whose own services did not raise."""
+        """These services raised in calls of the drone, but did not raise on the drone."""
         state, commands = self._servers.get(server), list[Command]()
         if state is None or state.leases.by_key(drone.key, now_s=now_s) is None:
             return []
@@ -402,7 +400,7 @@ class AdmissionController:
         return commands
 
     def pause_s(self, server: str, services: Iterable[str], drone: Client, *, now_s: float) -> float:
-        """How long the server still leaves one of the services alone for the drone; 0 where it leaves none."""
+        """How long the server leaves one of the services alone for the drone; 0 if it leaves none alone."""
         instances = self._servers[server].instances
         return max(
             (instances[service].failures.pause_s(drone.key, now_s=now_s) for service in services), default=0.0
@@ -418,7 +416,7 @@ class AdmissionController:
         return commands
 
     def called(self, server: str, service: str, drone: str, *, now_s: float) -> None:
-        """The instance says that the drone, known by `Client.key`, called: with a lease, it uses the service."""
+        """The instance reports a call of the drone with that `Client.key`; with a lease, it uses the service."""
         state = self._servers[server]
         state.instances[service].watch.began(drone, now_s)
         if state.leases.by_key(drone, now_s=now_s) is not None:
@@ -435,7 +433,7 @@ class AdmissionController:
         outcome: str = "value",
         now_s: float,
     ) -> None:
-        """The instance says that a call of the drone, known by `Client.key`, has ended; `MeasuredSlots.answered`."""
+        """The instance reports the end of a call of the drone with that `Client.key`."""
         state = self._servers[server]
         state.instances[service].watch.ended(drone, took_s=took_s, outcome=outcome, now_s=now_s)
         if outcome == "dropped":
@@ -446,13 +444,13 @@ class AdmissionController:
             state.measured.answered(service, drone, took_s=took_s, queued_s=queued_s, now_s=now_s)
 
     def used(self, server: str, drone: str, *, took_s: float, outcome: str, now_s: float) -> None:
-        """An instance of any version computed a call of the drone, known by `Client.key`, for `took_s`."""
+        """An instance of any version computed a call of the drone with that `Client.key`, for `took_s`."""
         self._servers[server].usage.called(
             drone, took_s=took_s, is_answered=outcome != "dropped", now_s=now_s
         )
 
     def seen(self, server: str, drone: str, *, now_s: float) -> None:
-        """The daemon saw that the drone, known by `Client.key`, is there: a lease that it has is renewed."""
+        """The daemon saw the drone with that `Client.key`: renew its lease, if it has one."""
         lease = self._servers[server].leases.by_key(drone, now_s=now_s)
         if lease is not None:
             lease.until_s = max(lease.until_s, now_s + self.settings.lease_s)
@@ -462,10 +460,10 @@ class AdmissionController:
     def offer(
         self, offers: Mapping[str, ServerOffer], *, outdated: frozenset[tuple[str, str]]
     ) -> list[Command]:
-        """From now on the same servers offer this; what runs of a service that is withdrawn is stopped.
+        """Offer this from now on; stop running services that are withdrawn.
 
-        `outdated` instances, by server and service, are replaced by others, which start first.
-        A drone that holds one slot too many keeps it until its lease ends.
+        New instances start before they replace `outdated` instances, given by server and service. A drone with a
+        slot too many keeps it until its lease ends.
         """
         commands: list[Command] = []
         for name, offer in offers.items():
@@ -482,7 +480,7 @@ class AdmissionController:
         return commands
 
     def revoke(self, certificates: frozenset[str], *, now_s: float) -> list[Command]:
-        """From now on these certificates, and no others, are good for nothing; leases held by them end."""
+        """Refuse exactly these certificates from now on; end the leases held by them."""
         self._revoked = certificates
         return [
             command
@@ -491,7 +489,7 @@ class AdmissionController:
         ]
 
     def close(self, why: str) -> list[Command]:
-        """From now on nobody is served, for the first such reason; every instance ends its calls and stops."""
+        """Serve no drone from now on, for the first reason given; every instance ends its calls and stops."""
         self.closing = self.closing or why
         return [
             command
@@ -500,7 +498,7 @@ class AdmissionController:
         ]
 
     def end_leases(self, *, now_s: float) -> list[Command]:
-        """Ends every lease, as the daemon does."""
+        """End every lease, as the daemon ends."""
         return [
             command
             for server in self._servers.values()
@@ -510,7 +508,7 @@ class AdmissionController:
     # --- what comes to its end by itself --------------------------------------------------------------------
 
     def look(self, *, now_s: float) -> list[Command]:
-        """Ends the leases whose time is over, and stops the instances that nobody uses."""
+        """End leases whose time is over; stop unused instances."""
         commands = self._end_leases(now_s)
         for server in self._servers.values():
             commands += server.instances.stop_former(now_s=now_s)
@@ -520,11 +518,11 @@ class AdmissionController:
 
     @property
     def is_idle(self) -> bool:
-        """Whether nobody has a slot and nothing runs, so that nothing comes to its end until somebody asks."""
+        """Whether no drone has a slot and nothing runs, so that nothing ends until a request arrives."""
         return not any(server.leases or server.instances.any_running for server in self._servers.values())
 
     def next_end_s(self, *, now_s: float) -> float:
-        """Before this time nothing comes to its end by itself, but for a slot that a peer has held from now on."""
+        """The earliest time at which something ends by itself, except new holds for peers."""
         settings = self.settings
         ends_s = [now_s + settings.lease_s, now_s + settings.idle_stop_s]
         for server in self._servers.values():
@@ -535,14 +533,14 @@ class AdmissionController:
     # --- what there is to see -------------------------------------------------------------------------------
 
     def refused(self, server: str, client: str, why: str, *, now_s: float) -> None:
-        """A client was refused, for a reason that the controller may not know of."""
+        """Count a refused client; the controller need not know the reason."""
         self._refused[server if server in self._servers else _ELSEWHERE] += 1
         self._refusals.note(server, client, why, now_s=now_s)
 
     def show(
         self, client: Client, *, now_s: float
     ) -> tuple[list[ServerStatus], list[RefusalStatus]] | Denied:
-        """What there is to see of the servers, and the last refusals, for an operator."""
+        """The status of the servers and the last refusals, for an operator."""
         why = self._mistrust(client)
         if not why and client.certificate and client.role is not Role.OPERATOR:
             why = f"{client.name} is no operator: show a certificate of `upwash keys DIR --operator NAME`"
@@ -557,7 +555,7 @@ class AdmissionController:
 
     @property
     def refused_times(self) -> Mapping[str, int]:
-        """How often each server has refused somebody; what asked for no server of this daemon is under ""."""
+        """How often each server refused a client; under "" requests for no server of this daemon."""
         return self._refused
 
     def leases(self, server: str) -> frozenset[str]:

@@ -1,4 +1,4 @@
-"""Who asks something of a daemon, and what it shows to those who may look."""
+"""Clients of a daemon, and the values of its status page."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class LeaseStatus(Struct, frozen=True):
 
 
 class InstanceStatus(Struct, frozen=True):
-    """A service of a server and where its instance is in its life; unused for so long if it runs.
+    """A service of a server, the state of its instance, and for how long a running one is unused.
 
-    `replaced` counts the instances that were of no use, `failures` those that failed in a row. The service is left
-    alone for another `paused_s`. `renewed` counts the instances that took over in another version of the service;
-    `not_renewed` says why the last one did not. An earlier daemon says nothing of this.
+    `replaced` counts useless instances, `failures` those that failed in a row. The service is left alone for another
+    `paused_s`. `renewed` counts new versions that took over; `not_renewed` says why the latest version did not. An
+    earlier daemon leaves these out.
     """
 
     service: str
@@ -66,7 +66,7 @@ class InstanceStatus(Struct, frozen=True):
 
 
 class AccountStatus(Struct, frozen=True):
-    """A drone that holds a slot or waits for one, for so long, and the slot time that counts as its own."""
+    """A drone that holds a slot or waits for one, since when, and the slot time on its account."""
 
     drone: str
     had_s: float
@@ -75,9 +75,9 @@ class AccountStatus(Struct, frozen=True):
 
 
 class DroneUsage(Struct, frozen=True):
-    """What a drone has used of a server: `slot_s` of slots in all, and answered `calls` computed for `computed_s`.
+    """What a drone has used of a server: `slot_s` in all, and answered `calls` computed for `computed_s`.
 
-    It has had its present slot for `holds_s`, None without a slot. Its last call ended `called_ago_s` ago.
+    `holds_s` is the age of its present slot, None without a slot. Its last call ended `called_ago_s` ago.
     """
 
     drone: str
@@ -103,8 +103,8 @@ class TeamUsage(Struct, frozen=True):
 class ServerStatus(Struct, frozen=True):
     """One of the servers that a daemon acts as; `slots_why` says what the number of slots follows from.
 
-    A turn lasts `turn_s`, None where it has no end, and so many have ended for the sake of others. A daemon that
-    knows no turns says nothing of all this. An earlier daemon says nothing of what `drones` and `teams` used.
+    A turn lasts `turn_s`, None without end; `turns_ended` turns ended for other drones. A daemon without turns
+    leaves these out, and an earlier daemon leaves out `drones` and `teams`.
     """
 
     name: str

@@ -29,7 +29,7 @@ class InstanceGate:
         self._admitted, self._finishing = frozenset(drones), frozenset(finishing)
 
     def close(self, why: str) -> None:
-        """From now on nobody gets an answer, for that reason."""
+        """Refuse every call from now on, for that reason."""
         self._closed = why
 
     def require(self, client: Client) -> None:

@@ -208,7 +208,7 @@ class Instances:
         return [command for service in self._instances for command in self.stop(service, why)]
 
     def stop_idle(self, idle_s: float, *, now_s: float) -> list[StopInstance]:
-        """Has those stopped that nobody has called for so long."""
+        """Stop instances that were not called for that long."""
         idle = [service for service, each in self._running() if now_s - each.used_s >= idle_s]
         return [command for service in idle for command in self.stop(service)]
 
@@ -226,7 +226,7 @@ class Instances:
         return [each.used_s for _, each in self._running()]
 
     def status(self, offered: Collection[str], *, now_s: float) -> list[InstanceStatus]:
-        """What there is to see of the offered services, and of any other whose instance has not ended yet."""
+        """The status of the offered services, and of others whose instance has not ended yet."""
         return [
             InstanceStatus(
                 service,

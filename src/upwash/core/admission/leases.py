@@ -65,7 +65,7 @@ class Leases:
         return frozenset(each.drone.key for each in self._leases.values())
 
     def of(self, drone: str) -> Lease | None:
-        """The lease of the drone of that name, if it has one."""
+        """The lease of the drone of that name; None without one."""
         return self._leases.get(drone)
 
     def by_key(self, key: str, *, now_s: float) -> Lease | None:
@@ -75,7 +75,7 @@ class Leases:
         )
 
     def held_by(self, peer: str, *, except_for: str) -> int:
-        """How many slots the peer has held, for other drones than that one."""
+        """How many slots the peer has held for other drones."""
         return sum(each.held_by == peer for name, each in self._leases.items() if name != except_for)
 
     def until_s(self) -> list[float]:
@@ -87,7 +87,7 @@ class Leases:
         return self._put(Lease(drone, until_s), now_s)
 
     def hold(self, drone: Client, until_s: float, *, peer: str, now_s: float) -> list[Admit]:
-        """The drone is expected, and has a lease until then; one that it got itself is not made shorter by it."""
+        """Hold a slot for an announced drone until then; a lease of its own never gets shorter."""
         known = self.of(drone.name)
         if known is not None and not known.held_by:
             known.until_s = max(known.until_s, until_s)
@@ -99,7 +99,7 @@ class Leases:
         return [each for each in self._leases.values() if each.until_s <= now_s]
 
     def end(self, which: Callable[[Lease], bool], *, now_s: float) -> list[Admit | LeaseEnded]:
-        """Ends such leases, and the time for the last calls of turns, where it is over."""
+        """End these leases, and finished grace periods after turns."""
         ended = []
         for name, lease in [each for each in self._leases.items() if which(each[1])]:
             del self._leases[name]
@@ -128,7 +128,7 @@ class Leases:
         return Admit(self._server, self.keys, frozenset(self._finishing) - self.keys)
 
     def status(self, *, now_s: float) -> list[LeaseStatus]:
-        """What there is to see of the leases."""
+        """The leases for the status page."""
         return [
             LeaseStatus(name, each.drone.certificate, each.until_s - now_s, each.held_by)
             for name, each in sorted(self._leases.items())

@@ -1,4 +1,4 @@
-"""What an instance of a service may use, and how much is taken from clients that are not trusted with more."""
+"""What an instance of a service may use, and a rate limit for untrusted clients."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DEFAULT_LIMITS = Limits(memory_bytes=2**31, processes=256, disk_bytes=2**28)
 
 
 class Allowance:
-    """So much a second, and `at_once` after a rest."""
+    """A rate limit: `per_s` on average, and `at_once` after a rest."""
 
     def __init__(self, per_s: float, *, at_once: float) -> None:
         self._per_s = per_s
@@ -33,7 +33,7 @@ class Allowance:
         self._looked_s: float | None = None
 
     def take(self, amount: float, *, now_s: float) -> bool:
-        """Takes that much where there is so much left; says whether it did."""
+        """Take that amount if it is left; return whether it was."""
         self._refill(now_s)
         if amount > self._left:
             return False
@@ -41,7 +41,7 @@ class Allowance:
         return True
 
     def take_anyway_s(self, amount: float, *, now_s: float) -> float:
-        """Takes that much; returns how long whoever wants more has to wait, in seconds."""
+        """Take that amount; return for how many seconds nothing more may be taken."""
         self._refill(now_s)
         self._left -= amount
         return max(0.0, -self._left / self._per_s)

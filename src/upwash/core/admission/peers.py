@@ -1,7 +1,7 @@
-"""What daemons ask of each other: that a slot be held for a drone that is on its way.
+"""What daemons ask of each other: to hold a slot for a drone on its way.
 
-Of what is asked of this daemon: a peer whose drones do not come is believed no more, as its key may be stolen and its
-drones invented. Of what this daemon asks: a drone may have one slot held at a time.
+A peer whose drones do not come loses its credit: its key may be stolen, and its drones invented. A drone may have
+one slot held at a time.
 """
 
 from __future__ import annotations
@@ -66,25 +66,25 @@ class Peers:
     # --- what this daemon asks of peers -----------------------------------------------------------------------
 
     def elsewhere(self, drone: str, peer: str, *, now_s: float) -> str:
-        """Why the peer cannot hold a slot for the drone: another one does; empty where none does."""
+        """Why the peer cannot hold a slot for the drone: another peer holds one; empty otherwise."""
         ahead = self._sent_ahead.get(drone)
         if ahead is not None and ahead.peer != peer and ahead.until_s > now_s:
             return f"{drone} has a slot of {ahead.peer} held for another {ahead.until_s - now_s:.0f} s"
         return ""
 
     def ask(self, drone: str, peer: str, *, for_s: float, now_s: float) -> None:
-        """The peer is asked to hold a slot for the drone, for so long."""
+        """The peer must hold a slot for the drone for `for_s`."""
         ahead = self._sent_ahead.get(drone)
         known_s = ahead.until_s if ahead is not None else now_s
         until_s = max(known_s, now_s + min(self._hold_s, for_s))
         self._sent_ahead[drone] = _SentAhead(peer, until_s, otherwise_s=known_s)
 
     def refused(self, drone: str, peer: str) -> None:
-        """The peer refused what it was asked last; what it granted before still counts."""
+        """The peer refused the latest hold; earlier holds still count."""
         ahead = self._sent_ahead.get(drone)
         if ahead is not None and ahead.peer == peer:
             self._sent_ahead[drone] = _SentAhead(peer, ahead.otherwise_s, ahead.otherwise_s)
 
     def forget(self, *, now_s: float) -> None:
-        """Forgets what was asked for a time that is over."""
+        """Forget holds whose time is over."""
         self._sent_ahead = {drone: each for drone, each in self._sent_ahead.items() if each.until_s > now_s}

@@ -1,9 +1,9 @@
-"""How many drones a server takes at the same time, where nobody says: as many as keep its instances busy.
+"""How many drones a server takes at the same time, if not configured: as many as keep its instances busy.
 
-A drone keeps an instance busy for a share of its time: what a call takes there of what passes from one of its calls
-to the next. As many drones fit as there are such shares in what the instance can compute at a time, its lanes. What a
-call waited for others is not counted, or a crowd would make room for a larger one. Until it is measured a drone is
-taken to keep an instance busy for a quarter of its time: most fly for longer than they call.
+A drone keeps an instance busy for a share of its time: the duration of a call, of the time between two of its calls.
+As many drones fit as there are such shares in the lanes of the instance. Waiting behind other calls is not counted,
+or a crowd would make room for a larger crowd. Before it is measured the share is a quarter: most drones fly for
+longer than they call.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ class MeasuredSlots:
         self._calls = {service: calls for service, calls in self._calls.items() if service in lanes}
 
     def came(self, drone: str) -> None:
-        """The drone, known by `Client.key`, has a slot anew: what passed since its last call is not its pace."""
+        """The drone with that `Client.key` has a new slot: the time since its last call is not its pace."""
         for calls in self._calls.values():
             if drone in calls:
                 calls[drone].ended_s = None
 
     def answered(self, service: str, drone: str, *, took_s: float, queued_s: float, now_s: float) -> None:
-        """A call of the drone has ended, which waited so long for others and took so long by itself."""
+        """A call of the drone has ended: it waited `queued_s` for others and computed for `took_s`."""
         calls = self._calls.setdefault(service, OrderedDict())
         known = calls.setdefault(drone, _Calls(None))
         calls.move_to_end(drone)

@@ -1,14 +1,14 @@
 """Whose turn it is at one server: how long each drone has had a slot, who waits for one, and who yields it.
 
 Laws:
-- what counts is what the server measures: nothing that a drone says changes the order;
-- who comes counts as one that has had as much as the least of those present: nobody saves up by staying away;
-- a free slot is for the drone that waits and has had least, then for the one that waits longest, then by name;
-- after a turn a holder yields to a drone that has had less by more than half a turn: the one that has had most does;
-- so do as many as are wanting for those that wait before the one that asks, and for it;
-- who yields is not away while it may not know yet: until its lease would have ended;
-- that drone has asked twice, as one that asks once may be gone; who misses three questions waits no more;
-- where there is a slot for everybody nobody waits, and no turn ends.
+- only what the server measures counts: no message of a drone changes the order;
+- a drone that arrives starts with the least slot time of those present: absence saves nothing up;
+- a free slot goes to the waiting drone with the least slot time, then to the longest waiting, then by name;
+- after a turn a holder yields to a drone that has had less by more than half a turn; who has had most yields first;
+- as many holders yield as the drone that asks, and those waiting before it, need;
+- a drone that yields counts as present until its lease would have ended, as it may not know yet;
+- the drone that gains has asked twice, as a drone that asks once may be gone; after three missed questions it is out;
+- while there are slots for all drones, no drone waits and no turn ends.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Turns:
         self._forget()
 
     def yields(self, drone: str, *, expected_until_s: float) -> None:
-        """The turn of the drone is about to end, which learns so by that time, and asks anew."""
+        """The drone's turn ends; it learns so by that time and asks again."""
         self._accounts[drone].expected_until_s = expected_until_s
 
     def asked(self, drone: str, *, now_s: float) -> bool:
@@ -85,7 +85,7 @@ class Turns:
             self._forget()
 
     def waiting(self, *, now_s: float) -> list[Account]:
-        """Who waits, in the order in which free slots are given to them."""
+        """The waiting drones, in the order in which they get free slots."""
         self._dismiss(now_s)
         waiting = [each for each in self._accounts.values() if each.waits_since_s is not None]
         return sorted(waiting, key=lambda each: (each.had_s, each.waits_since_s, each.drone))
@@ -95,7 +95,7 @@ class Turns:
         return [each.drone for each in self.waiting(now_s=now_s)].index(drone)
 
     def over(self, to: str, *, now_s: float) -> list[str]:
-        """The holders whose turn is over for the sake of the one that waits: who has had most is first."""
+        """The holders whose turn is over for that waiting drone, by slot time, most first."""
         waiting = self._accounts[to]
         if waiting.asks < 2:
             return []
@@ -109,7 +109,7 @@ class Turns:
         return [each.drone for each in sorted(over, key=lambda each: (-each.had_until_s(now_s), each.drone))]
 
     def status(self, *, now_s: float) -> list[AccountStatus]:
-        """What there is to see of the drones that hold or wait, by name."""
+        """The accounts of present drones by name, for the status page."""
         self._dismiss(now_s)
         return [
             AccountStatus(

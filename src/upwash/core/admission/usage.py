@@ -120,7 +120,7 @@ class Usage:
                 use.call(took_s, is_answered=is_answered, now_s=now_s)
 
     def drones(self, *, now_s: float) -> list[DroneUsage]:
-        """What there is to see of the drones, by name."""
+        """The usage of each drone by name."""
         return [
             DroneUsage(
                 name,
@@ -135,7 +135,7 @@ class Usage:
         ]
 
     def teams(self, *, now_s: float) -> list[TeamUsage]:
-        """What there is to see of the teams, by name; drones count that are forgotten themselves."""
+        """The usage of each team by name; forgotten drones count."""
         return [
             TeamUsage(
                 team,

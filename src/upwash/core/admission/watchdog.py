@@ -110,7 +110,7 @@ class Watch:
 
 @dataclass(slots=True)
 class InstanceFailures:
-    """The failures of a service's instances in a row, and the pause for which it is left alone."""
+    """The failures in a row of a service's instances, and the pause after them."""
 
     count: int = 0
     why: str = ""  # of the last failure

@@ -1,13 +1,13 @@
-"""What calls to servers came to at each place: what stands in for a range where a server has none.
+"""What calls to a server without a range took, at each place.
 
 A server that is reached over LTE, a mesh or a cable has no circle around it. Whether it answers at a place, and how
 soon, is only known from calls that were made there:
 
-    at a place   the mean of the last three calls that were made there
-    around it    the nearest place that is near enough says the same
-    elsewhere    nothing is known: the server is believed to be as fast as it was lately
+    at a place   the mean of the last three calls made there
+    around it    the same as the nearest place, if it is near enough
+    elsewhere    unknown: the server is believed to be as fast as in its last calls
 
-A call that failed counts as what it cost: the wait for it, and then the drone's own computing.
+A failed call counts as its cost: the wait for it, and then the drone's own computing.
 """
 
 from __future__ import annotations
@@ -28,10 +28,9 @@ MOST_PLACES = 5_000  # of each server: the one that was measured least lately ma
 
 @dataclass(slots=True)
 class MeasuredPlace:
-    """Where calls to one server were made: so many, those that were answered, and what the last of them came to.
+    """A place where calls to one server were made: how many, how many were answered, and their delays.
 
-    `bits` and `transfer_s` are those of the answered calls: the size of requests and replies, and their delays. So
-    many flights ago something was asked here last.
+    `bits` and `transfer_s` sum the sizes and delays of the answered calls. `flights_ago` is the age of the last one.
     """
 
     position: Position
@@ -53,23 +52,23 @@ class MeasuredPlace:
         return 2 * self.answered >= self.tried
 
     def call_s(self, operation: Operation) -> float | None:
-        """What a call of that operation comes to here; None where none was made."""
+        """The delay of a call of that operation here; None if none was made."""
         known = self.came_to_s.get(operation)
         return None if known is None else sum(known) / len(known)
 
     def carry(self, size_bytes: int, transfer_s: float) -> None:
-        """So many bytes went there and back in an answered call; few say nothing of the goodput."""
+        """Add the bytes of an answered call; a small call says nothing of the goodput."""
         if size_bytes >= _LEAST_BYTES:
             self.bits += 8 * size_bytes
             self.transfer_s += transfer_s
 
     def note(self, operation: Operation, came_to_s: float) -> None:
-        """One more call came to that."""
+        """Add the delay of one more call."""
         self.came_to_s[operation] = (*self.came_to_s.get(operation, ()), came_to_s)[-_LATEST:]
 
 
 class Coverage:
-    """The places of each server that has no range, as they were measured so far."""
+    """The measured places of each server without a range."""
 
     def __init__(self, places: Mapping[str, Collection[MeasuredPlace]]) -> None:
         self._places: dict[str, dict[tuple[int, int], list[MeasuredPlace]]] = {
@@ -91,7 +90,7 @@ class Coverage:
             yield from here
 
     def at(self, server: str, position: Position) -> MeasuredPlace | None:
-        """The nearest place that is near enough to say something of this one; None for a server with a range."""
+        """The nearest measured place near enough to count; None for a server with a range."""
         squares = self._places.get(server)
         if not squares:
             return None
@@ -104,7 +103,7 @@ class Coverage:
         return nearest
 
     def asked(self, server: str, position: Position, *, answered: bool) -> MeasuredPlace:
-        """The server was asked something from that position; returns the place, as it is known now."""
+        """Count a question to the server from that position; return the place with it."""
         place = self._here(server, position)
         place.tried += 1
         place.answered += answered

@@ -68,13 +68,11 @@ def offline_remote_s(*, processing_s: float, data_bytes: int, bandwidth_bit_s: f
 class Estimates:
     """Every estimate of one drone, learnt from its calls and checks.
 
-    The operations are those of `local_s`; an operation that a server's beliefs do not name is not hosted there.
-    With `slow_apart` a call that took longer than one on the drone does not enter the mean: it stands beside it, as
-    the least that the next one will take, until one is faster or `forget_slow_calls` drops it. A call that was cut
-    short then teaches nothing at all.
+    The operations are those of `local_s`; a server hosts those that its beliefs name. With `slow_apart` a call
+    slower than on the drone stays out of the mean: it is the least that the next call will take, until a faster call
+    or `forget_slow_calls`. A call that was cut short then teaches nothing.
 
-    What `coverage` says of a server at a place stands before what is believed of it everywhere. Where a method takes
-    a place, none is where the drone is (`locate`).
+    `coverage` of a place precedes what is believed everywhere. Methods take a place; None is where the drone is.
     """
 
     def __init__(
@@ -114,7 +112,7 @@ class Estimates:
 
     @property
     def operations(self) -> Iterable[Operation]:
-        """The operations with an offline estimate: the only ones that may be offloaded."""
+        """The operations with an offline estimate; no other may be offloaded."""
         return self._local.keys()
 
     def locate(self, position: Position) -> bool:
@@ -146,7 +144,7 @@ class Estimates:
         return operation in self._remote[server]
 
     def usual_s(self, server: str, operation: Operation) -> float | None:
-        """As `remote_s`, whatever the last call there took."""
+        """As `remote_s`, but without the last slow call."""
         window = self._remote[server].get(operation)
         if window is None:
             return None
@@ -168,8 +166,8 @@ class Estimates:
     def mean_call_s(self, server: str | None = None, at: Position | None = None) -> float:
         """Mean delay of this drone's calls with the server ready, or without any.
 
-        Each call runs where it is faster; operations are weighted by how often they were called. With a single
-        operation this is min(Call, Call_s), so that a policy that compares these means is the thesis's.
+        Each call runs where it is faster; operations are weighted by their calls so far. With a single operation
+        this is min(Call, Call_s), so that a policy that compares these means is the thesis's.
         """
         if server is not None and self.is_measured(server):
             return sum(
@@ -201,10 +199,10 @@ class Estimates:
             self._count(operation)
 
     def observe_remote_cut(self, server: str, operation: Operation, waited_s: float, *, now_s: float) -> None:
-        """Learns from a remote call that was given up after `waited_s`: it would have taken at least as long.
+        """Learn from a remote call given up after `waited_s`: it would have taken at least as long.
 
-        Without this a server that is slower than its deadline allows would never be seen as slow, as its calls never
-        end (docs/decisions/calls-cut-short.md). What is no longer than the estimate says nothing.
+        Otherwise a server slower than its deadline would never look slow, as its calls never end
+        (docs/decisions/calls-cut-short.md). A wait no longer than the estimate says nothing.
         """
         self._warm[server].add(operation.service)
         estimate_s = self.remote_s(server, operation)
@@ -212,7 +210,7 @@ class Estimates:
             self._learn_remote(server, operation, waited_s, now_s=now_s)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
-        """Learns from a check that ended READY: from one that had to start the services, or from one that had not."""
+        """Learn from a check that ended READY, whether it `started` services or found them running."""
         windows = self._check if started else self._check_running
         windows[server] = windows[server].observe(delay_s)
 
@@ -221,10 +219,10 @@ class Estimates:
         self._warm[server].clear()
 
     def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> bool:
-        """Gives a server whose calls became slower than local another chance, `retry_s` after the last of them.
+        """Give a server slower than the drone another chance, `retry_s` after its last slow call.
 
-        Only calls change the estimate of a remote call, and a server that looks slow gets none. Returns whether
-        anything was forgotten.
+        Only calls change the estimate of a remote call, and a slow server gets none. Return whether an estimate
+        changed.
         """
         windows, slow_s, forgot = self._remote[server], self._slow_s[server], False
         for operation, last_s in self._last_remote_call_s[server].items():
@@ -239,7 +237,7 @@ class Estimates:
         return forgot
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
-        """When `forget_slow_calls` next has something to forget; infinite where it has not."""
+        """When `forget_slow_calls` next changes an estimate; infinite if never."""
         windows, slow_s, next_s = self._remote[server], self._slow_s[server], math.inf
         for operation, last_s in self._last_remote_call_s[server].items():
             if operation in slow_s or windows[operation].mean_s >= self._local[operation].mean_s:

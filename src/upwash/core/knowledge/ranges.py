@@ -74,7 +74,7 @@ class Ranges:
 
     @property
     def is_on_border(self) -> bool:
-        """Whether a border may be so near that rounding decides on which side of it the drone is."""
+        """Whether a border may be so near that rounding decides on its side."""
         return bool(self._due) and self._due[0][0] <= self._travelled_m + _HAIR_M
 
     def crossed(self, position: Position) -> list[str]:

@@ -1,7 +1,7 @@
-"""The server table: what the drone knows of each server, and the only ways in which that may change.
+"""The server table: what the drone knows of each server, and the only steps that change it.
 
 A server is in one of six states (thesis figure 3.2). `-R` (running) means that the services are believed to run
-there. TRANSITIONS has every step that is possible; any other is a programming error.
+there. TRANSITIONS has every possible step; any other is a programming error.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class Server:
         return now_s - self.contended_s < _REMEMBERED_S
 
     def asked_again_s(self, now_s: float) -> float:
-        """When something that it said of its slots is next forgotten; infinite where nothing is remembered."""
+        """When the next of its answers about slots is forgotten; infinite without any."""
         full_s = self.full_s + _REMEMBERED_S if self.is_full(now_s) else math.inf
         contended_s = self.contended_s + _REMEMBERED_S if self.is_contended(now_s) else math.inf
         return min(full_s, contended_s)
@@ -206,7 +206,7 @@ class ServerTable:
 
     @property
     def blacklisted(self) -> list[Server]:
-        """The servers that failed lately."""
+        """The blacklisted servers."""
         return [server for server in self._met if server.state is State.BLACKLISTED]
 
     def next_expiry_s(self, *, probed: Collection[Server]) -> float:
@@ -221,7 +221,7 @@ class ServerTable:
         )
 
     def expire(self, now_s: float, *, probed: Collection[Server]) -> list[Change]:
-        """Ends the blacklisting of servers, but for the probed ones, and the belief that idle services still run."""
+        """End blacklistings, except of probed servers, and the belief that idle services still run."""
         changes = []
         for server in self._met:
             if server.state is State.BLACKLISTED:

@@ -1,7 +1,7 @@
-"""How fast a mission can be at best, whoever decides: what is left to gain.
+"""The least time of a mission, whatever the policy: what is left to gain.
 
-The bounds know every true delay and never pay for the start of a service. For a drone that may go on before an answer
-is there (stay_or_go.py) they also know which answers demand something: it goes where they demand nothing.
+The bounds know every true delay and never pay for the start of a service. For a drone that may fly on before an
+answer (stay_or_go.py) they also know which answers demand something: it flies on where they demand nothing.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from upwash.core.planning.schedule import CheckTimes, ComingCall, quickest
 
 
 class Bound(Struct, frozen=True):
-    """The least time of a mission, or of its calls alone, whatever decides; in seconds.
+    """The least time of a mission, or of its calls alone, in seconds.
 
-    `free_s` is with every server joined for nothing and at once, `with_joins_s` paying for each join, one at a time.
-    Both are the same for a drone that may go on before answers are there: what joins cost it is left out.
+    `free_s` has every server joined at once and for free; `with_joins_s` pays for each join, one at a time. Both are
+    the same for a drone that may fly on before answers: its joins are left out.
     """
 
     free_s: float
@@ -26,10 +26,10 @@ class Bound(Struct, frozen=True):
 
 
 class Onward(Struct, frozen=True):
-    """What follows a call whose answer the drone need not wait for, and whether that demands something there.
+    """What follows a call whose answer the drone need not await, and whether that answer demands something.
 
-    The way to the next call takes `way_s`, with the photo there and without what an answer demands; `leg_s` of it is
-    the leg, which takes as long back.
+    The way to the next call takes `way_s`, with its photo and without demands; its leg alone takes `leg_s`, each
+    way.
     """
 
     way_s: float
@@ -37,10 +37,10 @@ class Onward(Struct, frozen=True):
     demanded: bool
 
     def least_wait_s(self, stay_s: float, go_s: float) -> float:
-        """How much longer than its way the mission takes, at least, for a call that takes so long.
+        """How much longer than its way the mission takes, at least, for this call.
 
-        It takes `stay_s` where the drone stays, and at least `go_s` where it goes. Who goes and has to come back does
-        so once the answer is there, from within the leg, or else for a whole leg and again over it.
+        The call takes `stay_s` if the drone stays, and at least `go_s` if it goes. A drone that must come back does
+        so when the answer is there, from within the leg, or else for a whole leg and again over it.
         """
         hidden_s = max(0.0, go_s - self.way_s)
         if not self.demanded:
@@ -49,10 +49,10 @@ class Onward(Struct, frozen=True):
 
 
 class FleetBound(Struct, frozen=True):
-    """The least mean time of several drones' missions, whatever decides; in seconds.
+    """The least mean time of several drones' missions, in seconds.
 
-    `free_s` and `with_joins_s` are the means of the drones' own bounds, as if each had all servers for itself.
-    `shared_s` has every server joined for nothing and at once, and computing no more at a time than it can.
+    `free_s` and `with_joins_s` are means of the drones' own bounds, as if each had all servers alone. `shared_s` has
+    every server joined for free, and computing no more at a time than it can.
     """
 
     free_s: float
@@ -80,12 +80,12 @@ def bound(calls: Sequence[ComingCall], joins_s: Mapping[str, float]) -> Bound:
 
 
 def shared_s(missions: Sequence[SharedMission], saved_per_s: float) -> float:
-    """The least mean time of at least one mission where all servers together save so much in each second.
+    """The least mean time of at least one mission, if all servers together save `saved_per_s` each second.
 
-    By the end of any k missions, those k have saved no more than `saved_per_s` in each second since the first began.
-    So the k-th end is no sooner than that allows with the least work that any k missions have, nor sooner than the
-    k-th of the missions' own bounds. Ends that are as soon as these two allow, one after the other, have the least
-    sum: one that is later makes the later ones sooner by no more than that, all together.
+    By the end of any k missions, these have saved at most `saved_per_s` each second since the first began. So the
+    k-th end is no sooner than that bound allows for the least work of any k missions, and no sooner than the k-th of
+    the missions' own bounds. The earliest ends under both bounds, taken in order, have the least sum: delaying an
+    end by some time advances later ends by no more than that in all.
     """
     began_s = min(mission.begun_s for mission in missions)
     alone_s = sorted(mission.begun_s + mission.local_s for mission in missions)

@@ -36,10 +36,10 @@ def make_forecast(
     banned_s: Mapping[str, float],
     idle_s: float,
 ) -> Forecast:
-    """The forecast on the expected calls; servers that gain nothing, or are blacklisted by then, are left out.
+    """The forecast on the expected calls, without servers that gain nothing or are blacklisted by then.
 
-    `banned_s` says of blacklisted servers for how much longer they are.
-    The first of the selected servers is in use; the check of another goes on, or is over, whatever the drone uses.
+    `banned_s` has the rest of each blacklisting. The first of the selected servers is in use; the check of the other
+    goes on whatever the drone uses.
     """
     local_s = estimates.mean_call_s()
     seen: dict[str, float] = {}

@@ -1,8 +1,8 @@
-"""What a drone can expect of its mission: where it flies next, when it is there, and which calls it makes.
+"""What a drone can expect of its mission: its next places, when it reaches them, and its calls.
 
-Every coming stop is expected to be like the last one that is over: the same operations, after the same pauses. How
-fast the vehicle speeds up and brakes is learnt from the legs that it has flown. A mission that leaves its plan is
-expected to go on calling around the place that it flies to, as nothing else is known.
+Every coming stop is expected to be like the last complete stop: the same operations after the same pauses. The
+vehicle's agility is learnt from its legs. A mission that leaves its plan is expected to go on calling around its
+present target, as nothing else is known.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class _LegUnderWay:
 
 
 class NextLeg(Struct, frozen=True):
-    """The way from the waypoint where the drone is to the next one."""
+    """The way from the drone's waypoint to the next."""
 
     start: Position
     end: Position
@@ -123,7 +123,7 @@ class MissionModel:
         ] = {}  # by waypoint and ground speed, as the vehicle speeds up now
 
     def begun(self, vehicle: Pace | None) -> None:
-        """The mission begins, with a vehicle of that pace, if it is known."""
+        """The mission begins with a vehicle of that pace; None if unknown."""
         pace = self._beliefs.pace_of(vehicle)
         self._accelerations_m_s2.clear()
         self._accelerations_m_s2.append(pace.acceleration_m_s2)
@@ -139,7 +139,7 @@ class MissionModel:
         now_s: float,
         back: bool = False,
     ) -> None:
-        """The mission leaves the place where it was for another, or `back` to one whose calls are over."""
+        """The mission leaves for another place; `back` if it returns to a place whose calls are over."""
         if self._place is not None and self._way is None and not self._is_back:
             self._routine = tuple(self._here)
             self._leaving_s = max(0.0, now_s - self._free_s)
@@ -195,7 +195,7 @@ class MissionModel:
         return NextLeg(self._place, waypoint.position, leg)
 
     def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
-        """The next calls, at most so many; none where nothing is known."""
+        """At most `count` of the next calls; none if nothing is known."""
         calls: list[ExpectedCall] = []
         if self._place is not None and self._routine:
             for call in self._calls(self._place, position, now_s):

@@ -1,9 +1,8 @@
-"""In which order to fly a mission's waypoints: as they are given, or in the sweep with the shortest forecast.
+"""In what order to fly a mission's waypoints: as given, or in the sweep with the shortest forecast.
 
 A sweep flies a field of waypoints back and forth, from one of four corners, by rows or by columns. Rows and columns
-are found from the places themselves, however the field lies: a row runs east and west, or nearly so.
-
-The forecast is of the whole mission: every leg, every call where the quickest schedule has it, and the way home.
+are found from the places themselves, however the field lies: a row runs east and west, or nearly so. The forecast is
+of the whole mission: every leg, every call where the quickest schedule has it, and the way home.
 """
 
 from __future__ import annotations
@@ -114,10 +113,9 @@ LEAST_SAVED = 0.02  # of the given order's time: what is less is within what a f
 
 
 class Order(Struct, frozen=True):
-    """The waypoints in the order in which they are flown, each with its index of the plan.
+    """The waypoints in the order of the flight, each with its index in the plan.
 
-    `why` says so in words, "" where nothing but the given order was asked for; `sweep` is the number of the sweep
-    that it is, None for the given order.
+    `why` explains the order, "" for the given order by default; `sweep` is the number of its sweep, None for none.
     """
 
     waypoints: tuple[Waypoint, ...]

@@ -1,19 +1,17 @@
-"""Which server for which of the calls to come, with one radio, so that they are over soonest.
+"""Which server to use for each coming call, with one radio, so that the calls are over soonest.
 
 What holds in this small world:
-- between two calls the drone may leave its server and check another one, from when it is in that one's range;
-- a check that is not over when a call is made is waited for, or the call runs on the drone and the check goes on;
+- between two calls the drone may leave its server and check another, as soon as it is in range of that;
+- a check that is not over at a call is waited for, or the call runs on the drone and the check goes on;
 - a server that was checked once runs its services from then on;
 - a server that is ready has its peers start their services from then on.
 
-The search goes call by call. It keeps a label for each way to get so far, unless a cheaper one is no worse in what is
-left of the check and in the services that it has started. Of the latter it follows only two sets, as there would be
-too many: the schedule is the best one where a check takes as long whether the services run or not, and nearly so
-elsewhere.
+The search goes call by call. It keeps a label for each way through the calls so far, unless a cheaper label has no
+more of its check left and has started the same services. It follows only two sets of started services. So the
+schedule is the best if checks take as long with services running as without, and nearly the best otherwise.
 
-It first follows only ways that can lead to a schedule that loses little against each call being made where it is
-fastest, without a wait. Mostly there is one, and it is what all ways lead to: one that is left out costs more than
-each that is followed, so that it beats none of them, and whatever it leads to costs more than what is found.
+It first follows only ways that lose little against each call at its fastest place without a wait. If such a way
+exists, the search ends there: every way left out costs more, beats none of the followed ways, and ends costlier.
 """
 
 from __future__ import annotations
@@ -30,10 +28,10 @@ from msgspec import Struct
 
 
 class Offer(Struct, frozen=True, gc=False):
-    """A server in whose range a call will be made, and the delay of the call there.
+    """A server that is in range at a call, and the delay of the call there.
 
-    `head_start_s` is how long before the call its check can begin: the time in range since the call before, which is
-    the whole `gap_s` of the call where its range was not left.
+    `head_start_s` is how long before the call its check can begin: the time in range since the call before, at most
+    the whole `gap_s`.
     """
 
     server: str
@@ -42,7 +40,7 @@ class Offer(Struct, frozen=True, gc=False):
 
 
 class ComingCall(Struct, frozen=True):
-    """A call that will be made `gap_s` after the end of the one before; the first, so long after now."""
+    """A call `gap_s` after the end of the call before; the first, after now."""
 
     local_s: float
     gap_s: float
@@ -112,11 +110,11 @@ def quickest(
     peers: Mapping[str, frozenset[str]] = MappingProxyType({}),
     most_labels: int | None = None,
 ) -> Schedule:
-    """The schedule of least total delay from now on, with `server` selected and its check over in `ready_in_s`.
+    """The schedule of least total delay, with `server` selected and its check over in `ready_in_s`.
 
-    A call waits only where that makes it shorter than a local one by more than the fraction `gain_wait`. A drone
-    that `stays` does not leave its server before the first call. `peers` are those that each server has prepared.
-    With `most_labels` no more ways than that are followed from any call to the next: the cheapest.
+    A call waits only if that saves more than the fraction `gain_wait` of a local call. A drone that `stays` keeps
+    its server until after the first call. Each server prepares its `peers`. With `most_labels` only that many ways,
+    the cheapest, are followed from call to call.
     """
     useful = _useful(calls, checks, server, peers)
     stages, least_s = _stages(calls, useful)

@@ -1,13 +1,12 @@
-"""Whether a drone waits at a waypoint for an answer, or flies on and comes back where the answer demands it.
+"""Whether a drone waits at a waypoint for an answer, or flies on and comes back if the answer demands it.
 
-Where the answer demands nothing, going saves the part of the delay that the leg and the next photo hide. Where it
-demands something, the drone has to brake and fly back, which staying would have spared. Going pays where, on average,
-it saves more than it costs:
+An answer without demands saves a drone that goes the part of the delay that the leg and the next photo hide. A demand
+costs it braking and the way back. Going pays if on average it saves more than it costs:
 
-    (1 - p) * saved_s > p * lost_s, with p the chance that an answer demands something
+    (1 - p) * saved_s > p * lost_s, p: the chance that an answer has a demand
 
 Laws:
-- the last waypoint of the plan stays, and so does every waypoint after which nothing is known to come;
+- the drone stays at the last waypoint, and at every waypoint without a known successor;
 - the chance is learnt from the last answers alone: (demands + 1) / (answers + 4), a quarter before the first;
 - a call that would lose its server on the way is expected to end on the drone.
 """
@@ -27,9 +26,9 @@ _DEMANDS, _ANSWERS = 1, 4  # that are taken to have been, before there are any
 
 
 class Outlook(Struct, frozen=True):
-    """The way to the next waypoint, with the photo there, and how long the open call takes from now on.
+    """The way to the next waypoint, with the photo there, and how long the open call still takes.
 
-    It takes `stay_s` where the drone stays, and `go_s` where it goes, which may cost it the server.
+    It takes `stay_s` if the drone stays, and `go_s` if it goes, which may cost it the server.
     """
 
     leg: Leg
@@ -44,7 +43,7 @@ class Outlook(Struct, frozen=True):
 
     @property
     def lost_s(self) -> float:
-        """What going costs where the answer demands something; the next photo is taken once, now or then."""
+        """What going costs if the answer has a demand; the next photo is taken once, now or then."""
         if self.go_s <= self.leg.duration_s:
             return self.go_s + self.leg.back_s(self.go_s) - self.stay_s
         photographed_s = self.leg.duration_s + self.photo_s
@@ -70,7 +69,7 @@ class StayRule:
 
     @property
     def chance(self) -> float:
-        """How likely an answer demands something, by the last ones."""
+        """The chance of a demand, by the last answers."""
         return (sum(self._demands) + _DEMANDS) / (len(self._demands) + _ANSWERS)
 
     def answered(self, *, demanded: bool) -> None:
