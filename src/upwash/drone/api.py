@@ -92,7 +92,7 @@ class Vehicle:
 
     @property
     def coming_down(self) -> ComingDown | None:
-        """How the mission is bringing the vehicle to the ground, if it is."""
+        """How the mission is bringing the vehicle to the ground; None otherwise."""
         return self._coming_down
 
     @property
@@ -139,7 +139,7 @@ class Vehicle:
             self._thread.call(self._logged(self._arm, schema.Armed))
 
     def takeoff(self, altitude_m: float) -> None:
-        """Climbs to the altitude above home; one that was found flying climbs where it is, if it is lower."""
+        """Climbs to the altitude above home; a vehicle found flying only climbs where it is, never sinks."""
         if self._found_flying:
             self._thread.call(self._climb(altitude_m))
             return
@@ -154,9 +154,9 @@ class Vehicle:
     def goto(self, place: Waypoint | Position, *, unless: Demand[Any] | None = None) -> bool:
         """Flies to a waypoint or position; returns True on arrival, at rest, and after the waypoint's hold time.
 
-        Where an answer that is pending demands something before that, `unless=pending.demands(...)`, it brakes and
-        returns False, at rest on the way, or there if that is nearer. AutopilotRefused for a place that the plan's
-        geofence keeps the vehicle from; it does not move then.
+        With `unless=pending.demands(...)`, an answer with that demand stops the flight: the vehicle brakes and
+        `goto` returns False, at rest on the way, or at the target if that is nearer. AutopilotRefused for a place
+        that the plan's geofence keeps the vehicle from; it does not move then.
         """
         if self._open is None or unless is not None:
             return self._fly(place, unless=unless)
@@ -188,7 +188,7 @@ class Vehicle:
         self._thread.call(self._send_text(SEVERITIES.index(severity), text))
 
     def hover(self, duration_s: float) -> None:
-        """Stays where it is for so long."""
+        """Stays where it is for that time."""
         self._thread.call(asyncio.sleep(duration_s))
 
     def hold(self) -> None:
@@ -211,11 +211,11 @@ class Vehicle:
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
     def _leave_open(self, answer: AnswerAction[Any]) -> None:
-        """The mission goes on, and the answer is settled on the way: for `Drone.stay_or_go`, not for a mission."""
+        """Leave the answer open, to be settled on the way."""
         self._open = answer
 
     def _settle(self) -> None:
-        """Waits for the answer that is open, if one is, and has done what it demands."""
+        """Wait for the open answer, if there is one, and do what it demands."""
         if self._open is not None:
             with self._settling(self._open) as answer:
                 answer.settle()
@@ -223,7 +223,7 @@ class Vehicle:
     def _fly(
         self, place: Waypoint | Position, *, unless: Demand[Any] | None = None, back: bool = False
     ) -> bool:
-        """As `goto`, whatever answer is open: for what flies on behalf of an answer, not for a mission."""
+        """As `goto`, without settling the open answer."""
         self._place = place
         if isinstance(place, Waypoint):
             verb = self._goto(
@@ -342,7 +342,7 @@ class Vehicle:
             await self._autopilot.hold()
 
     async def _end_leg(self) -> None:
-        """Commands nothing more of a leg that is under way without a verb of the mission."""
+        """Cancel a leg that is under way without a verb of the mission."""
         leg, self._leg = self._leg, None
         if leg is not None:
             leg.cancel()
@@ -427,15 +427,15 @@ class User:
         self._thread = thread
 
     def notify(self, message: object, at: Waypoint | Position) -> None:
-        """Tells the user about something found at a waypoint or position."""
+        """Tells the user about a finding at a waypoint or position."""
         self._thread.call(self._notifier.notify(message, position_of(at)))
 
 
 class Drone:
-    """What a mission program flies with; its verbs and calls are for the mission's own thread.
+    """The drone of a mission program; its verbs and calls are for the mission's own thread.
 
-    `plan` holds the waypoints that are to be visited, in flight order. `altitude_m`, above home, and `action_s`, how
-    long an action at a waypoint takes, are as the configuration says.
+    `plan` holds the waypoints to visit, in flight order. `altitude_m`, above home, and `action_s`, the duration of
+    an action at a waypoint, are as configured.
     """
 
     plan: tuple[Waypoint, ...]
@@ -483,7 +483,7 @@ class Drone:
     def service(self, cls: type[T]) -> T:
         """The service, typed as its class; where each of its calls runs is not the mission's concern.
 
-        UsageError for one that the configuration does not name.
+        UsageError for a service that the configuration does not name.
         """
         name = spec_of(cls).name
         if name not in self._services:
@@ -496,8 +496,7 @@ class Drone:
     def start(self, call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Starts a call of a service's method, `drone.start(detector.process_photo, photo)`, and does not wait.
 
-        One call is pending at a time: UsageError while another one is. An answer that `stay_or_go` left open is
-        settled before.
+        UsageError while another call is pending. An answer that `stay_or_go` left open is settled before.
         """
         self.autopilot._settle()
         return self._calls.start(call, *args, **kwargs)
@@ -510,12 +509,12 @@ class Drone:
         demands: Callable[[T], object] = bool,
         failed: Callable[[Exception], object] | None = None,
     ) -> None:
-        """Has `act(answer)` called at this waypoint if the answer demands it: `demands(answer)` is true.
+        """Has `act(answer)` called at this waypoint if `demands(answer)` is true.
 
         As `stay_or_go` of the configuration says, the drone waits here for the answer, or the mission goes on at
-        once. It may then go on to the next waypoint; an answer that demands something has the drone come back, act,
-        and fly to where it was going. The next call, and the way down, wait for the answer. `demands` is called once,
-        wherever the drone is. An exception of the call goes to `failed`, at this waypoint; without that the verb that
+        once, at most to the next waypoint. If an answer then has a demand, the drone comes back, acts, and flies to
+        where it was going. The next call, and the way down, wait for the answer. `demands` is called once, wherever
+        the drone is. An exception of the call goes to `failed`, at this waypoint; without `failed` the verb that
         waits raises it there.
         """
         self._errands.run(DemandedAction(pending, act, demands, failed, self.autopilot.place))

@@ -39,7 +39,7 @@ _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 
 class Invocation(Struct, frozen=True):
-    """What the mission asked for, or, where it is `lightened`, less than that."""
+    """The mission's call; if it is `lightened`, as a lighter operation."""
 
     operation: Operation
     method: Method
@@ -47,7 +47,7 @@ class Invocation(Struct, frozen=True):
     lightened: Lightened | None = None
 
     def lighter(self, lightened: Lightened | None) -> Invocation:
-        """The same call as the lighter operation, if there is one."""
+        """The same call as the lighter operation, if any."""
         if lightened is None:
             return self
         request = self.method.under(lightened.operation.key, self.request)
@@ -55,7 +55,7 @@ class Invocation(Struct, frozen=True):
 
 
 class ReportedFault(Struct, frozen=True):
-    """What a server says that the service raised in a call, and after how long."""
+    """The exception of the service that a server reports, and after how long."""
 
     raised: str
     delay_s: float
@@ -84,7 +84,7 @@ class Attempt:
 
 
 class Calling:
-    """Makes calls, and tells what came of those to servers."""
+    """Makes calls, and reports their results to the core."""
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class Calling:
         )
 
     def test(self, attempt: Attempt, onboard: Any) -> None:
-        """Holds what the server said, if it did, against what the drone's own service replied to the same call."""
+        """Compare the exception that the server reported, if any, with the drone's own result of the same call."""
         if (said := attempt.said) is None or attempt.verdict:
             return
         server, operation = attempt.server, attempt.call.operation
@@ -210,7 +210,7 @@ def has_failed(call: asyncio.Task[Any]) -> bool:
 
 
 class CallAnswer(Struct, frozen=True):
-    """What one call came to; the fields are those of the event `schema.Call`."""
+    """The answer of one call; the fields are those of the event `schema.Call`."""
 
     reply: Any
     call: Invocation

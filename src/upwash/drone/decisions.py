@@ -1,7 +1,7 @@
 """What the drone decides about servers and calls: asked of the core, logged, and given to the radios.
 
-`Background` has the core look again whatever the mission does: once a period, and at each border of a range. Of the
-looks once a period those are left out at which nothing can have changed: the core knows when something can.
+`Background` has the core look again once a period, and at each border of a range, whatever the mission does. It
+skips looks at which, as the core says, nothing can have changed.
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ class Decisions:
         return self._autopilot.position
 
     def next_look_s(self) -> float:
-        """Before this time a `Tick` changes nothing where nothing else happens, as by crossing a border."""
+        """As `Selection.next_look_s`."""
         return self._selection.next_look_s(now_s=now_s())
 
     def outlook(self) -> Outlook | None:
-        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        """As `Selection.outlook`."""
         return self._selection.outlook(now_s=now_s(), position=self._autopilot.position)
 
     def check_of(self, server: str) -> int:
@@ -86,7 +86,7 @@ class Decisions:
         return self._selection.servers[server].check
 
     def tell(self, event: Event) -> None:
-        """Takes in what happened, and does what it calls for."""
+        """Pass the event to the core, and carry out its effects."""
         effects = self._selection.handle(event, now_s=now_s(), position=self._autopilot.position)
         self._perform(effects)
         self._told.set()
@@ -102,11 +102,11 @@ class Decisions:
         return decision
 
     def fall_back(self, operation: Operation) -> Lightened | None:
-        """The lighter operation as which the drone runs a call that a server has not answered, if it does."""
+        """As `Selection.fall_back`."""
         return self._selection.fall_back(operation, now_s=now_s(), position=self._autopilot.position)
 
     async def wait(self, operation: Operation, wait: Wait) -> Decision:
-        """Waits for the server, as was decided; returns where the call runs then."""
+        """Wait for the server as decided; return where the call runs then."""
         check = self.check_of(wait.server)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(wait.at_most_s):
@@ -120,10 +120,7 @@ class Decisions:
         return decision
 
     def overtake(self, operation: Operation, *, began_s: float) -> tuple[Remote | None, float]:
-        """Which server shall compute a call too that the drone has been at since then.
-
-        Returns None where no server would be sooner, and when to ask again if nothing happens until then.
-        """
+        """As `Selection.overtake`, with the decision logged."""
         position = self._autopilot.position
         decision, again_s = self._selection.overtake(
             operation, began_s=began_s, now_s=now_s(), position=position
@@ -133,7 +130,7 @@ class Decisions:
         return decision, again_s
 
     async def until_told(self, unless: asyncio.Task[object], *, until_s: float) -> None:
-        """Returns when something has happened, that time has come, or the task is done."""
+        """Return after the next event, at that time, or when the task is done."""
         left_s = until_s - now_s() if until_s < math.inf else None
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(left_s):
@@ -231,7 +228,7 @@ class Background:
         self._alarm: asyncio.TimerHandle | None = None  # at the first look from then on
 
     async def look(self) -> NoReturn:
-        """Looks once a period where it is worth it, and at once for another server where a decision has left one."""
+        """Look once a period if it is worth it, and at once for another server after a decision has left one."""
         again, loop = self._decisions.server_left, asyncio.get_running_loop()
         self._decisions.looked_after = self._set_alarm
         try:
@@ -247,7 +244,7 @@ class Background:
             self._stop_alarm()
 
     async def watch_borders(self) -> NoReturn:
-        """Looks at once where a border is crossed; while the vehicle is silent, once a period has to do."""
+        """Look at once when a border is crossed; while the vehicle is silent, once a period."""
         while True:
             try:
                 await self._autopilot.border_crossed(self._areas)

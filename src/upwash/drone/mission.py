@@ -31,16 +31,16 @@ _GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
 
 
 class ThreadTurn(Protocol):
-    """The turn of a mission's thread on a loop of virtual time; `sim/turns.py` has it."""
+    """The turn of a mission's thread on a loop of virtual time."""
 
     def give(self) -> None:
-        """In a callback of the loop: when that has run, the mission's code goes on, before anything else does."""
+        """In a callback of the loop: when that has run, the mission's code goes on before all else."""
 
     def begin(self) -> None:
         """In the mission's thread, first of all: returns when its code shall run."""
 
     def wait(self) -> None:
-        """In the mission's thread, whose code waits for something: returns when it may go on."""
+        """In the mission's thread: wait until its code may go on."""
 
     def end(self) -> None:
         """In the mission's thread, last of all."""
@@ -51,7 +51,7 @@ class TurnTaking(Protocol):
     """An event loop whose clock stands still while a mission's code runs."""
 
     def mission_turn(self) -> ThreadTurn:
-        """The turn of a mission's thread, which is to begin."""
+        """The turn of a mission's thread that is about to begin."""
 
 
 class MissionThread:
@@ -87,7 +87,7 @@ class MissionThread:
         return cast(T, ended.result())
 
     def post(self, do: Callable[[], object]) -> None:
-        """Has the loop do something before the mission's next verb, and does not wait for it."""
+        """Have the loop call `do` before the mission's next verb, without waiting for it."""
         self.require_turn()
         self._loop.call_soon_threadsafe(do)
 

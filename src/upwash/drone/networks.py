@@ -1,6 +1,6 @@
-"""Networks of servers that nobody has to join, and such as are there by the drone's position alone.
+"""Networks without a join, and networks in range by the drone's position alone.
 
-They need nothing but a clock, so that they are the same in simulation and on a desk, where no radio is.
+They need nothing but a clock, so that they are the same in simulation and on a desk without a radio.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class NetworkCell:
 class PositionNetwork:
     """Joins a network after its `join_s`, if the drone is in one of its cells by then.
 
-    One that is left keeps the radio busy for its `leave_s`, which nobody waits for but the next join.
+    Leaving keeps the radio busy for `leave_s`; only the next join waits for that.
     """
 
     def __init__(self, cells: Mapping[str, Sequence[NetworkCell]], position: Callable[[], Position]) -> None:
@@ -78,7 +78,7 @@ class PositionNetwork:
 
 
 class NoNetwork:
-    """For servers that are reached over whatever network the computer has."""
+    """For servers reached over the networks that the computer has anyway."""
 
     async def join(self, network: str, *, timeout_s: float) -> None:
         """Nothing to join."""

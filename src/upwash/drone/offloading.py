@@ -80,14 +80,14 @@ class Offloading:
         raise AssertionError("these tasks never end by themselves")
 
     async def end(self) -> None:
-        """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
+        """Leave the selected server; call it while `run` runs, after the last call."""
         await self._racing.stop_losers()
         self.tell(NoMoreCalls())
         await self._radios.done()
 
     @property
     def link(self) -> tuple[str | None, float | None]:
-        """The server in use, if one is, and what the last question to its daemon took, once one was answered."""
+        """The server in use, and the duration of the last question to its daemon; None for unknown."""
         server = self._decisions.server_in_use
         if server is None:
             return None, None
@@ -98,7 +98,7 @@ class Offloading:
         self._decisions.tell(event)
 
     def outlook(self) -> Outlook | None:
-        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        """As `Selection.outlook`."""
         return self._decisions.outlook()
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
@@ -172,7 +172,7 @@ def _lost(answer: CallAnswer) -> str:
 
 
 class FailSafeOffloading:
-    """Offloading whose own defects end it and are logged, and reach neither the mission nor a call."""
+    """Offloading whose own defects end it and are logged, and harm neither the mission nor a call."""
 
     def __init__(self, offloading: Offloading, journal: Journal) -> None:
         self._offloading = offloading
@@ -182,7 +182,7 @@ class FailSafeOffloading:
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Looks for servers and visits them until the end of the block, by when whatever was selected is left."""
+        """Offload until the end of the block; then leave the selected server."""
         background = self._background = start(self._offloading.run(), name="offloading", failed=self._fail)
         try:
             yield
@@ -207,11 +207,11 @@ class FailSafeOffloading:
 
     @property
     def link(self) -> tuple[str | None, float | None]:
-        """The server in use, if one is, and what the last question to its daemon took, once one was answered."""
+        """As `Offloading.link`."""
         return (None, None) if self._failed else self._offloading.link
 
     def outlook(self) -> Outlook | None:
-        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        """As `Selection.outlook`."""
         if not self._failed:
             try:
                 return self._offloading.outlook()

@@ -17,7 +17,7 @@ _PAUSE_S = 1.0  # between two starts, so that a service that cannot start does n
 
 
 async def started(runtime: Runtime, spec: InstanceSpec, *, within_s: float) -> Instance:
-    """Starts an instance on this computer; raises InstanceError, NotReadyInTime for one that takes longer."""
+    """Start an instance on this computer; raises InstanceError, NotReadyInTime after `within_s`."""
     try:
         async with asyncio.timeout(within_s):
             return await runtime.start(spec, called=lambda _: None)

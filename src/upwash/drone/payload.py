@@ -1,4 +1,4 @@
-"""What the drone carries, as a mission uses it: the camera, and whatever MAVLink commands act on."""
+"""What the drone carries, as a mission uses it: the camera, and payloads that obey MAVLink commands."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""A mission's calls: one at a time, waited for at once or later, and what their answers demand.
+"""A mission's calls: one at a time, waited for at once or later, and the demands of their answers.
 
     stay    wait, then act at the waypoint
-    go      fly the next leg; where an answer on the way demands something: brake, fly back, act, and set off again
-            at the next waypoint: do all that comes before the next call, then wait, and fly one leg back where the
-            answer demands it
+    go      fly the next leg; after a demand on the way brake, fly back, act, and set off again. At the next waypoint
+            do all that comes before the next call, then wait, and fly one leg back if the answer has a demand
 
-`OpenAnswer` and `Errands` run in the mission's thread.
+`AnswerAction` and `AnswerActions` run in the mission's thread.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ class Pending(Generic[T]):
         self._is_taken = False
 
     def done(self) -> bool:
-        """Whether the answer is there, or will never be; may be asked in any thread."""
+        """Whether the answer is there, or will never be; for any thread."""
         return self._call.is_over
 
     def result(self) -> T:
@@ -125,7 +124,7 @@ class Pending(Generic[T]):
 
 
 class Demand(Generic[T]):
-    """A question to an answer that is still to come. A call that fails demands something: nobody knows its answer."""
+    """A question to a coming answer. A failed call counts as a demand, as its answer is unknown."""
 
     def __init__(self, pending: Pending[T], question: Callable[[T], object]) -> None:
         self.pending = pending
@@ -141,7 +140,7 @@ class Demand(Generic[T]):
         self.pending._note_demand()
 
     def holds(self) -> bool:
-        """Whether the answer, which is there, makes the question true; the question is asked once."""
+        """Whether the answer, which is there, makes the question true; the question runs once."""
         if self._holds is None:
             try:
                 answer = self.pending._answer()
@@ -156,7 +155,7 @@ _NONE = StartedCall()  # no call at all
 
 
 class Calls:
-    """Makes the mission's calls, for its thread; `waypoint` says where the drone is then, if it is at one."""
+    """Makes the mission's calls, for its thread; `waypoint` is the drone's waypoint, None beside the plan."""
 
     def __init__(
         self, thread: MissionThread, invoke: Invoke, journal: Journal, *, waypoint: Callable[[], int | None]
@@ -196,7 +195,7 @@ class Calls:
         return self._thread.call(call.over())
 
     def drop(self, call: StartedCall) -> None:
-        """Nobody wants the answer any more."""
+        """Drop the answer of the call."""
         if self._under_way is call:
             self._under_way, self._dropped = _NONE, call
 
@@ -239,14 +238,14 @@ Place = Waypoint | Position
 
 
 def index_of(place: Place | None) -> int | None:
-    """Which waypoint a place is, if it is one."""
+    """The index of a waypoint; None for a position."""
     return place.index if isinstance(place, Waypoint) else None
 
 
 class VehicleVerbs(Struct, frozen=True):
     """What settling an answer does with the vehicle.
 
-    `fly` returns False, at rest on the way, if the answer demands something before the arrival. `leave_open` has the
+    `fly` returns False, at rest on the way, if the answer has a demand before the arrival. `leave_open` has the
     verbs that follow settle the answer.
     """
 
@@ -265,9 +264,9 @@ class FlyVerb(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DemandedAction(Generic[T]):
-    """What is to be done about an answer: `act`, at the place, where it makes `demands` true.
+    """What to do about an answer: `act`, at the place, if `demands` is true of it.
 
-    An exception of the call goes to `failed` there, or to the mission where there is none.
+    An exception of the call goes to `failed` there, or to the mission without `failed`.
     """
 
     pending: Pending[T]
@@ -278,7 +277,7 @@ class DemandedAction(Generic[T]):
 
     @property
     def waypoint(self) -> int | None:
-        """The waypoint that it is about, if it is one."""
+        """Its waypoint; None for a position."""
         return index_of(self.place)
 
 
@@ -308,7 +307,7 @@ class AnswerAction(Generic[T]):
             self._finish(waited_s)
 
     def fly_on(self, place: Place) -> None:
-        """Flies one leg with the answer open; before another one the drone waits for it."""
+        """Fly one leg with the answer open; wait for it before another leg."""
         if self.is_away:
             self.settle()
             self._vehicle.fly(place)

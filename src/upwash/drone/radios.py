@@ -1,7 +1,7 @@
-"""The drone's radios: each has a worker that visits one server at a time and reports the results to the core.
+"""The drone's radios: each has a worker that visits one server at a time and reports to the core.
 
-The core decides for which servers there is a radio (core/selection/radios.py); `Radios` sends each command to the
-worker that is at its server. A worker carries commands out one after the other.
+The core decides which servers get a radio (core/selection/radios.py); `RadioWorkers` sends each command to the
+worker at its server. A worker carries commands out one after the other.
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ _HOME = Position(0.0, 0.0)
 class ReserveWatch:
     """Looks at the vehicle every second, on the ground and in the air.
 
-    `flying` says whether the mission has the vehicle in the air. `leg_speed_m_s` is the commanded speed of the
-    current leg. `down_s` is the rest of the current return or landing.
+    `flying` is whether the mission has the vehicle in the air, `leg_speed_m_s` the commanded speed of its leg, and
+    `down_s` the rest of a return or landing.
     """
 
     def __init__(

@@ -17,11 +17,11 @@ _SAME_PLACE_M = 0.01
 
 
 def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[int]:
-    """The waypoints that need no second visit; UsageError where the log is of another or a completed mission.
+    """The waypoints that need no second visit; UsageError for the log of another or a completed mission.
 
-    A waypoint is done once the drone has set off from it to another, or with as many results as one that it has set
-    off from; where it has set off from none, with as many as services are configured. None is done that the mission
-    still wants an answer of, or where it has not done what an answer demands.
+    A waypoint is done when the drone has left it for another, or when it has as many results as a waypoint that the
+    drone left. If the drone left none, it needs as many results as there are services. A waypoint is not done while
+    its answer, or what that demands, is still due.
     """
     plan = {each.index: each for each in waypoints(config.mission)}
     results: dict[int, int] = {}  # of the last visit to each waypoint
@@ -58,9 +58,9 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
 
 
 def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:
-    """The order in which the waypoints were flown, whatever would be decided now; None where the log says none.
+    """The order in which the waypoints were flown, as logged; None if the log has none.
 
-    UsageError where it is that of another plan.
+    UsageError for the order of another plan.
     """
     planned: schema.Planned | None = None
     for event in events:

@@ -64,10 +64,7 @@ class ServerEndpoint(Struct, frozen=True):
 
 
 class Availability(Struct, frozen=True):
-    """What a server that is available says: whether all wanted services run, and whom it can have prepared.
-
-    So many drones wait for a slot.
-    """
+    """The answer of an available server: whether all wanted services run, its peers, and the queue for a slot."""
 
     running: bool
     peers: tuple[str, ...]
@@ -114,7 +111,7 @@ class ServerSession:
         return True
 
     async def lost(self) -> str:
-        """Returns why, once the network that was joined is lost; whatever is under way there has failed by then."""
+        """Wait until the joined network is lost, and return why; work there has failed by then."""
         self._lost = await self._network.lost()
         await self._hang_up()
         return self._lost
@@ -192,9 +189,10 @@ class ServerSession:
     async def keep_lease(
         self, renewed: Callable[[int], None] = lambda _: None, moved: Callable[[str], None] = lambda _: None
     ) -> NoReturn:
-        """Renews the lease, as the drone may be busy flying for longer than it lasts; NoSlot once its turn is over.
+        """Renew the lease, as a flight may last longer; raises ServerFull when the turn is over.
 
-        `renewed` is told each time how many others wait for a slot, and `moved` of a service that is elsewhere now.
+        Calls `renewed` with the number of waiting drones at each renewal, and `moved` with each service that has
+        moved.
         """
         while True:
             await asyncio.sleep(self._lease_s / 3)
@@ -208,11 +206,10 @@ class ServerSession:
             renewed(answer.waiting)
 
     async def _follow(self, endpoints: Mapping[str, str], moved: Callable[[str], None]) -> None:
-        """Calls go to where the services are now; the links to where they were stay for the calls under way there.
+        """Send calls to where services run now; links to their former places stay for calls under way there.
 
-        A service moves 16 times at most until the server is asked anew, so that no server leads the drone from port
-        to port.
-        Raises GarbledReply for endpoints that are not the server's own.
+        A service moves at most 16 times between two questions to the server, so that no server leads the drone from
+        port to port.
         """
         if self._quiet.is_set():
             for link in self._former:

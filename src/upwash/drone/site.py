@@ -1,4 +1,4 @@
-"""Where a mission is to be flown, held against where the vehicle stands and what its own fence allows."""
+"""Where a mission flies, held against where the vehicle stands and what its own fence allows."""
 
 from __future__ import annotations
 

@@ -14,10 +14,10 @@ MOST_LABELS = 64  # that a schedule is chosen from: twice what flights among 50 
 
 @dataclass(frozen=True, slots=True)
 class LookAhead:
-    """The server with which the calls to come are over soonest; as location-aware where none are foreseen.
+    """The server that finishes the coming calls soonest; as location-aware if no calls are foreseen.
 
-    The selected server is left only where that saves more than the fraction `gain_leave` of a local call over all
-    those calls, as estimates are never exact.
+    The selected server is left only if that saves more than the fraction `gain_leave` of a local call over all those
+    calls, as estimates are never exact.
     """
 
     gain_leave: float = 0.1

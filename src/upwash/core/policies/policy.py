@@ -1,7 +1,6 @@
 """Which server now? Wait, remote or local? (thesis sections 3.3 and 3.4)
 
-A policy is a value that answers these two questions from what it is shown. It remembers nothing and contacts
-nobody.
+A policy is a value that answers these two questions from what it is shown. It has no memory and no contacts.
 """
 
 from __future__ import annotations
@@ -19,10 +18,7 @@ from upwash.core.planning.forecast import Forecast
 
 
 class Option(Struct, frozen=True):
-    """A server in range that may be used; `mean_call_s` is the mean delay of the drone's calls with it ready.
-
-    One that is `full` had no slot for the drone, as far as is known.
-    """
+    """A server in range that may be used, and the mean delay of calls with it ready; `full` without a free slot."""
 
     server: str
     mean_call_s: float
@@ -31,12 +27,12 @@ class Option(Struct, frozen=True):
 
 
 class Situation(Struct, frozen=True):
-    """What a selection is decided on.
+    """The inputs of a selection.
 
-    `options` are in the order of the server table, without those that are blacklisted, or gain too little for a slot
-    that others wait for; `current` is the selected server, which is among the options unless the drone has left its
-    range, or should leave it to others; `local_mean_call_s` is the mean delay of calls on the drone. `under_way` is
-    what was decided of the call that goes on now, if one does. `forecast` is there for a policy with a horizon.
+    `options` are in the order of the server table, without blacklisted servers and those that gain too little for a
+    slot that others wait for. `current` is the selected server; it is among the options unless the drone has left
+    its range or should leave it to others. `local_mean_call_s` is the mean delay on the drone, `under_way` the
+    decision on the open call. A policy with a horizon gets a `forecast`.
     """
 
     options: Sequence[Option]
@@ -54,7 +50,7 @@ class Coming(Struct, frozen=True):
 
 
 class Choice(Struct, frozen=True):
-    """The server to have selected from now on, if any, and why; and the one after it, where one is foreseen."""
+    """The server to select, if any, and why; and the server after it, if foreseen."""
 
     server: str | None
     why: str
@@ -79,7 +75,7 @@ class CallInputs(Struct, frozen=True):
 
 
 class Lightened(Struct, frozen=True):
-    """A call that runs as another operation than was asked for, as the mission was expected to end too late."""
+    """A call that runs as a lighter operation than `asked`, because the mission would end too late."""
 
     operation: Operation
     asked: Operation
@@ -249,7 +245,7 @@ class Opportunistic(Struct, frozen=True):
     horizon: int = 0
 
     def choose(self, situation: Situation) -> Choice:
-        """The current server while it is in range, else the one whose range was entered first."""
+        """The current server while it is in range, else the server whose range was entered first."""
         options = with_slots(situation.options)
         if any(option.server == situation.current for option in options):
             return Choice(situation.current, "in range")
@@ -263,7 +259,7 @@ class Opportunistic(Struct, frozen=True):
 
 
 class LocationAware(Struct, frozen=True):
-    """The thesis's policy: the fastest server in range, if it is faster than the drone (eqs. 3.2 to 3.4)."""
+    """The thesis's policy: the fastest server in range, unless the drone is faster (eqs. 3.2 to 3.4)."""
 
     gain_switch: float = 0.25
     wait: WaitRule = WaitRule()

@@ -1,11 +1,11 @@
-"""Where each of the calls to come is expected to run, by the policy itself and by what is known now.
+"""Where each coming call is expected to run, by the policy itself and by what is known now.
 
 What holds in this small world:
-- the policy is asked at each call, and a server that it chooses is checked from when its range was entered;
-- calls take what they are estimated to take, and a server that was checked once runs its services from then on;
-- a server that cannot be used now can be once that time is over; nothing fails.
+- the policy decides at each call, and the check of a chosen server begins when its range was entered;
+- calls take their estimates, and a server that was checked once runs its services from then on;
+- a server that cannot be used now can be used after that time; nothing fails.
 
-One pass over the calls, so that hundreds of them can be looked at before each call on a small computer.
+One pass over the calls, so that a small computer can look at hundreds of them before each call.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from upwash.core.policies.policy import CallInputs, Local, Option, Policy, Remot
 
 
 class CallPlace(Struct, frozen=True):
-    """Where a call is made: with that server selected, if any, which is ready in so long."""
+    """The place of a call: with that server selected, if any, which is ready in `ready_in_s`."""
 
     server: str | None = None
     ready_in_s: float = 0.0
 
 
 class CallForecast:
-    """Follows the calls to come, from what the drone uses and knows at one moment.
+    """Follow the coming calls, from what the drone uses and knows at one moment.
 
-    `unusable_s` says of servers for how much longer they cannot be used, and `running` on which the services run.
+    `unusable_s` has for each server the time until it can be used; services run on the servers of `running`.
     """
 
     def __init__(

@@ -110,7 +110,7 @@ class CallPlacement:
     def _on_trial(
         self, server: Server, operation: Operation, local_s: float, now_s: float
     ) -> Decision | None:
-        """Where a call runs if its server is in doubt; None if it is not."""
+        """Where a call runs if its server is in doubt; None otherwise."""
         name, usual_s = server.name, self._estimates.usual_s(server.name, operation)
         if self._recovery is None or not self._recovery.in_doubt(name, operation):
             return None

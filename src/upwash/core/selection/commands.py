@@ -61,7 +61,7 @@ class Prepare(Struct, frozen=True):
 
 
 class Full(Struct, frozen=True):
-    """To be logged: the server has no slot for the drone, for which so many wait now; it goes on asking."""
+    """To be logged: the server has no slot for the drone, and `waiting` drones queue; the drone goes on asking."""
 
     server: str
     check: int
@@ -69,7 +69,7 @@ class Full(Struct, frozen=True):
 
 
 class ServerPaused(Struct, frozen=True):
-    """To be logged: the server leaves a service alone that keeps failing, and is left out for as long."""
+    """To be logged: the server is left out for `pause_s`, because a service keeps failing there."""
 
     server: str
     check: int
@@ -78,9 +78,9 @@ class ServerPaused(Struct, frozen=True):
 
 
 class ExpectedTimes(Struct, frozen=True):
-    """To be logged: when the mission is expected at each waypoint and over, as it is asked for.
+    """To be logged: the expected times at each waypoint and of the mission's end, with calls as asked for.
 
-    Where it is to `finish_by_s`, `lightest_s` is when it is over with every call lighter.
+    `lightest_s` is the end with every call lighter, if the mission has a `finish_by_s`.
     """
 
     reached_s: Sequence[float]

@@ -1,4 +1,4 @@
-"""What the drone-side machine is told: everything that happens to a drone's offloading, as values."""
+"""Everything that happens to a drone's offloading, as values: what the drone's machine takes in."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class MissionBegun(Event, frozen=True):
 
 
 class CheckAnswered(Event, frozen=True):
-    """The daemon answered that the server is available; whether all wanted services run there already.
+    """The daemon answered that the server is available, and whether all wanted services run.
 
-    `peers` are the servers that it can have prepared. So many drones wait for a slot there.
+    `peers` are the servers that it can have prepared; `waiting` drones queue for a slot.
     """
 
     check: int
@@ -41,21 +41,21 @@ class CheckAnswered(Event, frozen=True):
 
 
 class SlotRefused(Event, frozen=True):
-    """The server serves as many drones as it can; so many wait for a slot, and the drone asks again."""
+    """The server is full and `waiting` drones queue; the drone asks again."""
 
     check: int
     waiting: int
 
 
 class LeaseRenewed(Event, frozen=True):
-    """The server keeps its slot for the drone; so many others wait for one."""
+    """The server keeps its slot for the drone; `waiting` others queue."""
 
     check: int
     waiting: int
 
 
 class SlotTaken(Event, frozen=True):
-    """The server, READY by that check, gave the drone's slot to another one; a call was refused for it, or none."""
+    """The server, READY by that check, gave the drone's slot to another drone, perhaps `in_call`."""
 
     check: int
     why: str
@@ -71,7 +71,7 @@ class ServicesStarted(Event, frozen=True):
 class ServerUnusable(Event, frozen=True):
     """The server could not be joined, did not answer in time, is unavailable or could not start a service.
 
-    The first two leave it `unreached`. Where it leaves a service alone for a pause, it is left out for as long.
+    The first two leave it `unreached`. If it leaves a service alone for `pause_s`, it is left out for as long.
     """
 
     check: int
@@ -81,7 +81,7 @@ class ServerUnusable(Event, frozen=True):
 
 
 class ProbePaused(Event, frozen=True):
-    """The server that is probed leaves a service alone for a pause, and is left out for as long."""
+    """The probed server leaves a service alone for a pause, and is left out for as long."""
 
     check: int
     why: str
@@ -89,14 +89,14 @@ class ProbePaused(Event, frozen=True):
 
 
 class ProbeAnswered(Event, frozen=True):
-    """A server that had failed gave a sign of life, it and the wanted services that run there, or not all do."""
+    """A failed server answered, with all wanted services that run there; `running` if all do."""
 
     check: int
     running: bool
 
 
 class ProbeUnanswered(Event, frozen=True):
-    """A server that had failed has given no sign of life until the next question is due."""
+    """A failed server has not answered by the time of the next question."""
 
     check: int
 
@@ -132,10 +132,7 @@ class RemoteCallEnded(Event, frozen=True):
 
 
 class RemoteCallFailed(Event, frozen=True):
-    """A call to a server got no usable answer; `check` is the check that made the server READY.
-
-    `late` where the drone's own service had answered it before.
-    """
+    """A call to a server got no usable answer, by that check; `late` after the drone's own answer."""
 
     server: str
     check: int
@@ -144,16 +141,16 @@ class RemoteCallFailed(Event, frozen=True):
 
 
 class RemoteCallRaised(Event, frozen=True):
-    """A server says that the service raised in a call, which is made on the drone before that is believed."""
+    """A server reports an exception of the service; the drone repeats the call before it believes that."""
 
     server: str
     why: str
 
 
 class RemoteFaultTested(Event, frozen=True):
-    """A call that raised on a server, as that says, was made on the drone; `confirmed` where it raised there too.
+    """The drone repeated a call whose exception a server reported; `confirmed` if it raised there too.
 
-    `check` is the check that made the server READY, and `delay_s` how long it took to say so.
+    `check` made the server READY, and the report took `delay_s`.
     """
 
     server: str
@@ -165,7 +162,7 @@ class RemoteFaultTested(Event, frozen=True):
 
 
 class RemoteCallCut(Event, frozen=True):
-    """A call was cut off by its deadline after `waited_s`, on a server that turned out to be alive: it is slow."""
+    """The deadline cut a call after `waited_s` on a server that turned out to be alive: it is slow."""
 
     server: str
     operation: Operation
@@ -175,7 +172,7 @@ class RemoteCallCut(Event, frozen=True):
 class Reached(Event, frozen=True):
     """Whether a server without a range answered a call from that position, as far as its link is concerned.
 
-    It answered, or was given up, after `delay_s`; request and reply have so many bytes.
+    It answered, or was given up, after `delay_s`; request and reply have `size_bytes`.
     """
 
     server: str
@@ -187,10 +184,7 @@ class Reached(Event, frozen=True):
 
 
 class LegBegun(Event, frozen=True):
-    """The drone leaves for a place, at that ground speed; None for the one it flew at before.
-
-    It goes `back` to a waypoint whose calls are over.
-    """
+    """The drone leaves for a place at that ground speed, None for the last; `back` if the calls there are over."""
 
     target: Position
     ground_speed_m_s: float | None

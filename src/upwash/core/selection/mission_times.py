@@ -36,7 +36,7 @@ from upwash.core.vehicle.way_home import UNKNOWN, EnergyFacts, descent_s, time_h
 
 
 class LighterSettings(Struct, frozen=True):
-    """By when the mission is to be over, and the lighter operation of each that has one."""
+    """The time by which the mission must end, and the lighter operation of each operation."""
 
     finish_by_s: float
     operations: Mapping[Operation, Operation]
@@ -63,7 +63,7 @@ class Lighter:
     def judge(
         self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
     ) -> Lightened | None:
-        """The lighter operation that a call runs as which is made now; None where it runs as it is asked for.
+        """The lighter operation of a call that is made now; None if it runs as asked for.
 
         The mission's model knows of the call. With `on_drone` it runs there, wherever others would.
         """

@@ -43,7 +43,7 @@ def check_limit_s(believed_s: float) -> float:
 
 
 class Radios:
-    """Gives servers their roles; each method returns what is to be done for that, in its order."""
+    """Gives servers their roles; each method returns the effects in their order."""
 
     def __init__(
         self,
@@ -70,15 +70,15 @@ class Radios:
 
     @property
     def has_spare(self) -> bool:
-        """Whether a server may be prepared while another one is in use."""
+        """Whether another server may be prepared beside the one in use."""
         return self._count > 1 and self.in_use is not None and self.in_use.state is State.READY
 
     def selected_by(self, check: int, states: Collection[State] = SELECTED) -> Server | None:
-        """The server that was selected by that check and still is, if it is in one of the states."""
+        """The server selected by that check, if it is in one of the states."""
         return next((each for each in self.selected if each.check == check and each.state in states), None)
 
     def probed_by(self, check: int) -> Server | None:
-        """The server that is probed by that number, and has given no sign of life yet."""
+        """The server probed by that number that has not answered yet."""
         return next(
             (each for each in self.probed if each.check == check and each.state is State.BLACKLISTED), None
         )
@@ -95,14 +95,14 @@ class Radios:
         return effects if self.selected else effects + self._check(server, why, now_s)
 
     def prepare(self, server: Server, why: str, now_s: float) -> list[Effect]:
-        """Checks the server with a spare radio; whatever that radio prepared before is left."""
+        """Check the server with a spare radio; leave the server that this radio prepared before."""
         if not self.has_spare or server in self.selected or server.state is State.BLACKLISTED:
             return []
         effects = self._replace(self.selected[1:], server, why, now_s)
         return effects + self._check(server, why, now_s)
 
     def ask_again(self, server: Server, why: str, now_s: float) -> list[Effect]:
-        """Has a server that is READY asked for a slot anew, as the drone's turn there is over; its radio stays."""
+        """Ask a READY server for a new slot, as the drone's turn there is over; the radio stays."""
         server.check = self._next_number()
         server.joined_before = True
         server.full_s = now_s
@@ -124,9 +124,9 @@ class Radios:
         operations: Iterable[Operation],
         pause_s: float = 0.0,
     ) -> list[Effect]:
-        """Blacklists a server that is in use or in preparation; with probing its radio stays there to probe it.
+        """Blacklist a server in use or in preparation; with probing its radio stays there.
 
-        The operations are those that would be called there: they are in doubt from now on.
+        The operations, which would be called there, are in doubt from now on.
         """
         self.selected.remove(server)
         change = server.apply(trigger, now_s=now_s, why=why)
@@ -141,14 +141,14 @@ class Radios:
         return [change, self._probe(server, self._recovery, now_s)]
 
     def leave_out(self, server: Server, pause_s: float, now_s: float) -> list[Effect]:
-        """Leaves a server that is blacklisted, and does not probe it for the pause that it named."""
+        """Leave a blacklisted server, and do not probe it for its pause."""
         server.leave_out(pause_s, now_s)
         if server in self.probed:
             self.probed.remove(server)
         return [Leave(server.name, server.check)]
 
     def probe(self, now_s: float) -> list[Effect]:
-        """Probes the servers that failed and are in range, as far as there are free radios."""
+        """Probe failed servers in range, as far as radios are free."""
         if self._recovery is None:
             return []
         failed = [
@@ -195,7 +195,7 @@ class Radios:
         )
 
     def limit_s(self, server: Server, *, running: bool) -> float:
-        """How long joining may take, for which it matters nothing whether the services run; or else starting."""
+        """The longest time of joining, whether services run or not, or else of starting."""
         return check_limit_s(self._estimates.check_s(server.name, running=running))
 
     def _next_number(self) -> int:

@@ -1,14 +1,14 @@
-"""When a server that failed is asked again, when calls go there again, and what those may cost.
+"""When a failed server is asked again, when calls go there again, and what those may cost.
 
 Laws:
-- a failed server that is in range is asked for a sign of life, where a radio is free for it: first after a pause
-  that grows with its latest failures, then after pauses that grow from `first_s` to `longest_s`;
-- after its first failure it is left alone for the first pause only; after the k-th one that follows, for
-  2 ** (k - 1) s, 10 s at most; a minute after that time is over its failures are forgotten;
-- until a server answers an operation sooner than the drone would, calls of that operation there are trials: the
-  drone's own service computes them too, from the start, so that they cost no time; and no call waits for its check;
-- a server has one trial at a time; after one that was slow the next waits for a 30th of the time for which the server
-  has been slow, 10 s at most.
+- a failed server in range is probed, if a radio is free: first after a pause that grows with its latest failures,
+  then after pauses that grow from `first_s` to `longest_s`;
+- after its first failure it is left alone for the first pause only; after the k-th further failure for
+  2 ** (k - 1) s, at most 10 s; a minute after that its failures are forgotten;
+- until a server answers an operation sooner than the drone would, its calls there are trials: the drone's own service
+  computes them too, from the start, so that they cost no time; and no call waits for its check;
+- a server has one trial at a time; after a slow trial the next waits for a 30th of the time for which the server has
+  been slow, at most 10 s.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Probing(Struct, frozen=True):
 
 
 class ServerFailures(Struct, frozen=True):
-    """What a server did lately."""
+    """The latest failures of a server."""
 
     count: int = 0
     last_s: float = -math.inf
@@ -56,7 +56,7 @@ class ServerFailures(Struct, frozen=True):
 
     @property
     def alone_s(self) -> float:
-        """How long the server is left alone after the last of them."""
+        """How long the server is left alone."""
         return min(2.0 ** (self.count - 2), _LONGEST_PAUSE_S) if self.count > 1 else 0.0
 
 

@@ -1,19 +1,19 @@
-"""The drone-side machine: events in, commands out (thesis sections 3.2 to 3.4).
+"""The drone's machine: events in, commands out (thesis sections 3.2 to 3.4).
 
-It puts together the table of servers (server_table.py), what the radios are for (radios.py), which server is to be
-used (planning.py) and where calls run (placement.py).
+It joins the table of servers (servers.py), the roles of radios (radios.py), the choice of a server
+(server_planning.py) and the places of calls (call_placement.py).
 
 Laws:
 - every change of a state is one of `servers.TRANSITIONS`; no more servers are selected than there are radios;
-- the first of them is in use: calls go there alone; a second one is in preparation, and follows when that one goes;
-- a check is known by its number, and what arrives for a check that is over changes nothing;
-- a server that failed is left alone for a fixed time, or probed where a radio is free for it (recovery.py);
-- a server without a slot for the drone has not failed: it goes on asking there, unless another one is better;
-- with probing a call that runs on the drone is sent to a server too that becomes of use before the drone is done;
-- what a server says a service raised counts as an answer where it raised on the drone too, and as a failed call else;
-- while the drone returns or lands no server is selected, unless a call is open or the mission calls again;
-- after each event the selection is looked at again at once; a decision on a call may leave a server, but select none;
-- commands are to be carried out in their order; without a spare radio a server is selected after the old one is left.
+- the first selected server is in use: all remote calls go there; a second is in preparation, and follows it;
+- a check is known by its number; what arrives for an old check changes nothing;
+- a failed server is left alone for a fixed time, or probed if a radio is free (recovery.py);
+- a server without a slot has not failed: the drone goes on asking there, unless another server is better;
+- with probing, a call on the drone also goes to a server that becomes of use before the drone is done;
+- a reported exception counts as an answer if the drone's own service raises too, and as a failed call otherwise;
+- on the way down no server is selected, unless a call is open or the mission calls again;
+- each event ends with a new look at the selection; a decision on a call may leave a server, but selects none;
+- commands are carried out in their order; with one radio a server is selected after the former is left.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and 
 class SelectionSettings(Struct, frozen=True):
     """How long the machine remembers, and how many servers it may have selected at a time.
 
-    Where there is `probing`, `blacklist_s` does not count. A server where others wait for a slot is used only where
-    it saves more than the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at
-    its last waypoint instead of returning home.
+    With `probing`, `blacklist_s` does not count. A server that others wait for is used only if it saves more than
+    the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at its last waypoint
+    or else returns home.
     """
 
     blacklist_s: float = 60.0
@@ -128,7 +128,7 @@ class Selection:
 
     @property
     def in_range(self) -> Sequence[Server]:
-        """The servers in whose range the drone was at the last position given."""
+        """The servers in range at the last position."""
         return self._table.in_range
 
     @property
@@ -144,12 +144,12 @@ class Selection:
         return "on the way down" if self._comes_down and self._planning.under_way is None else ""
 
     def is_awaited(self, check: int) -> bool:
-        """Whether that check is still under way, and may be over soon: for a slot no call waits."""
+        """Whether that check may be over soon: no call waits for a slot."""
         server = self._radios.selected_by(check, CHECKING)
         return server is not None and not server.refused
 
     def handle(self, event: Event, *, now_s: float, position: Position) -> list[Effect]:
-        """Takes in what happened by now, with the drone at the position; returns what is to be done."""
+        """Take in an event, with the drone at the position; return the effects in their order."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, events.MissionBegun):
             return self._begin(event, now_s, position)
@@ -167,7 +167,7 @@ class Selection:
         return effects
 
     def next_look_s(self, *, now_s: float) -> float:
-        """Before this time a `Tick` changes nothing where nothing else happens, as by crossing a border."""
+        """Before this time a `Tick` changes nothing, unless an event or a crossed border comes first."""
         if self.estimates.coverage is not None or self._table.is_on_border:
             return now_s  # what is known of a server changes with the place, or a border is crossed unseen
         return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
@@ -175,7 +175,7 @@ class Selection:
     def decide(
         self, operation: Operation, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Effect]]:
-        """Where a call that is wanted now shall run; its inputs say whether as another operation."""
+        """Where a call runs that is wanted now; its inputs say whether as a lighter operation."""
         self._locate(position, now_s)
         if self._comes_down:
             self._comes_down, self._planning.changed = False, True
@@ -189,7 +189,7 @@ class Selection:
         return decision, effects
 
     def fall_back(self, operation: Operation, *, now_s: float, position: Position) -> Lightened | None:
-        """The lighter operation as which the drone runs a call that a server has not answered, if it does."""
+        """The lighter operation for the drone of a call that its server did not answer; None if it is not lighter."""
         if self._lighter is None:
             return None
         self._planning.mission.call_ends(now_s)
@@ -201,7 +201,7 @@ class Selection:
     def decide_after_wait(
         self, operation: Operation, check: int, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Effect]]:
-        """Where a call shall run whose wait for that check is over; it does not wait again."""
+        """Where a call runs after its wait for that check; it does not wait again."""
         self._locate(position, now_s)
         decision, effects = self._placement.decide_after_wait(operation, check, now_s)
         self._planning.decided(decision, operation, now_s)
@@ -210,9 +210,9 @@ class Selection:
     def overtake(
         self, operation: Operation, *, began_s: float, now_s: float, position: Position
     ) -> tuple[Remote | None, float]:
-        """Where a call shall run too that the drone has been at since `began_s`.
+        """The server that should compute a call too that the drone has been at since `began_s`.
 
-        Returns None where no server would be sooner, and when to ask again if nothing happens until then.
+        Return None if no server would be sooner, and when to ask again if nothing happens before.
         """
         self._locate(position, now_s)
         decision, again_s = self._placement.overtake(operation, began_s, now_s)
@@ -221,7 +221,7 @@ class Selection:
         return decision, again_s
 
     def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
-        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        """What going on before the open call is over would save and cost; None if nothing is known."""
         self._locate(position, now_s)
         return self._planning.outlook(now_s)
 

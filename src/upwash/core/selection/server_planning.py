@@ -1,7 +1,7 @@
-"""Which server is to be used now: what the policy is asked, when, and what it is shown.
+"""Which server to use now: when the policy is asked, and what it is shown.
 
-The policy is asked again where something has changed that it is shown. Time alone changes two things: slow calls are
-forgotten, so that a server that was slow gets another chance, and an announcement becomes due.
+The policy is asked again after each change in what it is shown. Time alone makes two changes: slow calls are
+forgotten, so that a slow server gets another chance, and an announcement becomes due.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class PrewarmNotifier:
         self._held_until_s: dict[str, float] = {}
 
     def is_due(self, now_s: float) -> bool:
-        """Whether it is time for an announcement that was too early before."""
+        """Whether to ask the policy."""
         return now_s >= self.due_s
 
     def has_announced(self, server: str, *, at_s: float) -> bool:
@@ -57,10 +57,7 @@ class PrewarmNotifier:
     def announce(
         self, current: Server | None, coming: Coming | None, *, start_s: float, now_s: float
     ) -> list[Prepare]:
-        """The announcement to make now, if any: by a server in use that is READY, and not again while a slot is held.
-
-        `start_s` is how long the coming server needs to start its services.
-        """
+        """The announcement to make now, if any: by a READY server in use, unless a slot is held already."""
         self.due_s = math.inf
         if coming is None or current is None or current.state is not State.READY:
             return []
@@ -127,7 +124,7 @@ class ServerPlanning:
     def mission_goes_on(
         self, event: LegBegun | LegEnded | TargetUnknown, position: Position, now_s: float
     ) -> None:
-        """Follows the mission, of which only a policy with a horizon is shown anything."""
+        """Follow the mission; only a policy with a horizon sees it."""
         match event:
             case LegBegun(target, ground_speed_m_s, back):
                 self.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back)
@@ -138,7 +135,7 @@ class ServerPlanning:
         self.changed = self.changed or self._policy.horizon > 0
 
     def outlook(self, now_s: float) -> Outlook | None:
-        """What going on before the call under way is over would come to; None where there is none, or no next leg."""
+        """As `Selection.outlook`."""
         way = self.mission.next_leg()
         if way is None or self.under_way is None or self._operation is None:
             return None
@@ -152,7 +149,7 @@ class ServerPlanning:
         return Outlook(way.leg, self.mission.photo_s, stay_s, go_s)
 
     def forget_slow_calls(self, now_s: float) -> None:
-        """Gives servers in range that were slow another chance, where it is time for that."""
+        """Give slow servers in range another chance when it is due."""
         for server in self._table.in_range:
             if self._estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=self._slow_for_s):
                 self.changed = True
@@ -164,7 +161,7 @@ class ServerPlanning:
         return self._retry_s
 
     def next_look_s(self, now_s: float) -> float:
-        """Before this time the policy need not be asked where nothing happens."""
+        """Before this time nothing changes by itself."""
         if self.changed:
             return now_s
         look_s = self._prewarm.due_s
@@ -178,7 +175,7 @@ class ServerPlanning:
         return self.changed or self._prewarm.is_due(now_s) or self._short_of_slots(now_s) != self._short
 
     def choose(self, now_s: float, position: Position) -> Choice:
-        """What the policy chooses; one that has no server to use keeps the one in use for trials, if that is slow."""
+        """The policy's choice; a slow server in use is kept for trials if the policy chooses none."""
         current = self._radios.in_use
         self._short = self._short_of_slots(now_s)
         choice = self._policy.choose(
@@ -202,7 +199,7 @@ class ServerPlanning:
         return self._prewarm.announce(self._radios.in_use, coming, start_s=start_s, now_s=now_s)
 
     def was_announced(self, server: Server) -> bool:
-        """Whether another server announced the drone to this one before its last check began."""
+        """Whether a peer announced the drone to this server before its last check began."""
         return self._prewarm.has_announced(server.name, at_s=server.checked_since_s)
 
     def made_now(self, operation: Operation, now_s: float) -> ExpectedCall:

@@ -165,10 +165,10 @@ class Control(Struct, frozen=True):
 
 
 class Heartbeat(Struct, frozen=True, gc=False):
-    """What one heartbeat says, and what is known with it.
+    """The facts of one heartbeat, and what is known with it.
 
-    `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` is whether it stands, and
-    `remote_moved` whether the pilot's remote control has just moved: each None where it does not say.
+    `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` and `remote_moved`, whether the
+    pilot's remote control has just moved, are None if the vehicle does not say.
     """
 
     mode: str
@@ -219,17 +219,17 @@ class Latch:
             raise AutopilotOverruled(step, f"{self.control}; nothing was sent", vehicle_said)
 
     def expect_modes(self, modes: Sequence[str]) -> None:
-        """A command that leads through these modes, in their order, is about to be sent."""
+        """A command that leads through these modes, in order, will be sent."""
         self._modes_ahead = tuple(modes)
         if self._mode is None and self._reported is not None:
             self._mode = self._reported.mode
 
     def expect_armed(self, armed: bool) -> None:
-        """A command that arms or disarms is about to be sent, or one at whose end the vehicle disarms itself."""
+        """A command that arms, disarms, or ends with the vehicle disarming itself will be sent."""
         self._armed_ahead = armed
 
     def expect_target(self, place: Position | None) -> None:
-        """A command that sends the vehicle to this place is about to be sent; None for a take-off, straight up."""
+        """A command to this place will be sent; None for a take-off, straight up."""
         self._targets.send(place)
 
     def settle_target(self, *, obeyed: bool) -> None:

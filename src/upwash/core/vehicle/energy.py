@@ -1,15 +1,13 @@
 """When a vehicle has to turn back: what the way home needs, against what is left in the battery.
 
-The laws, in percent of the battery and in seconds of flight:
+The laws, in percent of the battery and in seconds of flight; way_home.py has home_s:
 
-    home_s    turning round + climb to the altitude of returns + the way at the return's speed against the wind
-              + hovering above home + descent
     needed    rate * home_s
     floor     the highest of: the vehicle's own low-battery stage, rate * reserve_s, reserve_percent
     margin    left - needed - floor; below 0 it is time to turn back
 
-More wind, a longer way, a higher rate or less battery never makes the margin larger: nothing here counts on a
-tailwind, on an air speed above the speed of returns, or on a battery that lasts longer than it has lasted so far.
+More wind, a longer way, a higher rate or less battery never makes the margin larger. Nothing counts on a tailwind, on
+an air speed above that of returns, or on a battery that lasts longer than in this flight.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ _WIND_KEPT_S = 600.0  # for so long a slow leg tells of the wind
 
 
 class FlightReport(Struct, frozen=True):
-    """What is known of a vehicle in flight at one moment; `leg_speed_m_s` is what the leg under way was told."""
+    """What is known of a vehicle in flight at one moment; `leg_speed_m_s` is the commanded speed of its leg."""
 
     time_s: float
     position: Position
@@ -82,7 +80,7 @@ class Margin(Struct, frozen=True):
 
     @property
     def percent(self) -> float:
-        """What is to spare; below 0 too little is left."""
+        """The margin; below 0 too little is left."""
         return self.left_percent - self.needed_percent - self.floor_percent
 
     @property
@@ -115,7 +113,7 @@ def margin(
     low_percent: float | None = None,
     guessed: tuple[str, ...] = (),
 ) -> Margin:
-    """The margin by the laws above; without a rate the way home and the reserve's seconds count nothing."""
+    """The margin; without a rate the way home and the reserve's seconds count nothing."""
     rate = rate_percent_s or 0.0
     return Margin(
         left_percent=percent,
@@ -130,9 +128,9 @@ def margin(
 
 
 class Consumption:
-    """What the battery loses, by reports that step by a percent, are missing at times, and jump.
+    """The loss of the battery, by reports in steps of a percent, with gaps and jumps.
 
-    It is never believed to last longer than `endurance_s`, full, where that is given.
+    A full battery lasts at most `endurance_s`, if given.
     """
 
     def __init__(self, endurance_s: float | None = None) -> None:
@@ -159,7 +157,7 @@ class Consumption:
 
     @property
     def rate_percent_s(self) -> float | None:
-        """The most that it can be, by the flight so far and by its last minutes; None while nothing tells it."""
+        """The highest rate by the flight and by its last minutes; None if unknown."""
         rates = [self._least_percent_s]
         if self._first is not None:
             rates += [self._most_since(begun) for begun in (self._first, self._recent[0])]
@@ -207,9 +205,9 @@ class Wind:
             self._note_slowness(report.time_s, velocity, told_m_s)
 
     def against_m_s(self, start: Position, end: Position, speed_m_s: float) -> float:
-        """By how much a vehicle of that air speed is slower over the ground, on the way from here to there.
+        """The loss of ground speed at that air speed, on the way from start to end.
 
-        At most so much where it is there, and moves on: in which direction it will have to come back is not known.
+        At the end itself it is the most in any direction, as a moving vehicle may come back from any side.
         """
         length_m = ground_distance_m(start, end)
         if length_m == 0:
@@ -252,7 +250,7 @@ def _changed(before: tuple[float, Velocity, float], now: tuple[float, Velocity, 
 
 @dataclass(slots=True)
 class FlightEnergy:
-    """Follows a flight by its reports, and says how much is to spare."""
+    """Follow a flight by its reports, and give its margin."""
 
     reserve: Reserve
     endurance_s: float | None = None
@@ -277,10 +275,7 @@ class FlightEnergy:
         self._wind.take(report)
 
     def margin(self, report: FlightReport, home: Position, facts: EnergyFacts) -> Margin | None:
-        """What is to spare at that moment; None while the battery was never reported.
-
-        `home` is where the vehicle returns to, as far as it does not say so itself.
-        """
+        """The margin now; None before the first battery report. `home` stands in for an unreported home."""
         if self._reported is None:
             return None
         way, rate = facts.way_home or UNKNOWN, self.rate_percent_s

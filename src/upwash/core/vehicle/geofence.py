@@ -1,4 +1,4 @@
-"""Areas on the ground that a vehicle must stay in or keep out of, whatever its altitude.
+"""Areas on the ground that a vehicle must stay in or keep out of, at any altitude.
 
 A border belongs to its area: it may be flown on where the vehicle must stay in, and not where it must keep out.
 """
