@@ -41,7 +41,7 @@ from upwash.rpc.service import spec_of
 from upwash.rpc.settings import construct, plain
 from upwash.services import Detection, Detector, Mode, ModelFiles, NotAPhoto
 from upwash.services.darknet.conversion import converted
-from upwash.services.heads import HEADS_METADATA, Head, decode_heads
+from upwash.services.darknet.heads import HEADS_METADATA, Head, decode_heads
 from upwash.services.inference import Engine, open_inference
 from upwash.services.solar_park import TrueBox, render_photo
 

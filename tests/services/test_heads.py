@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.services.darknet_models import Floats, opencv_boxes, opencv_heads, small, write_model, yolov3_tiny
 
-from upwash.services.darknet.layers import Yolo, read_network
-from upwash.services.heads import (
+from upwash.services.darknet.heads import (
     MOST_CANDIDATES,
     Candidates,
     Head,
@@ -20,6 +19,7 @@ from upwash.services.heads import (
     encode_heads,
     read_heads,
 )
+from upwash.services.darknet.layers import Yolo, read_network
 
 ONE = Head(output="one", stride=8, anchors=((10.0, 20.0),))
 

@@ -1,8 +1,8 @@
 """Services that come with upwash: what a drone can have computed on itself or on an edge server."""
 
+from upwash.services.darknet.heads import Head
 from upwash.services.detection import Box, Detection, Mode
 from upwash.services.detector import Detector
-from upwash.services.heads import Head
 from upwash.services.inference import ModelFiles
 from upwash.services.photo import NotAPhoto
 

@@ -1,4 +1,4 @@
-"""What a detector finds: boxes in a photo, with a label and a score."""
+"""The result of a detector: boxes in a photo, with a label and a score."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Box(msgspec.Struct, frozen=True):
 
 
 class Detection(Box, frozen=True, kw_only=True):
-    """Something found in a photo: where, what, and how sure the detector is (`score`, 0 to 1)."""
+    """An object in a photo: its box, its label, and the score of the detector (0 to 1)."""
 
     label: str
     score: float

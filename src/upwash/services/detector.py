@@ -12,8 +12,8 @@ from msgspec import Meta
 from msgspec.structs import asdict
 
 from upwash.rpc.service import service
+from upwash.services.darknet.heads import best_of_each, read_heads
 from upwash.services.detection import Detection, Mode
-from upwash.services.heads import best_of_each, read_heads
 from upwash.services.inference import Engine, ModelFiles, open_inference
 from upwash.services.photo import read_photo
 from upwash.services.provider import Provider
@@ -32,10 +32,10 @@ SOLAR_PARK = ModelFiles(
 
 @service(profile_by="mode")
 class Detector:
-    """Finds what its network knows: `light` on pictures of 320 pixels, `heavy` of 608, where smaller things show.
+    """Detects objects: in mode `light` on pictures of 320 pixels, in mode `heavy` of 608, which show smaller objects.
 
-    `threads` are all cores that it may use, unless given. Raises ModelError for model files that cannot be used, and
-    UsageError for what is not installed.
+    `threads` defaults to all cores that the process may use. Raises ModelError for unusable model files, and
+    UsageError for missing packages.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Detector:
         self._cells_px = {mode: self._inference.cell_px(side_px) for mode, side_px in self._sides_px.items()}
 
     def process_photo(self, photo: bytes, mode: Mode = "heavy", confidence: float = 0.25) -> list[Detection]:
-        """What scores above `confidence` on a JPEG of at most 40 megapixels, surest first; raises NotAPhoto."""
+        """The objects above `confidence` in a JPEG of at most 40 megapixels, best first; raises NotAPhoto."""
         if not 0 <= confidence <= 1:
             raise ValueError(f"confidence = {confidence}: give a number from 0 to 1")
         picture, letterbox = read_photo(photo, self._sides_px[mode], self._cells_px[mode])
@@ -70,7 +70,7 @@ class Detector:
 
 
 def _cores() -> int:
-    """How many this process may use, where the system says; else how many there are."""
+    """The number of cores that this process may use; of all cores if the system does not say."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -14,7 +14,7 @@ import msgspec
 from upwash.errors import ModelError, UsageError
 from upwash.services.darknet.conversion import Facts, converted
 from upwash.services.darknet.graph import INPUT
-from upwash.services.heads import HEADS_METADATA, Head, decode_heads
+from upwash.services.darknet.heads import HEADS_METADATA, Head, decode_heads
 from upwash.services.provider import Provider, open_session
 from upwash.support.input_files import read_file, text_of
 from upwash.support.text import words_of

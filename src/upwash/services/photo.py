@@ -1,7 +1,7 @@
-"""Photos: from a JPEG's bytes to the picture that a network looks at, and from there back to the photo.
+"""Photos: from the bytes of a JPEG to the input of a network, and from its boxes back to the photo.
 
-Before anything is decoded, the pixels and the scans of a JPEG are counted: they bound the memory and the time.
-OpenCV is imported on first use: a mission imports this module for its exception alone.
+The pixels and the scans of a JPEG are counted before decoding: they bound memory and time. OpenCV is imported on
+first use, as missions import this module only for its exception.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float32]
 
 MAX_PHOTO_PIXELS = 40_000_000
-MAX_SCANNED_PIXELS = 16 * MAX_PHOTO_PIXELS  # each scan visits all; a progressive JPEG has about 10
+MAX_SCANNED_PIXELS = 16 * MAX_PHOTO_PIXELS  # each scan visits all pixels; a progressive JPEG has about 10 scans
 _GREY = 0.5  # around the photo, as Darknet has it
 
 
 class NotAPhoto(ValueError):
-    """The bytes are no JPEG that can be decoded; the message says what they are instead."""
+    """The bytes are no decodable JPEG; the message says what they are."""
 
 
 @dataclass(frozen=True, slots=True)
 class Letterbox:
-    """A photo in a picture: as large as fits in a square, in the middle, with grey around it.
+    """A photo scaled into a square of `side_px`, centred, with grey around it.
 
-    The picture is that square or, where `cell_px` is given, only as many whole cells of it as the photo needs.
+    With `cell_px` the picture has only as many whole cells of the square as the photo needs.
     """
 
     photo_width_px: int
@@ -52,10 +52,10 @@ class Letterbox:
         return max(1, self.side_px * self.photo_height_px // self._longer_px)
 
     def picture(self, photo: MatLike) -> Floats:
-        """The photo as a network takes it: 1, 3, height, width; red, green, blue from 0 to 1.
+        """The input of a network: shape 1, 3, height, width; red, green, blue from 0 to 1.
 
-        It may be decoded at any resolution from once to twice what is shown, where four pixels around each place
-        are all that there are to be looked at.
+        The photo may be decoded at once to twice the resolution of the picture: bilinear scaling reads four pixels
+        around each place.
         """
         import cv2
         import numpy as np
@@ -71,7 +71,7 @@ class Letterbox:
         return picture
 
     def on_photo(self, box: Floats) -> Box | None:
-        """A box of the picture (left, top, right, bottom), cut at the photo's borders; None where nothing is left."""
+        """A box of the picture (left, top, right, bottom) on the photo, cut at its borders; None outside."""
         across = self.photo_width_px / self.width_px
         down = self.photo_height_px / self.height_px
         left, right = (_within((float(x) - self._left_px) * across, self.photo_width_px) for x in box[0::2])
@@ -93,15 +93,15 @@ class Letterbox:
         return (self._whole_cells(self.height_px) - self.height_px) // 2
 
     def _whole_cells(self, length_px: int) -> int:
-        """The picture's width or height, of which the photo takes so much."""
+        """The width or height of the picture for a photo of this length."""
         cell_px = self.cell_px or self.side_px
         return -(-length_px // cell_px) * cell_px
 
 
 def read_photo(photo: bytes, side_px: int, cell_px: int | None = None) -> tuple[Floats, Letterbox]:
-    """A JPEG as a picture of that longer side, and where in it the photo lies; raises NotAPhoto.
+    """A JPEG as a picture with a longer side of `side_px`, and the photo's place in it; raises NotAPhoto.
 
-    The photo is decoded at a half, a quarter or an eighth of its resolution where that is still enough.
+    The photo is decoded at a half, a quarter or an eighth of its resolution if that is enough.
     """
     header = _read_header(photo)
     letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px)
@@ -109,7 +109,7 @@ def read_photo(photo: bytes, side_px: int, cell_px: int | None = None) -> tuple[
 
 
 def decode_photo(photo: bytes) -> MatLike:
-    """The pixels of a JPEG in its full resolution, as they are stored, blue first; raises NotAPhoto."""
+    """The stored pixels of a JPEG at full resolution, blue first; raises NotAPhoto."""
     import cv2
 
     _read_header(photo)
@@ -118,7 +118,7 @@ def decode_photo(photo: bytes) -> MatLike:
 
 # --- from bytes to pixels --------------------------------------------------------------------------
 
-_DECODED_FRAMES = (0xC0, 0xC1, 0xC2)  # Huffman's codes, sequential or progressive: all that cameras write
+_DECODED_FRAMES = (0xC0, 0xC1, 0xC2)  # Huffman codes, sequential or progressive, as all cameras write
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _OTHER_FORMATS = {
     b"\x89PNG": "a PNG",
@@ -136,7 +136,7 @@ class _Header:
     height_px: int
 
     def require_bounded(self, *, scans: int) -> None:
-        """Raises NotAPhoto where the pixels, or those that all scans visit, are too many."""
+        """Raise NotAPhoto for too many pixels, or too many pixels visited by all scans."""
         size, pixels = f"{self.width_px} x {self.height_px} pixels", self.width_px * self.height_px
         if not 0 < pixels <= MAX_PHOTO_PIXELS:
             raise NotAPhoto(
@@ -151,7 +151,7 @@ class _Header:
 
 
 def _read_header(photo: bytes) -> _Header:
-    """The size of a JPEG, before anything is decoded; requires a whole file that takes a bounded time to decode."""
+    """The size of a JPEG without decoding; raises NotAPhoto unless the file is whole and decodes in bounded time."""
     if not photo:
         raise NotAPhoto("the photo is empty (0 bytes); send the bytes of a JPEG file")
     if not photo.startswith(b"\xff\xd8\xff"):
@@ -178,7 +178,7 @@ def _read_header(photo: bytes) -> _Header:
 
 
 def _without_end(photo: bytes, segments: Sequence[Segment]) -> NotAPhoto:
-    """Why no end comes after these segments."""
+    """Why the JPEG has no end after these segments."""
     if len(segments) == MOST_SEGMENTS:
         return NotAPhoto(
             f"the JPEG has more than {MOST_SEGMENTS} segments; save it as a baseline JPEG without metadata"
@@ -212,7 +212,7 @@ def _decoded(photo: bytes, how: int) -> MatLike:
     import cv2
     import numpy as np
 
-    # Boxes are in the pixels that are stored, so the camera's "turn me" note is not followed.
+    # Boxes are in stored pixels, so the EXIF orientation is ignored.
     try:
         image = cv2.imdecode(np.frombuffer(photo, np.uint8), how | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:

@@ -1,4 +1,4 @@
-"""What onnxruntime computes on: a session on a provider, or the provider's own reason why there is none."""
+"""Sessions of onnxruntime on a provider (processor or CUDA), or the provider's own reason why there is none."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 _STDERR = 2
 _MOST_PRINTED_BYTES = 2**16
 _LONGEST_REASON = 1000  # characters
-# What is before a reason: colours, the time, places in onnxruntime's own source, the kind of the error.
+# The prefix of a reason: colours, the time, places in onnxruntime's source, the kind of the error.
 _BEFORE_REASONS = re.compile(
     r"\x1b\[[\d;]*m|\S+ \S+ \[\w:onnxruntime:[^\]]*\]|\S*/onnxruntime_src/.*?(?=\w+ failure \d|: FAIL :)|: FAIL :"
 )
 
 
 def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntime.InferenceSession:
-    """The model, ready to be run; raises ModelError for its file, and UsageError for the provider."""
+    """A session of the model; raises ModelError for its file and UsageError for the provider."""
     import onnxruntime
 
     if _PROVIDERS[provider] not in onnxruntime.get_available_providers():
@@ -39,11 +39,11 @@ def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntim
         )
     if provider == "cpu":
         return _session(model, threads, provider)
-    with _printed_errors() as printed:  # onnxruntime raises nothing where a library is missing
+    with _printed_errors() as printed:  # onnxruntime does not raise if a library is missing
         try:
             session = _session(model, threads, provider)
         except ModelError as error:
-            _session(model, threads, "cpu")  # if this raises too, the model is to blame
+            _session(model, threads, "cpu")  # raises too if the cause is the model
             raise _unusable(provider, str(error.__cause__)) from error
     if _PROVIDERS[provider] not in session.get_providers():
         raise _unusable(provider, printed())
@@ -60,7 +60,7 @@ def _session(model: Path, threads: int, provider: Provider) -> onnxruntime.Infer
         return onnxruntime.InferenceSession(
             str(model), options, providers=[_PROVIDERS[provider]], enable_fallback=False
         )
-    except Exception as error:  # onnxruntime's have no base of their own
+    except Exception as error:  # onnxruntime's exceptions have no common base
         raise ModelError(model, "", f"onnxruntime cannot load it ({words_of(str(error))})") from error
 
 
@@ -74,7 +74,7 @@ def _unusable(provider: Provider, why: str) -> UsageError:
 
 @contextmanager
 def _printed_errors() -> Iterator[Callable[[], str]]:
-    """What this process writes to standard error in the block, which is passed on when the block has ended."""
+    """Capture what this process writes to standard error in the block, and write it there afterwards."""
     sys.stderr.flush()
     ours, kept = os.dup(_STDERR), os.memfd_create("stderr")
     os.dup2(kept, _STDERR)

@@ -5,8 +5,8 @@
 - `body/`: what both autopilots share: settings, faults, parameters, battery, fence, files, reports, connections.
 - `ardupilot/` and `px4/`: how an autopilot flies, its modes, checks, fail-safes, answers and texts.
 
-Both dialects import the body, and never each other. A chain of classes makes a vehicle: `Multicopter` (body), then how
-it flies, then what it obeys. The firmware beside it translates messages.
+Both dialects import the body, and never each other. A chain of classes makes a vehicle: `Multicopter` (body), then
+how it flies, then what it obeys. The firmware beside it translates messages.
 
 Laws: time is an argument everywhere below `body/connection.py`, so a stand-in lives on virtual time as on real time.
 Figures and texts are those of recorded flights (tests/vehicle), which judge every change. No message may raise.

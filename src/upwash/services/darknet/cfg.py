@@ -20,27 +20,27 @@ _LONGEST_QUOTE = 60  # of the file, in a message
 
 
 class Section:
-    """One `[section]` and its options: read by name, and refused by `finish` where nobody asked for them."""
+    """One `[section]` and its options: `finish` refuses options that were not read."""
 
     def __init__(self, file: Path, name: str, line: int) -> None:
         self.name = name
-        self.where = f"line {line} [{_quoted(name)}]"  # until it is known which layer it is
+        self.where = f"line {line} [{_quoted(name)}]"  # until the layer is known
         self._file = file
         self._options: dict[str, str] = {}
         self._read: set[str] = set()
 
     def add(self, name: str, value: str, line: int) -> None:
-        """Takes one `name=value`; raises ModelError where the section has it already."""
+        """Takes one `name=value`; raises ModelError for a second value."""
         if name in self._options:
             raise self.error(f"line {line}: a second {_quoted(name)}: remove one of the two")
         self._options[name] = value
 
     def error(self, problem: str) -> ModelError:
-        """An error that says where it is."""
+        """An error with the place in the cfg."""
         return ModelError(self._file, self.where, problem)
 
     def integer(self, name: str, default: int | None = None, *, least: int, most: int = 100_000) -> int:
-        """A whole number; without a default it must be there."""
+        """A whole number; required without a default."""
 
         def read(text: str) -> int:
             number = _integer(text)
@@ -51,7 +51,7 @@ class Section:
         return self._value(name, read, default, f"a whole number from {least} to {most}")
 
     def integers(self, name: str) -> tuple[int, ...]:
-        """Whole numbers with commas between them."""
+        """Whole numbers, separated by commas."""
 
         def read(text: str) -> tuple[int, ...]:
             return tuple(map(_integer, _listed(text)))
@@ -72,7 +72,7 @@ class Section:
         )
 
     def choice(self, name: str, default: str | None, allowed: tuple[str, ...]) -> str:
-        """One of the words that are allowed; without a default it must be there."""
+        """One of the allowed words; required without a default."""
 
         def read(text: str) -> str:
             if text not in allowed:
@@ -86,7 +86,7 @@ class Section:
         return name in self._options
 
     def finish(self, *, ignored: frozenset[str]) -> None:
-        """Raises ModelError for an option that was not read: it might change what the network computes."""
+        """Raise ModelError for an option that was not read: it might change the network."""
         for name in self._options:
             if name not in self._read and name not in ignored:
                 option = _quoted(f"{name}={self._options[name]}")
@@ -105,7 +105,7 @@ class Section:
 
 
 def read_sections(file: Path, content: bytes) -> list[Section]:
-    """The sections of a cfg; raises ModelError, with the line, for what is none."""
+    """The sections of a cfg; raises ModelError with the line of an error."""
     if len(content) > _MOST_BYTES:
         raise ModelError(
             file, "", f"{len(content)} bytes are too many for a cfg: name the text file of layers"
@@ -142,11 +142,11 @@ def _quoted(text: str) -> str:
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """The lines that say something, with their numbers; blanks mean nothing anywhere in them, as in Darknet."""
+    """The lines with content and their numbers, without blanks, which Darknet ignores."""
     for number, line in enumerate(text.splitlines(), start=1):
-        said = "".join(line.partition("#")[0].split())
-        if said and not said.startswith(";"):
-            yield number, said
+        content = "".join(line.partition("#")[0].split())
+        if content and not content.startswith(";"):
+            yield number, content
 
 
 def _integer(text: str) -> int:

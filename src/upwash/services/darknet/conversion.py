@@ -1,4 +1,4 @@
-"""From cfg and weights to ONNX, or to ncnn's files, once: they are kept under a name made of what went into them."""
+"""Converts cfg and weights to ONNX or to ncnn's files, and caches the result under the hash of its sources."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ import msgspec
 from upwash.errors import ModelError
 from upwash.services.darknet import ncnn
 from upwash.services.darknet.graph import build_model, heads_of
+from upwash.services.darknet.heads import Head
 from upwash.services.darknet.layers import Network, read_network
 from upwash.services.darknet.weights import Parameters, WeightsFile
-from upwash.services.heads import Head
 from upwash.support.input_files import read_file
 
 _log = logging.getLogger("upwash.detector")
 
 Form = Literal["onnx", "ncnn"]
 
-# Another one whenever the same files would be converted to something else.
+# Change it with each change of the conversion.
 _EDITIONS: dict[Form, bytes] = {"onnx": b"1", "ncnn": b"ncnn 1"}
 _MOST_CFG_BYTES = 10_000_000
 _MODELS: dict[Form, str] = {"onnx": "model.onnx", "ncnn": "model.param"}
@@ -35,20 +35,20 @@ _FACTS = "facts.json"
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True):
-    """What ncnn's files, which have no metadata, do not say."""
+    """Facts that the files of ncnn, which have no metadata, lack."""
 
     heads: tuple[Head, ...]
     stride: int  # the largest of all layers
 
     @classmethod
     def beside(cls, model: Path) -> Facts:
-        """Those of a converted model."""
+        """The facts of a converted model."""
         return msgspec.json.decode(model.with_name(_FACTS).read_bytes(), type=cls)
 
 
 @contextlib.contextmanager
 def converted(cfg: Path, weights: Path, form: Form = "onnx") -> Iterator[Path]:
-    """A Darknet model in that form, from the cache if it is there; where none can be kept, gone at the end.
+    """A Darknet model in that form, from the cache if possible; without a cache the files are gone at the end.
 
     Beside ncnn's text of layers are its numbers, with the ending `.numbers`, and its Facts.
 
@@ -70,7 +70,7 @@ def converted(cfg: Path, weights: Path, form: Form = "onnx") -> Iterator[Path]:
 
 
 def cache_folder() -> Path:
-    """Where converted models are kept; it may be deleted whenever no detector starts. OSError where there is none."""
+    """The folder of converted models, which may be deleted while no detector starts; raises OSError without one."""
     home = os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(home) if home else Path("~/.cache").expanduser()) / "upwash" / "models"
@@ -79,7 +79,7 @@ def cache_folder() -> Path:
 
 
 def _read(cfg: Path, weights: Path, edition: bytes) -> tuple[bytes, str]:
-    """The cfg's content, and the hash that tells these two files from all others."""
+    """The content of the cfg, and the hash of both files."""
     try:
         content = read_file(cfg, most_bytes=_MOST_CFG_BYTES)
         if weights.exists() and not weights.is_file():
@@ -96,14 +96,14 @@ def _read(cfg: Path, weights: Path, edition: bytes) -> tuple[bytes, str]:
 
 
 def _keep(write: Callable[[Path], None], folder: Path, model: str) -> None:
-    """Makes the folder whole or not at all, whatever is cut off and whoever else does the same."""
+    """Make the folder whole or not at all, also after a crash or beside another process."""
     folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(dir=folder.parent, ignore_cleanup_errors=True) as unfinished:
         write(Path(unfinished))
         try:
             Path(unfinished).rename(folder)
         except OSError:
-            if not (folder / model).is_file():  # else someone was faster
+            if not (folder / model).is_file():  # another process may have been faster
                 raise
 
 

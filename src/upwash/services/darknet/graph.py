@@ -1,4 +1,4 @@
-"""A Darknet network as an ONNX model with raw heads: what the decoder gets is what the last convolutions say.
+"""A Darknet network as an ONNX model with raw heads: its outputs are those of the last convolutions.
 
 The model refers to its numbers in a file of their own, where they stand in the order of the layers, for each
 convolution its weights and then its biases: onnxruntime maps that file instead of reading it into memory twice.
@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from upwash.services.darknet.heads import HEADS_METADATA, Head, encode_heads
 from upwash.services.darknet.layers import (
     Activation,
     Convolutional,
@@ -21,7 +22,6 @@ from upwash.services.darknet.layers import (
     Upsample,
     Yolo,
 )
-from upwash.services.heads import HEADS_METADATA, Head, encode_heads
 
 if TYPE_CHECKING:
     import onnx
@@ -58,7 +58,7 @@ def build_model(network: Network, numbers: str) -> onnx.ModelProto:
 
 
 def _parameters(network: Network, numbers: str) -> Iterator[onnx.TensorProto]:
-    """A tensor for each convolution's weights and biases, which stand one after the other in the file."""
+    """A tensor for the weights and biases of each convolution, in the order of the file."""
     from onnx import StringStringEntryProto, TensorProto
 
     offset = 0
@@ -81,9 +81,9 @@ def _parameters(network: Network, numbers: str) -> Iterator[onnx.TensorProto]:
 
 
 def heads_of(network: Network) -> Iterator[Head]:
-    """What its outputs mean."""
+    """The heads of a network."""
     for layer in network.heads:
-        assert isinstance(layer.operator, Yolo)  # noqa: S101 - that is what heads are
+        assert isinstance(layer.operator, Yolo)  # noqa: S101 - heads are Yolo layers
         yield Head(output=output_of(layer), stride=layer.output.stride, anchors=layer.operator.anchors)
 
 
@@ -151,5 +151,5 @@ def _activated(
 
 
 def output_of(layer: Layer) -> str:
-    """The name of what a layer puts out."""
+    """The name of a layer's output."""
     return f"head{layer.index}" if isinstance(layer.operator, Yolo) else f"layer{layer.index}"

@@ -1,4 +1,4 @@
-"""A Darknet network: its layers, each with what it needs of those before it.
+"""A Darknet network: its layers, each with its inputs from earlier layers.
 
 Sizes are relative: a layer's `stride` says how many pixels of the input lie behind one cell of its output, at any
 input size that the largest stride divides. A layer that would not keep to this is refused.
@@ -20,7 +20,7 @@ Size = tuple[float, float]
 _ACTIVATIONS = ("linear", "leaky", "relu", "logistic")
 _MOST_STRIDE = 1024
 _MOST_CHANNELS = 1_000_000  # of a layer; YOLOv3 has up to 1,024
-# What only training reads, in Darknet and in its best known fork.
+# Options for training only, in Darknet and in its best known fork.
 _TRAINING_OPTIONS = {
     "convolutional": frozenset({"learning_rate", "stopbackward", "dont_update", "burnin_update"}),
     "yolo": frozenset(
@@ -34,7 +34,7 @@ _TRAINING_OPTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A layer's output: its channels, and how many input pixels lie behind one cell."""
+    """The output of a layer: its channels, and the input pixels behind one cell."""
 
     channels: int
     stride: int
@@ -55,7 +55,7 @@ class Convolutional:
 
 @dataclass(frozen=True, slots=True)
 class MaxPool:
-    """The largest of each window; `padding` cells in all, the odd one at the end."""
+    """The maximum of each window; `padding` cells in all, the odd one at the end."""
 
     size: int
     stride: int
@@ -64,7 +64,7 @@ class MaxPool:
 
 @dataclass(frozen=True, slots=True)
 class Upsample:
-    """Every cell repeated `factor` times each way."""
+    """Every cell repeated `factor` times in both directions."""
 
     factor: int
 
@@ -86,7 +86,7 @@ class Shortcut:
 
 @dataclass(frozen=True, slots=True)
 class Yolo:
-    """A detection head: what the layer before says of each cell and anchor (sizes in pixels of the input)."""
+    """A detection head on the layer before: anchor sizes are in pixels of the input."""
 
     anchors: tuple[Size, ...]
     classes: int
@@ -114,7 +114,7 @@ class Network:
 
     @property
     def heads(self) -> tuple[Layer, ...]:
-        """The layers that say what was detected."""
+        """The detection heads."""
         return tuple(layer for layer in self.layers if isinstance(layer.operator, Yolo))
 
 
@@ -140,7 +140,7 @@ def _read_layer(section: Section, before: list[Layer]) -> Layer:
     if section.name not in _READERS:
         raise section.error(f"unknown layer type; supported are {', '.join(_READERS)}")
     previous = before[-1].output if before else Shape(3, 1)
-    # What a head puts out is for the decoder alone; all that follows one begins with a route.
+    # Only the decoder reads a head; the next layer begins with a route.
     if before and isinstance(before[-1].operator, Yolo) and section.name != "route":
         raise section.error("it follows a [yolo] layer, which only a [route] can")
     operator, output = _READERS[section.name](section, previous, before)
@@ -160,7 +160,7 @@ def _convolutional(section: Section, previous: Shape, _: list[Layer]) -> tuple[O
         padding=padding,
         groups=section.integer("groups", 1, least=1),
         batch_normalize=bool(section.integer("batch_normalize", 0, least=0, most=1)),
-        activation=_activation(section, None),  # readers differ in what none means
+        activation=_activation(section, None),  # readers interpret a missing activation differently
     )
     if convolution.filters % convolution.groups or previous.channels % convolution.groups:
         raise section.error(
@@ -239,7 +239,7 @@ def _activation(section: Section, default: Activation | None) -> Activation:
 
 
 def _strided(section: Section, previous: Shape, size: int, stride: int, padding: int) -> int:
-    """The stride of the output, where it has one cell for each `stride` of the input, whatever the size."""
+    """The stride of a layer whose output has one cell for each `stride` cells of any input."""
     if not padding < size <= padding + stride:
         raise section.error(
             f"size={size}, stride={stride} and {padding} cells of padding in all: its output would not be the "
@@ -251,10 +251,10 @@ def _strided(section: Section, previous: Shape, size: int, stride: int, padding:
 
 
 def _source(section: Section, option: str, number: int, before: list[Layer]) -> int:
-    """The index of an earlier layer, counted from the start or, below 0, back from this one."""
+    """The index of an earlier layer; below 0 it counts back from the present layer."""
     index = len(before) + number if number < 0 else number
     if not 0 <= index < len(before):
-        raise section.error(f"{option} names layer {number}: there is none before this one")
+        raise section.error(f"{option} names layer {number}: no earlier layer has this number")
     if isinstance(before[index].operator, Yolo):
         raise section.error(
             f"{option} names layer {index}, a [yolo] layer, whose output is not for other layers"

@@ -1,4 +1,4 @@
-"""A Darknet network as ncnn reads it: a text of layers, and the numbers of the convolutions in their order.
+"""A Darknet network in the format of ncnn: a text of layers, and the numbers of the convolutions in order.
 
 ncnn's documents call the two files param and bin. A blob has one reader, so that one with several is split before.
 """
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from upwash.services.darknet.weights import Parameters
 
 _MAGIC = 7767517
-_FLOATS = b"\0\0\0\0"  # before a convolution's weights: they are plain floats
+_FLOATS = b"\0\0\0\0"  # marks weights as plain floats
 _ACTIVATIONS = {"linear": "", "leaky": f"9=2 -23310=1,{LEAKY_SLOPE}", "relu": "9=1", "logistic": "9=4"}
 
 
@@ -42,7 +42,7 @@ def describe(network: Network) -> str:
 
 
 def numbers_of(parameters: Parameters) -> bytes:
-    """What a convolution computes with, as it stands in the file of numbers."""
+    """The numbers of a convolution, as in the file."""
     weights, biases = (array.astype("<f4", copy=False) for array in (parameters.weights, parameters.biases))
     return _FLOATS + weights.tobytes() + biases.tobytes()
 
@@ -103,7 +103,7 @@ def _sum(inputs: list[str], output: list[str], activation: Activation) -> Iterat
 
 
 def _with_splits(entries: list[_Entry]) -> Iterator[_Entry]:
-    """The entries, with a layer after each output of several readers that has one for each of them."""
+    """The entries, with a Split layer after each output that several layers read."""
     readers = Counter(name for _, inputs, *_ in entries for name in inputs)
     given: Counter[str] = Counter()
 

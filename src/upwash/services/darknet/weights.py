@@ -23,17 +23,17 @@ _BATCH_NORM_EPSILON = 1e-6  # added to the root, not under it
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """What a convolution computes with, its batch norm folded in."""
+    """The parameters of a convolution, with its batch norm folded in."""
 
     weights: Floats  # filters, channels in a group, size, size
     biases: Floats  # filters
 
 
 class WeightsFile:
-    """The weights of a network, read one convolution after the other, so that few are in memory at once."""
+    """The weights of a network, read convolution by convolution to save memory."""
 
     def __init__(self, file: Path, network: Network) -> None:
-        """Raises ModelError, with the layer and the offset, for a file of another length than the network needs."""
+        """Raise ModelError, with layer and offset, if the length of the file does not fit the network."""
         import numpy as np
 
         self._file = file
@@ -43,7 +43,7 @@ class WeightsFile:
         self._require_length()
 
     def parameters(self) -> Iterator[Parameters]:
-        """What each convolution in turn computes with; raises ModelError where that is no number."""
+        """The parameters of each convolution in turn; raises ModelError for values that are no numbers."""
         at = self._start
         for layer in self._layers:
             yield self._fold(layer, at)
@@ -59,7 +59,7 @@ class WeightsFile:
             raise ModelError(
                 self._file, "offset 0", f"version {major}.{minor} is none: this is no Darknet weights file"
             )
-        return _VERSION_BYTES + (8 if 10 * major + minor >= 2 else 4)  # then the pictures seen in training
+        return _VERSION_BYTES + (8 if 10 * major + minor >= 2 else 4)  # then the number of training pictures
 
     def _require_length(self) -> None:
         found, at = len(self._content), self._start
@@ -124,7 +124,7 @@ class WeightsFile:
 
 
 def _vectors(convolution: Convolutional) -> int:
-    """How many numbers per filter come before the weights: biases, and for a batch norm three more."""
+    """The count of numbers per filter before the weights: biases, and three more for a batch norm."""
     return 4 if convolution.batch_normalize else 1
 
 

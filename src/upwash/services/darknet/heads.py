@@ -1,4 +1,4 @@
-"""YOLOv3's heads: what a network says of each cell and anchor becomes scored boxes, then the best of each thing.
+"""The heads of YOLOv3: outputs for each cell and anchor become scored boxes, then the best box of each object.
 
 A head is an output of shape 1, anchors x (5 + classes), rows, columns. For each anchor its channels are x, y, width,
 height, objectness and the classes, as the last convolution leaves them (J. Redmon, A. Farhadi, "YOLOv3", 2018).
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 HEADS_METADATA = "upwash.heads"  # the key in an ONNX model's metadata
 MOST_CANDIDATES = 1000
 _MOST_OVERLAP = 0.45
-_STEEPEST = 30.0  # beyond it a sigmoid is 0 or 1, and a box larger than any picture
+_STEEPEST = 30.0  # beyond, a sigmoid is 0 or 1, and a box exceeds any picture
 
 Pixels = Annotated[float, Meta(gt=0, description="a number of pixels above 0")]
 
@@ -41,25 +41,25 @@ class Head(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def encode_heads(heads: Iterable[Head]) -> str:
-    """The heads as a model's metadata has them: JSON."""
+    """The heads as JSON for the metadata of a model."""
     return msgspec.json.encode(list(heads)).decode()
 
 
 def decode_heads(metadata: str) -> tuple[Head, ...]:
-    """The heads that a model's metadata says; raises msgspec.MsgspecError."""
+    """The heads of a model from its metadata; raises msgspec.MsgspecError."""
     return msgspec.json.decode(metadata, type=tuple[Head, ...])
 
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Scored boxes, the surest first: left, top, right, bottom in pixels of the network's input."""
+    """Scored boxes, best first: left, top, right, bottom in pixels of the network's input."""
 
     boxes: Floats  # n, 4
     scores: Floats  # n
     classes: NDArray[np.intp]  # n
 
     def only(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Candidates:
-        """Some of them."""
+        """The chosen ones."""
         return Candidates(self.boxes[chosen], self.scores[chosen], self.classes[chosen])
 
 
@@ -69,9 +69,9 @@ def read_heads(outputs: Sequence[Floats], heads: Sequence[Head], *, confidence: 
 
     read = [_read_head(output, head, confidence) for output, head in zip(outputs, heads, strict=True)]
     found = Candidates(
-        np.concatenate([each.boxes for each in read]),
-        np.concatenate([each.scores for each in read]),
-        np.concatenate([each.classes for each in read]),
+        np.concatenate([one.boxes for one in read]),
+        np.concatenate([one.scores for one in read]),
+        np.concatenate([one.classes for one in read]),
     )
     return found.only(np.argsort(-found.scores, kind="stable")[:MOST_CANDIDATES])
 
@@ -81,10 +81,10 @@ def _read_head(output: Floats, head: Head, confidence: float) -> Candidates:
 
     anchors = np.array(head.anchors, np.float32)
     _, _, rows, columns = output.shape
-    said = output.reshape(len(anchors), -1, rows, columns)
-    # A score is objectness times class: without the first there is no need to look at the others.
-    anchor, row, column = np.nonzero(_sigmoid(said[:, 4]) > confidence)
-    there = said[anchor, :, row, column]
+    values = output.reshape(len(anchors), -1, rows, columns)
+    # A score is objectness times class: low objectness spares the classes.
+    anchor, row, column = np.nonzero(_sigmoid(values[:, 4]) > confidence)
+    there = values[anchor, :, row, column]
     scores = _sigmoid(there[:, 4:5]) * _sigmoid(there[:, 5:])
     which, classes = np.nonzero(scores > confidence)
     cells = np.stack([column, row], axis=1)[which].astype(np.float32)
@@ -94,7 +94,7 @@ def _read_head(output: Floats, head: Head, confidence: float) -> Candidates:
 
 
 def best_of_each(found: Candidates) -> Candidates:
-    """Of boxes of one class that overlap by more than 45 % (intersection over union) only the surest."""
+    """The best box of each object: boxes of one class overlap by at most 45 % (intersection over union)."""
     import numpy as np
 
     left, top, right, bottom = found.boxes.T
