@@ -15,7 +15,8 @@ import msgspec
 
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import Answered, InstanceSpec, Program, ignored
-from upwash.real.instances.instance_control import ControlledInstance
+from upwash.real.instances.instance_control import ControlledInstance, InstanceCallbacks
+from upwash.real.link.door import Lead
 from upwash.support.text import command
 
 _log = logging.getLogger("upwash.containers")
@@ -135,9 +136,10 @@ def container_name(service: str, server: str) -> str:
 class ContainerRuntime(ABC):
     """Starts each instance in a container; if it `freezes`, it keeps one frozen for each server and service."""
 
-    def __init__(self, *, freezes: bool, max_message_bytes: int) -> None:
+    def __init__(self, *, freezes: bool, lead: Lead | None, max_message_bytes: int) -> None:
         self.concurrency: dict[str, int] = {}  # of each service's image, once it is prepared
         self._freezes = freezes
+        self._lead = lead
         self._max_message_bytes = max_message_bytes
         self._frozen: dict[tuple[str, str], tuple[str, ControlledInstance]] = {}  # with their images
 
@@ -157,7 +159,8 @@ class ContainerRuntime(ABC):
                     return frozen
             await frozen.end()
         keep = functools.partial(self._keep, image.fingerprint) if self._freezes else None
-        return await self._start(replace(spec, methods=image.methods), image, called, answered, keep)
+        callbacks = InstanceCallbacks(called, answered, self._lead, keep)
+        return await self._start(replace(spec, methods=image.methods), image, callbacks)
 
     async def close(self) -> None:
         """End the frozen instances; the engine is closed too."""
@@ -181,11 +184,6 @@ class ContainerRuntime(ABC):
 
     @abstractmethod
     async def _start(
-        self,
-        spec: InstanceSpec,
-        image: ServiceImage,
-        called: Callable[[str], None],
-        answered: Answered,
-        keep: Callable[[ControlledInstance], None] | None,
+        self, spec: InstanceSpec, image: ServiceImage, callbacks: InstanceCallbacks
     ) -> ControlledInstance:
         """An instance in a container that runs from now on."""

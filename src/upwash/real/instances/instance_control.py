@@ -12,6 +12,7 @@ import logging
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
 
 import msgspec
 
@@ -209,27 +210,28 @@ class InstanceControl:
         )
 
 
-class ControlledInstance(ABC):
-    """An instance with a control line; it is frozen instead of stopped if there is a `keep` to take it.
+@dataclass(frozen=True, slots=True)
+class InstanceCallbacks:
+    """What an instance calls: `called` and `answered` for its calls, `lead` to let callers in through the door.
 
-    Callers are led to it through the door if there is a `lead`.
+    With a `keep` it is frozen instead of stopped, and given to that.
     """
 
-    def __init__(
-        self,
-        spec: ports.InstanceSpec,
-        *,
-        called: Callable[[str], None],
-        answered: ports.Answered,
-        lead: Lead | None,
-        keep: Callable[[ControlledInstance], None] | None = None,
-    ) -> None:
+    called: Callable[[str], None]
+    answered: ports.Answered
+    lead: Lead | None = None
+    keep: Callable[[ControlledInstance], None] | None = None
+
+
+class ControlledInstance(ABC):
+    """An instance with a control line, whatever it runs in."""
+
+    def __init__(self, spec: ports.InstanceSpec, callbacks: InstanceCallbacks) -> None:
         self.spec = spec
         self.endpoint = ""
-        self._called = called
-        self._answered = answered
-        self._lead = lead
-        self._keep = keep
+        self._callbacks = callbacks
+        self._lead = callbacks.lead
+        self._keep = callbacks.keep
         self._entrance: Entrance | None = None
         self._output = Output(spec.name)
         self._control: InstanceControl | None = None
@@ -311,8 +313,8 @@ class ControlledInstance(ABC):
         self._control = InstanceControl(
             self.spec,
             self._output,
-            called=self._called,
-            answered=self._answered,
+            called=self._callbacks.called,
+            answered=self._callbacks.answered,
             reports=reports,
             orders=orders,
         )

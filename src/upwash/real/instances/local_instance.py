@@ -14,12 +14,11 @@ from typing import Protocol
 import msgspec
 
 from upwash.errors import InstanceError
-from upwash.ports import Answered, InstanceSpec
+from upwash.ports import InstanceSpec
 from upwash.real.instances.control import Begin
-from upwash.real.instances.instance_control import ControlledInstance, InstanceControl
+from upwash.real.instances.instance_control import ControlledInstance, InstanceCallbacks, InstanceControl
 from upwash.real.instances.output import chunks_of
 from upwash.real.link.direct import Calls, direct_pair
-from upwash.real.link.door import Lead
 from upwash.real.link.proxy import announcing_at
 from upwash.real.link.streams import connected_pair, endpoint_of, hang_up, listening_socket
 from upwash.support.background import end, first, only_logged, start
@@ -58,17 +57,8 @@ class LocalInstance(ControlledInstance):
     pipes are closed too, and a child that the service left behind would hold them open.
     """
 
-    def __init__(
-        self,
-        spec: InstanceSpec,
-        run: Run,
-        *,
-        called: Callable[[str], None],
-        answered: Answered,
-        lead: Lead | None = None,
-        keep: Callable[[ControlledInstance], None] | None = None,
-    ) -> None:
-        super().__init__(spec, called=called, answered=answered, lead=lead, keep=keep)
+    def __init__(self, spec: InstanceSpec, run: Run, callbacks: InstanceCallbacks) -> None:
+        super().__init__(spec, callbacks)
         self._run = run
         self._calls: Calls | None = None
         self._path = ""  # of the socket to which callers are led

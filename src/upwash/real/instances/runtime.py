@@ -17,7 +17,7 @@ from weakref import WeakSet, WeakValueDictionary
 from upwash.errors import InstanceError
 from upwash.ports import Answered, InstanceSpec, ignored
 from upwash.real.instances.control import begin_of
-from upwash.real.instances.instance_control import starting
+from upwash.real.instances.instance_control import InstanceCallbacks, starting
 from upwash.real.instances.local_instance import STOP_GRACE_S, Handed, LocalInstance
 from upwash.real.instances.sandbox import Sandbox, open_call_filter
 from upwash.real.link.direct import DirectLink
@@ -69,7 +69,7 @@ class ProcessRuntime:
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> LocalInstance:
         """An instance that is ready to serve; raises InstanceError, and leaves nothing behind then."""
-        instance = LocalInstance(spec, self._run, called=called, answered=answered, lead=self._lead)
+        instance = LocalInstance(spec, self._run, InstanceCallbacks(called, answered, self._lead))
         begin = begin_of(
             spec,
             spec.program,

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Collection, Mapping
 
 from upwash.errors import EngineError
-from upwash.ports import Answered, InstanceSpec
+from upwash.ports import InstanceSpec
 from upwash.real.instances.containers import (
     ContainerRuntime,
     HeldImage,
@@ -19,7 +19,7 @@ from upwash.real.instances.containers import (
 from upwash.real.instances.control import begin_of
 from upwash.real.instances.docker.container import SERVER, DockerContainer, DockerSettings, describe, run
 from upwash.real.instances.docker.engine import DockerEngine
-from upwash.real.instances.instance_control import ControlledInstance, starting
+from upwash.real.instances.instance_control import ControlledInstance, InstanceCallbacks, starting
 from upwash.real.instances.local_instance import LocalInstance
 from upwash.real.link.door import Lead
 
@@ -60,12 +60,11 @@ class DockerRuntime(ContainerRuntime):
         lead: Lead | None,
         max_message_bytes: int,
     ) -> None:
-        super().__init__(freezes=freezes, max_message_bytes=max_message_bytes)
+        super().__init__(freezes=freezes, lead=lead, max_message_bytes=max_message_bytes)
         self._engine = engine
         self._settings = settings
         self._references = images
         self._listen = listen
-        self._lead = lead
         self._images: dict[str, ServiceImage] = {}  # by service, as their programs describe them
         self._server = ""  # the label of containers that only describe their image
 
@@ -90,20 +89,10 @@ class DockerRuntime(ContainerRuntime):
         await self._engine.close()
 
     async def _start(
-        self,
-        spec: InstanceSpec,
-        image: ServiceImage,
-        called: Callable[[str], None],
-        answered: Answered,
-        keep: Callable[[ControlledInstance], None] | None,
+        self, spec: InstanceSpec, image: ServiceImage, callbacks: InstanceCallbacks
     ) -> ControlledInstance:
         instance = DockerInstance(
-            spec,
-            functools.partial(run, self._engine, image, self._settings),
-            called=called,
-            answered=answered,
-            lead=self._lead,
-            keep=keep,
+            spec, functools.partial(run, self._engine, image, self._settings), callbacks
         )
         begin = begin_of(
             spec,

@@ -11,9 +11,9 @@ import msgspec
 
 from upwash.core.admission.clients import Client
 from upwash.errors import EngineError, InstanceError
-from upwash.ports import Answered, InstanceSpec
+from upwash.ports import InstanceSpec
 from upwash.real.instances.control import Begin
-from upwash.real.instances.instance_control import LONGEST_LINE_BYTES, ControlledInstance
+from upwash.real.instances.instance_control import LONGEST_LINE_BYTES, ControlledInstance, InstanceCallbacks
 from upwash.real.instances.lxd.container import LxdContainer
 from upwash.real.instances.lxd.credentials import (
     CONTROL_PORT,
@@ -22,7 +22,6 @@ from upwash.real.instances.lxd.credentials import (
     notice_silence,
 )
 from upwash.real.instances.lxd.engine import Engine
-from upwash.real.link.door import Lead
 from upwash.real.link.proxy import announcement
 from upwash.real.link.streams import StreamEnd
 
@@ -43,15 +42,12 @@ class LxdInstance(ControlledInstance):
         self,
         container: LxdContainer,
         spec: InstanceSpec,
+        callbacks: InstanceCallbacks,
         *,
         engine: Engine,
         lost: Callable[[str], None],
-        called: Callable[[str], None],
-        answered: Answered,
-        lead: Lead,
-        keep: Callable[[ControlledInstance], None] | None,
     ) -> None:
-        super().__init__(spec, called=called, answered=answered, lead=lead, keep=keep)
+        super().__init__(spec, callbacks)
         self.container = container
         self._credentials = new_control_credentials()  # of the service alone
         self._lost = lost

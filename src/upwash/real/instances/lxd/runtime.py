@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 
 from upwash.errors import EngineError
-from upwash.ports import Answered, InstanceSpec
+from upwash.ports import InstanceSpec
 from upwash.real.instances.containers import ContainerRuntime, ServiceImage, newest_images, packaging
 from upwash.real.instances.control import begin_of
-from upwash.real.instances.instance_control import ControlledInstance, starting
+from upwash.real.instances.instance_control import ControlledInstance, InstanceCallbacks, starting
 from upwash.real.instances.lxd.container import (
     LxdContainer,
     LxdSettings,
@@ -38,10 +38,9 @@ class LxdRuntime(ContainerRuntime):
     def __init__(
         self, engine: Engine, settings: LxdSettings, *, freezes: bool, lead: Lead, max_message_bytes: int
     ) -> None:
-        super().__init__(freezes=freezes, max_message_bytes=max_message_bytes)
+        super().__init__(freezes=freezes, lead=lead, max_message_bytes=max_message_bytes)
         self._engine = engine
         self._settings = settings
-        self._lead = lead
         self._containers: list[LxdContainer] = []  # listed once: a cluster waits for its lost members
         self._taken: set[str] = set()  # addresses
         self._suspects: set[str] = set()  # members that lost an instance and may still count as online
@@ -127,12 +126,7 @@ class LxdRuntime(ContainerRuntime):
         return container
 
     async def _start(
-        self,
-        spec: InstanceSpec,
-        image: ServiceImage,
-        called: Callable[[str], None],
-        answered: Answered,
-        keep: Callable[[ControlledInstance], None] | None,
+        self, spec: InstanceSpec, image: ServiceImage, callbacks: InstanceCallbacks
     ) -> ControlledInstance:
         """A service in a container that exists, else in a new one."""
         begin = begin_of(
@@ -145,16 +139,7 @@ class LxdRuntime(ContainerRuntime):
         )
 
         async def run(container: LxdContainer) -> LxdInstance:
-            instance = LxdInstance(
-                container,
-                spec,
-                engine=self._engine,
-                lost=self._suspect,
-                called=called,
-                answered=answered,
-                lead=self._lead,
-                keep=keep,
-            )
+            instance = LxdInstance(container, spec, callbacks, engine=self._engine, lost=self._suspect)
             async with starting(instance):
                 await instance.begin(begin)
             return instance
