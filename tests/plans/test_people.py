@@ -10,7 +10,7 @@ import pytest
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import ConfigError
-from upwash.plans import Plan, read_plan
+from upwash.plans import FlightPlan, read_plan
 
 FOLDER = Path(__file__).parent
 LIST = (FOLDER / "field.waypoints").read_text()
@@ -40,7 +40,7 @@ def listed(*rows: str) -> str:
     return "\n".join(["QGC WPL 110", *(f"{number}\t{each}" for number, each in enumerate(rows))])
 
 
-def read(tmp_path: Path, *rows: str) -> Plan:
+def read(tmp_path: Path, *rows: str) -> FlightPlan:
     file = tmp_path / "people.waypoints"
     file.write_text(listed(*rows))
     return read_plan(file)
@@ -52,7 +52,7 @@ def refusal(tmp_path: Path, *rows: str) -> str:
     return f"{refused.value.key}: {refused.value.problem}"
 
 
-def told(plan: Plan) -> list[str]:
+def told(plan: FlightPlan) -> list[str]:
     return [str(notice) for notice in plan.notices]
 
 
@@ -271,7 +271,7 @@ def pattern(*items: dict[str, Any], kind: str = "survey") -> dict[str, Any]:
     }
 
 
-def plan_of(tmp_path: Path, *items: dict[str, Any], **changes: Any) -> Plan:
+def plan_of(tmp_path: Path, *items: dict[str, Any], **changes: Any) -> FlightPlan:
     document = json.loads((FOLDER / "field.plan").read_text())
     document["mission"]["items"] = list(items)
     document["mission"] |= changes

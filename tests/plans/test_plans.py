@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import ConfigError
-from upwash.plans import Plan, PlannedCircle, PlannedWaypoint, read_plan
+from upwash.plans import FlightPlan, PlannedCircle, PlannedWaypoint, read_plan
 
 FOLDER = Path(__file__).parent
 PLAN = (FOLDER / "field.plan").read_text()
@@ -31,7 +31,7 @@ def refusal(tmp_path: Path, content: str | bytes) -> ConfigError:
     return raised.value
 
 
-def read(tmp_path: Path, content: str) -> Plan:
+def read(tmp_path: Path, content: str) -> FlightPlan:
     file = tmp_path / "some.plan"
     file.write_text(content)
     return read_plan(file)

@@ -35,7 +35,7 @@ from upwash.config.values import MDNS, is_address
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.geofence import breached_by_leg, breached_by_position, breached_by_way
 from upwash.mavlink.connection import parse_connection
-from upwash.plans import Plan
+from upwash.plans import FlightPlan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
 _HOME = Position(0.0, 0.0)
@@ -196,7 +196,7 @@ def _network_problems(network: NetworkConfig) -> Iterator[Problem]:
         yield f"{key}[{index}]", f'"{name}" a second time: name each interface once'
 
 
-def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
+def plan_problems(mission: MissionConfig, plan: FlightPlan) -> Iterator[Problem]:
     """Everything that keeps the mission's plan from being flown from the mission's home."""
     if plan.above_sea_level is not None and plan.home is not None and not is_planned_home(mission, plan):
         yield (

@@ -17,7 +17,7 @@ from upwash.core.geo import Circle, GeoPosition, LocalFrame, Measured, Position,
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.order import Sweep, sweeps
 from upwash.core.vehicle.geofence import Fence
-from upwash.plans import Ending, Plan
+from upwash.plans import Ending, FlightPlan
 
 
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
@@ -63,7 +63,7 @@ def geofence(mission: MissionConfig) -> tuple[Fence, ...]:
     return tuple(fence.fence(frame) for fence in mission.plan.plan.fences)
 
 
-def planned_home(plan: Plan) -> HomeConfig | None:
+def planned_home(plan: FlightPlan) -> HomeConfig | None:
     """The home that a plan names, or None."""
     home = plan.home
     return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
@@ -123,7 +123,7 @@ def altitudes_above_sea(mission: MissionConfig) -> AltitudesAboveSea | None:
     )
 
 
-def is_planned_home(mission: MissionConfig, plan: Plan) -> bool:
+def is_planned_home(mission: MissionConfig, plan: FlightPlan) -> bool:
     """Whether the mission's home is the plan's."""
     planned, home = plan.home, mission.home
     if planned is None or home is None:
@@ -213,7 +213,7 @@ def _frame(home: HomeConfig | None) -> LocalFrame:
     return LocalFrame(home.place)
 
 
-def _planned_waypoints(plan: Plan, frame: LocalFrame) -> tuple[Waypoint, ...]:
+def _planned_waypoints(plan: FlightPlan, frame: LocalFrame) -> tuple[Waypoint, ...]:
     return tuple(
         Waypoint(index, frame.position(each.place), each.ground_speed_m_s, each.above_sea_m, each.hold_s)
         for index, each in enumerate(plan.waypoints)

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 
 from upwash.config.coverage import CoverageFile
 from upwash.core.planning.order import SWEEPS
-from upwash.plans import Plan, read_plan
+from upwash.plans import FlightPlan, read_plan
 
 Name = Annotated[
     str,
@@ -53,9 +53,9 @@ class PlanFile:
 
     # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
 
-    def __init__(self, file: Path, plan: Plan | None = None) -> None:
+    def __init__(self, file: Path, plan: FlightPlan | None = None) -> None:
         self.file = file
-        self.plan: Plan = plan or read_plan(file)
+        self.plan: FlightPlan = plan or read_plan(file)
 
 
 class SettingsTable:

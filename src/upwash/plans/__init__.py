@@ -19,16 +19,16 @@ from pathlib import Path
 from upwash.errors import ConfigError
 from upwash.plans.foreign import WANTED, kind_of_bytes, kind_of_text
 from upwash.plans.items import PlanRefusal
-from upwash.plans.plan import Ending, Plan, PlannedCircle, PlannedPolygon, PlannedWaypoint
+from upwash.plans.plan import Ending, FlightPlan, PlannedCircle, PlannedPolygon, PlannedWaypoint
 from upwash.plans.waypoint_list import HEADER, parse_waypoint_list
 from upwash.support.input_files import read_named_file, text_of
 
-__all__ = ["Ending", "Plan", "PlannedCircle", "PlannedPolygon", "PlannedWaypoint", "read_plan"]
+__all__ = ["Ending", "FlightPlan", "PlannedCircle", "PlannedPolygon", "PlannedWaypoint", "read_plan"]
 
 _MOST_BYTES = 10_000_000
 
 
-def read_plan(file: Path) -> Plan:
+def read_plan(file: Path) -> FlightPlan:
     """The plan in the file; raises ConfigError with the number of the item that is not understood."""
     try:
         return _parsed(read_named_file(file, most_bytes=_MOST_BYTES))
@@ -36,7 +36,7 @@ def read_plan(file: Path) -> Plan:
         raise ConfigError(str(file), refusal.where, refusal.problem) from None
 
 
-def _parsed(content: bytes) -> Plan:
+def _parsed(content: bytes) -> FlightPlan:
     if kind := kind_of_bytes(content):
         raise PlanRefusal("", f"no plan, it is {kind}; {WANTED}")
     try:

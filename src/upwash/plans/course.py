@@ -21,13 +21,13 @@ from upwash.plans.items import (
     SET_HOME,
     Command,
     Item,
-    PlannedHome,
+    PlanHome,
     PlanRefusal,
     distance_m,
     home_at,
     why_refused,
 )
-from upwash.plans.plan import Ending, Plan, PlannedCircle, PlannedPolygon, PlannedWaypoint, PlanNotices
+from upwash.plans.plan import Ending, FlightPlan, PlannedCircle, PlannedPolygon, PlannedWaypoint, PlanNotices
 
 _SAME_PLACE_M = 1.0
 _ASSUMED_LOWEST_M = 20.0  # above home, of what counts from the sea where home's altitude is unknown
@@ -45,14 +45,14 @@ _OF_A_WAYPOINT = (
 
 
 def make_plan(
-    home: PlannedHome | None,
+    home: PlanHome | None,
     items: Sequence[Item],
     notices: PlanNotices,
     *,
     fences: tuple[PlannedPolygon | PlannedCircle, ...] = (),
     ground_speed_m_s: float | None = None,
     as_arducopter: bool = False,
-) -> Plan:
+) -> FlightPlan:
     """The plan that the items make; raises PlanRefusal for the first item that can be refused only.
 
     With `as_arducopter` a waypoint's altitude of 0, or its place of 0 and 0, is that of the waypoint before, and a
@@ -63,7 +63,7 @@ def make_plan(
     for item in items:
         course.take(item)
     course.finish()
-    return Plan(
+    return FlightPlan(
         home=home.place if home else None,
         waypoints=tuple(course.waypoints),
         fences=fences,
@@ -78,7 +78,7 @@ def make_plan(
     )
 
 
-def _home_of(home: PlannedHome | None, items: Sequence[Item], notices: PlanNotices) -> PlannedHome | None:
+def _home_of(home: PlanHome | None, items: Sequence[Item], notices: PlanNotices) -> PlanHome | None:
     """The home that the file names; instead of no home, or of a home far away, the place of the take-off.
 
     Ground stations write the home of the vehicle that they last saw, and that may have been a simulated one.
@@ -99,7 +99,7 @@ def _home_of(home: PlannedHome | None, items: Sequence[Item], notices: PlanNotic
     return home_at("", place.latitude_deg, place.longitude_deg)
 
 
-def _reference_above_sea_m(home: PlannedHome | None, items: Sequence[Item]) -> float:
+def _reference_above_sea_m(home: PlanHome | None, items: Sequence[Item]) -> float:
     """Home's altitude above the sea, in metres.
 
     An unknown altitude is assumed: the lowest altitude above the sea then lies as high above home as the take-off
@@ -127,7 +127,7 @@ class PlannedCourse:
 
     def __init__(
         self,
-        home: PlannedHome | None,
+        home: PlanHome | None,
         reference_above_sea_m: float,
         notices: PlanNotices,
         *,

@@ -89,7 +89,7 @@ class PlanRefusal(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedHome:
+class PlanHome:
     """The plan's home; its altitude is above sea level, None where the ground station did not know it."""
 
     latitude_deg: float
@@ -167,7 +167,7 @@ def checked_place(where: str, latitude_deg: float, longitude_deg: float) -> GeoP
 
 def home_at(
     where: str, latitude_deg: float | None, longitude_deg: float | None, altitude_m: float | None = None
-) -> PlannedHome | None:
+) -> PlanHome | None:
     """A plan's home; raises PlanRefusal for what is no place.
 
     A ground station writes nothing, or 0, where it knew no home or no altitude of the terrain: None for either.
@@ -180,7 +180,7 @@ def home_at(
         )
     if (latitude_deg, longitude_deg) == (0, 0):
         return None
-    return PlannedHome(place.latitude_deg, place.longitude_deg, altitude_m or None)
+    return PlanHome(place.latitude_deg, place.longitude_deg, altitude_m or None)
 
 
 def distance_m(place: GeoPosition, other: GeoPosition) -> float:

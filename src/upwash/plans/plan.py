@@ -90,7 +90,7 @@ class PlannedCircle:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class FlightPlan:
     """A flight: take-off, waypoints, and the end; `home` is None where the plan leaves it open.
 
     `home_above_sea_m` is None where the plan does not know it. `reference_above_sea_m` is the altitude of home from

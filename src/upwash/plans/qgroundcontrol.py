@@ -11,7 +11,7 @@ import msgspec
 from upwash.plans.course import make_plan
 from upwash.plans.foreign import WANTED, kind_of_document
 from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Item, PlanRefusal, checked_place, home_at
-from upwash.plans.plan import Plan, PlannedCircle, PlannedPolygon, PlanNotices
+from upwash.plans.plan import FlightPlan, PlannedCircle, PlannedPolygon, PlanNotices
 from upwash.support.text import printable
 
 T = TypeVar("T")
@@ -93,7 +93,7 @@ class _SimpleItem(msgspec.Struct, rename="camel"):
     auto_continue: bool
 
 
-def parse_plan(text: str) -> Plan:
+def parse_plan(text: str) -> FlightPlan:
     """The plan in the text of a `.plan` file; raises PlanRefusal."""
     try:
         found = json.loads(text)

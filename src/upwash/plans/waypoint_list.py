@@ -13,11 +13,11 @@ from upwash.plans.items import (
     SET_HOME,
     Command,
     Item,
-    PlannedHome,
+    PlanHome,
     PlanRefusal,
     home_at,
 )
-from upwash.plans.plan import Plan, PlanNotices
+from upwash.plans.plan import FlightPlan, PlanNotices
 
 HEADER = "QGC WPL"
 _VERSION = "110"
@@ -27,7 +27,7 @@ _OF_RALLY_POINTS = range(5100, 5101)
 _NO_COMMAND = 0  # as some ground stations write home
 
 
-def parse_waypoint_list(text: str) -> Plan:
+def parse_waypoint_list(text: str) -> FlightPlan:
     """The plan in the text of a waypoint list; raises PlanRefusal."""
     lines = io.StringIO(text, newline=None)  # read one by one: a file may hold millions
     header = next(lines)
@@ -80,7 +80,7 @@ def _require_mission(items: list[Item]) -> None:
             raise PlanRefusal("", f"no plan, it is a list of {what}; {WANTED}")
 
 
-def _home(items: list[Item], notices: PlanNotices) -> tuple[PlannedHome | None, list[Item]]:
+def _home(items: list[Item], notices: PlanNotices) -> tuple[PlanHome | None, list[Item]]:
     """The plan's home, and the items that are flown: all of them where the first one cannot be home."""
     first, *others = items
     is_a_place = first.command in (Command.WAYPOINT, SET_HOME, _NO_COMMAND)
