@@ -42,15 +42,13 @@ class Decisions:
         self, selection: Selection, *, autopilot: Autopilot, journal: Journal, send: Callable[[Command], None]
     ) -> None:
         self.server_left = asyncio.Event()  # by a decision on a call, which selects no other server
-        self.looked_after: Callable[[], object] = lambda: (
-            None
-        )  # is told after whatever may move the next look
+        self.looked_after: Callable[[], object] = lambda: None  # called when the next look may have moved
         self._selection = selection
         self._autopilot = autopilot
         self._journal = journal
         self._send = send
-        self._told = asyncio.Event()  # is set, and replaced, once something has happened
-        self._changed = asyncio.Event()  # likewise, once the core wants something done
+        self._told = asyncio.Event()  # set and replaced at each event
+        self._changed = asyncio.Event()  # set and replaced at each effect
 
     @property
     def estimates(self) -> Estimates:
@@ -202,7 +200,7 @@ def now_s() -> float:
     return asyncio.get_running_loop().time()
 
 
-_ROUNDING_S = 1e-6  # by which a look may be too early rather than a period too late
+_ROUNDING_S = 1e-6  # a look may be early by this, rather than late by a period
 
 
 class Background:
@@ -224,7 +222,7 @@ class Background:
         self._journal = journal
         self._silent = False  # the vehicle is, so that borders may be crossed unseen
         self._looked_s = 0.0
-        self._due_s = -math.inf  # when something can have changed
+        self._due_s = -math.inf  # of the next possible change
         self._alarm: asyncio.TimerHandle | None = None  # at the first look from then on
 
     async def look(self) -> NoReturn:

@@ -54,7 +54,7 @@ from upwash.support.background import end, start
 from upwash.support.heat import Surroundings
 
 _AT_ONCE_S = 1.0  # a person cannot have read of the reserve before
-_WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
+_WORDS_KEPT = 8  # of the vehicle, as a reason of a loss
 _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
 
@@ -102,7 +102,7 @@ class Flight:
         self._stopped: MissionStopped | None = None  # why, once it is
         self._stopped_s = 0.0
         self._follows = False  # a vehicle that is not the program's, to the ground
-        self.has_ended = False  # so that nothing more is to be said of it
+        self.has_ended = False  # its last event is logged
         self._stop_following = asyncio.Event()
         self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(
             maxlen=_WORDS_KEPT

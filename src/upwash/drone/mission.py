@@ -137,7 +137,7 @@ class MissionThread:
             raise MissionStopped(self._stopped)
 
     def _settle_from_thread(self, failure: Exception | None) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._settle, failure)
 
     def _settle(self, failure: Exception | None) -> None:

@@ -71,7 +71,7 @@ def _to_the_centimetre(length_m: float | None) -> float | None:
 
 
 _SHOTS = (DO_DIGICAM_CONTROL, IMAGE_START_CAPTURE)
-_BETWEEN_SHOTS_S = 0.5  # more than ArduPilot's CAM1_DURATION, which is 0.1 s unless somebody changed it
+_BETWEEN_SHOTS_S = 0.5  # more than ArduPilot's CAM1_DURATION, 0.1 s by default
 _SHOOT = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 

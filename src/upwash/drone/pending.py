@@ -129,7 +129,7 @@ class Demand(Generic[T]):
     def __init__(self, pending: Pending[T], question: Callable[[T], object]) -> None:
         self.pending = pending
         self._question = question
-        self._holds: bool | None = None  # once it was asked
+        self._holds: bool | None = None  # None before the question
 
     async def answered(self) -> None:
         """Return when the answer is there, or will never be; for the loop."""

@@ -45,8 +45,8 @@ from upwash.rpc.protocol import (
 
 _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
-_LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # between two questions for a slot, whatever a server says
-_LONGEST_PAUSE_S = 600.0  # a server is left out for no longer, whatever the server says
+_LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # bounds of the time between two questions for a slot
+_LONGEST_PAUSE_S = 600.0  # bound of the time that a server asks to be left out
 MOST_MOVES = 16
 
 
@@ -82,14 +82,14 @@ class ServerSession:
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
         self._addresses: dict[str, str] = {}  # that they lead to
-        self._moves: Counter[str] = Counter()  # of each service, since the server was asked
-        self._former: list[Link] = []  # to instances in whose place there are others
+        self._moves: Counter[str] = Counter()  # of each service, since the last question
+        self._former: list[Link] = []  # to former instances
         self._lease_s = LEAST_LEASE_S
         self.round_trip_s: float | None = None  # of the last question to the daemon
         self._joined = False
         self._expected = False  # the daemon keeps a slot for the drone, as it answered
         self._lost = ""  # why, once the network is
-        self._denied: set[str] = set()  # services, of which the daemon does not know yet
+        self._denied: set[str] = set()  # services to report to the daemon
         self._calls = 0
         self._quiet = asyncio.Event()
         self._quiet.set()
@@ -168,9 +168,8 @@ class ServerSession:
     async def start_patiently(self, *, within_s: float) -> None:
         """As `start`, on the ground, where time is no matter; raises NotReadyInTime for a longer start."""
         try:
-            await self.start(
-                timeout_s=within_s + _ANSWER_S
-            )  # a daemon with the same limit tells what it knows
+            # Later than a daemon with the same limit, whose answer says more.
+            await self.start(timeout_s=within_s + _ANSWER_S)
         except DeadlineExceeded:
             services = " and ".join(self._server.services)
             raise NotReadyInTime(f"{services} at {self.server}", within_s) from None

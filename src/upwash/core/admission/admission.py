@@ -203,7 +203,7 @@ class AdmissionController:
         self.settings = settings or AdmissionSettings()
         self._peers = Peers(peers, hold_s=self.settings.hold_s)
         self._numbers = itertools.count(1)  # of instances
-        self.closing = ""  # why nobody is served any more; empty where drones are
+        self.closing = ""  # why drones are refused; empty while they are served
         self._revoked: frozenset[str] = frozenset()
         self._refusals = Refusals()
         self._refused = dict.fromkeys([*offers, _ELSEWHERE], 0)  # how often, by server
@@ -505,7 +505,7 @@ class AdmissionController:
             for command in server.leases.end(lambda _: True, now_s=now_s)
         ]
 
-    # --- what comes to its end by itself --------------------------------------------------------------------
+    # --- what ends by itself --------------------------------------------------------------------------------
 
     def look(self, *, now_s: float) -> list[Command]:
         """End leases whose time is over; stop unused instances."""
@@ -530,7 +530,7 @@ class AdmissionController:
             ends_s += [used_s + settings.idle_stop_s for used_s in server.instances.used_s()]
         return min(ends_s)
 
-    # --- what there is to see -------------------------------------------------------------------------------
+    # --- the status page ------------------------------------------------------------------------------------
 
     def refused(self, server: str, client: str, why: str, *, now_s: float) -> None:
         """Count a refused client; the controller need not know the reason."""

@@ -61,9 +61,7 @@ class InstancePlace:
     failures: InstanceFailures = field(default_factory=InstanceFailures)
     replaced: int = 0  # instances that were of no use
     successor: int = 0  # an instance of another version that is starting; 0: none
-    former_s: dict[int, float] = field(
-        default_factory=dict
-    )  # instances that had the place, and until when they serve
+    former_s: dict[int, float] = field(default_factory=dict)  # until when former instances serve
     renewed: int = 0  # instances that took over in another version
     not_renewed: str = ""  # why the other version did not start last time
 

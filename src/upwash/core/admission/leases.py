@@ -15,7 +15,7 @@ from upwash.core.admission.clients import Client, LeaseStatus
 from upwash.core.admission.turns import Turns
 from upwash.core.admission.usage import LeaseEnded, Usage
 
-_FINISH_S = 10.0  # for which calls that are under way are answered after a turn
+_FINISH_S = 10.0  # after a turn, for calls under way
 
 
 class Admit(Struct, frozen=True):

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 _SHARE = 0.25  # until it is measured
-_LEAST_CALLS = 2  # of one drone, from which its share is known
+_LEAST_CALLS = 2  # of one drone, for a measured share
 _WEIGHT = 0.2  # of the latest call in a drone's share
 _MOST_DRONES = 64  # whose shares count, the latest
 
@@ -22,7 +22,7 @@ _MOST_DRONES = 64  # whose shares count, the latest
 class _Calls:
     """One drone's calls of one service, while it holds a slot."""
 
-    ended_s: float | None  # the last one; None where the drone has come anew
+    ended_s: float | None  # the last one; None after a new arrival
     share: float = 0.0
     count: int = 0
 

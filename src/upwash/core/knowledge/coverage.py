@@ -19,11 +19,11 @@ from dataclasses import dataclass, field
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
 
-SAME_M = 8.0  # what is measured so close to a place is measured there
-NEAR_M = 12.0  # so far around a place what was measured there is believed
+SAME_M = 8.0  # calls within this distance count for one place
+NEAR_M = 12.0  # a measured place says this much of its surroundings
 _LATEST = 3  # calls, whose mean counts
 _LEAST_BYTES = 10_000  # of a call whose delay is, for its most part, that of the transfer
-MOST_PLACES = 5_000  # of each server: the one that was measured least lately makes room
+MOST_PLACES = 5_000  # of each server; the longest unmeasured makes room
 
 
 @dataclass(slots=True)

@@ -85,9 +85,8 @@ class Estimates:
     ) -> None:
         self.coverage = coverage
         self._here: Position | None = None
-        self._seen: Sequence[object] = (
-            [None for _ in coverage.servers] if coverage else ()
-        )  # what the coverage says of the servers, where the drone is
+        # What the coverage says of the servers, where the drone is.
+        self._seen: Sequence[object] = [None for _ in coverage.servers] if coverage else ()
         self._beliefs = dict(servers)
         self._slow_apart = slow_apart
         self._slow_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}

@@ -16,7 +16,7 @@ from upwash.core.geo import Circle, Position, Reach, ground_distance_m
 
 _MOST_SQUARES = 64  # of one area, or of one question: what reaches further is looked at each time
 _LEAST_SIDE_M = 1.0
-_FEW = 4  # so many areas are sooner looked at than their squares
+_FEW = 4  # a look at few areas is quicker than at their squares
 
 
 class AreaIndex:
@@ -70,7 +70,7 @@ class Ranges:
         self._inside: set[str] = set()
         self._position: Position | None = None
         self._travelled_m = 0.0
-        self._due = [(0.0, name) for name in areas]  # a heap: look at it again when so far has been travelled
+        self._due = [(0.0, name) for name in areas]  # a heap: the travelled distance of the next look
 
     @property
     def is_on_border(self) -> bool:

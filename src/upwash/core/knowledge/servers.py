@@ -19,8 +19,8 @@ from upwash.core.knowledge.ranges import Ranges
 from upwash.errors import TransitionError
 
 _HISTORY_LENGTH = 20
-_REMEMBERED_S = 60.0  # for which a server is believed to have no slot, or none for everybody
-FULL_S = 15.0  # for which it is expected to have none: half a turn
+_REMEMBERED_S = 60.0  # how long its answers about slots are believed
+FULL_S = 15.0  # the expected wait for a slot: half a turn
 
 
 class State(StrEnum):
@@ -51,7 +51,7 @@ class Trigger(StrEnum):
     CALL_FAILED_IN_RANGE = "call_failed_in_range"
     CALL_FAILED_OUT_OF_RANGE = "call_failed_out_of_range"
     NETWORK_LOST = "network_lost"  # in range, though: out of range is a de-selection
-    TURN_OVER = "turn_over"  # its slot is another drone's now: it is asked for one again
+    TURN_OVER = "turn_over"  # another drone has the slot now; the drone asks again
     BLACKLIST_EXPIRED = "blacklist_expired"
     PROBED = "probed"  # it gave a sign of life, and not all services run
     PROBED_RUNNING = "probed_running"  # the services that run there did, too
@@ -110,9 +110,7 @@ class Server:
     check: int = 0  # the number of the latest check of it
     checked_since_s: float = 0.0  # t_check: when it was last selected
     start_requested: bool = False  # during the check that runs, or the last one
-    joined_before: bool = (
-        False  # that check found the network joined, by a probe of the server or a turn there
-    )
+    joined_before: bool = False  # its network was joined before that check, by a probe or a turn there
     refused: bool = False  # a slot, in the check that runs, or the last one
     full_s: float = -math.inf  # when it last said that it has no slot for the drone
     contended_s: float = -math.inf  # when it last said that others wait for a slot

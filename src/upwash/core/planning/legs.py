@@ -131,7 +131,5 @@ class Pace(Struct, frozen=True):
 
 
 ARDUCOPTER = Pace(2.15, 0.4, lifting_s=5.9, climb_m_s=2.535, home_share=0.92)
-PX4 = Pace(
-    1.18, 2.45, lifting_s=6.8, climb_m_s=1.32, home_share=0.88
-)  # as setpoints steer it (mavlink.course)
+PX4 = Pace(1.18, 2.45, lifting_s=6.8, climb_m_s=1.32, home_share=0.88)  # as setpoints steer it
 PACES: Mapping[str, Pace] = {"arducopter": ARDUCOPTER, "px4": PX4}

@@ -21,7 +21,7 @@ from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import Leg, Pace, acceleration_m_s2, entered_m
 
-_MOST_ENTRIES = 10_000  # legs of which is remembered what was computed
+_MOST_ENTRIES = 10_000  # of the cache of legs
 
 
 class StopCall(Struct, frozen=True):
@@ -91,7 +91,7 @@ class _Way(Struct, frozen=True):
     """A leg to come with the hold at its end: its duration, and when it enters ranges it does not begin in."""
 
     duration_s: float
-    servers: Sequence[str]  # in whose range it ends
+    servers: Sequence[str]  # in range at its end
     entered_s: Sequence[tuple[str, float]]
 
 
@@ -115,12 +115,10 @@ class MissionModel:
         self._way: _LegUnderWay | None = None
         self._last_leg_m = 0.0
         self._here: list[StopCall] = []
-        self._is_back = False  # at the place, or on the way there: nothing is learnt from such a stop
+        self._is_back = False  # or on the way back: the stop teaches nothing
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
         self._entries: dict[tuple[Position, Position], _Entries] = {}
-        self._ways: dict[
-            tuple[int, float], _Way
-        ] = {}  # by waypoint and ground speed, as the vehicle speeds up now
+        self._ways: dict[tuple[int, float], _Way] = {}  # by waypoint and ground speed, at the present agility
 
     def begun(self, vehicle: Pace | None) -> None:
         """The mission begins with a vehicle of that pace; None if unknown."""

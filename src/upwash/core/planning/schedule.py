@@ -78,7 +78,7 @@ class _Useful(Struct, gc=False):
 
     check: CheckTimes
     bit: int
-    told_s: float  # with no more than that left of its check, it has surely been told to start its services
+    told_s: float  # the rest of its check at which its services have surely been started
 
 
 class _Stage(NamedTuple):
@@ -95,7 +95,7 @@ _Arrival = tuple[_Label, float, float]  # at a call: what is left of the server'
 _Served = tuple[float, float, int, int, float, _Label]  # a label in the making, with its number among others
 _cost_and_rest = attrgetter("cost_s", "ready_in_s")
 _MOST_STARTED = 2  # sets of servers that labels may have started the services of
-_ASKING_S = 1.0  # a server that is left sooner has perhaps not been told to start anything
+_ASKING_S = 1.0  # of a check, before which perhaps no service was started
 _LITTLE = 0.2  # of a local call: what a schedule may lose that is looked for first
 
 

@@ -51,9 +51,8 @@ class CallForecast:
         self._unusable_s = unusable_s
         self._local_mean_s = estimates.mean_call_s()
         self._choices: dict[tuple[str | None, tuple[str, ...], Position | None], str | None] = {}
-        self._delays_s: dict[
-            tuple[str | None, Operation, Position | None], float
-        ] = {}  # with no check under way
+        # With no check under way.
+        self._delays_s: dict[tuple[str | None, Operation, Position | None], float] = {}
 
     def places(self, calls: Iterable[ExpectedCall]) -> Iterator[CallPlace]:
         """The place of each call in turn."""

@@ -17,7 +17,7 @@ from upwash.core.selection.commands import Effect
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
 
-_TRIAL_S = 10.0  # for which a server's answer to a call on trial is waited for, beside the drone's own
+_TRIAL_S = 10.0  # for the server's answer to a call on trial
 
 
 class CallPlacement:

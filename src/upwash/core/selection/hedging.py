@@ -65,7 +65,7 @@ class Hedging:
         self._budget = budget
         self._offline_s = offline_s
         self._delays: dict[tuple[str, Operation], Delays] = {}
-        self._calls_s = 0.0  # what all calls so far would have taken on the drone
+        self._calls_s = 0.0  # the time of all calls, if computed on the drone
         self._extra_s = 0.0
 
     def called(self, operation: Operation) -> None:

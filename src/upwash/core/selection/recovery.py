@@ -20,7 +20,7 @@ from msgspec import Struct
 
 from upwash.core.operation import Operation
 
-REST_S = 10.0  # for which a failed server is left alone that nobody can ask
+REST_S = 10.0  # how long a failed server out of range is left alone
 _LONGEST_PAUSE_S = 10.0
 _WELL_S = 60.0
 _GROWTH = 1.25

@@ -157,7 +157,7 @@ class Selection:
         effects = self._take_in(event, now_s, position)
         effects += radios.end_probes([each for each in radios.probed if self._unneeded or not each.in_range])
         effects += table.expire(now_s, probed=radios.probed)
-        if not effects:  # else the policy is asked anyway
+        if not effects:  # else the policy decides anyway
             planning.forget_slow_calls(now_s)
         if effects or planning.is_due(now_s):
             effects += self._select(now_s, position)
@@ -242,7 +242,7 @@ class Selection:
         """Learn from the event; return its own effects, before the policy is asked."""
         match event:
             # What the radios report concerns the mission only once a server changes its state.
-            case events.Tick():  # the first case, as it is by far the most frequent
+            case events.Tick():  # first: by far the most frequent
                 return []
             case events.CheckAnswered(check):
                 return self._asked(check, position, answered=True) + self._check_answered(event, now_s)
@@ -365,7 +365,7 @@ class Selection:
         change = server.apply(trigger, now_s=now_s)
         if server.start_requested:
             self.estimates.services_started(server.name)
-        # How long the rest of an announced start took teaches nothing, nor a check without joining, or for a slot.
+        # An announced start, a check without a join and a wait for a slot teach nothing.
         announced = server.start_requested and self._planning.was_announced(server)
         if not announced and not server.joined_before and not server.refused:
             self.estimates.observe_check(

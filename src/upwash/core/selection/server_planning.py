@@ -43,7 +43,7 @@ class PrewarmNotifier:
     """Knows what was announced where, and when it is time for the next announcement."""
 
     def __init__(self) -> None:
-        self.due_s = math.inf  # when an announcement is to be made that was too early before
+        self.due_s = math.inf  # the time of the next announcement
         self._held_until_s: dict[str, float] = {}
 
     def is_due(self, now_s: float) -> bool:
@@ -92,7 +92,7 @@ class ServerPlanning:
         self.mission = mission
         self.under_way: Decision | None = None  # on the call whose answer is not there yet
         self._operation: Operation | None = None  # of that call
-        self.changed = True  # whether anything has changed since the policy was last asked
+        self.changed = True  # since the policy last chose
         self._policy = policy
         self._table = table
         self._radios = radios

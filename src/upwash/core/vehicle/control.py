@@ -98,7 +98,7 @@ class ControlChange(StrEnum):
     """What a claim or a report means for the owner."""
 
     CLAIMED = "claimed"
-    MODE_CHANGED = "mode changed"  # nobody but a pilot is known to do that
+    MODE_CHANGED = "mode changed"  # only a pilot is known to do that
     MODE_COMMANDED = "mode changed, and the remote control did not move"
     REMOTE_MOVED = "remote control moved"  # what is known late of a change of the mode
     MODE_FAILED_SAFE = "mode changed by a fail-safe"
@@ -110,7 +110,7 @@ class ControlChange(StrEnum):
 
 TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
     (Owner.NOBODY, ControlChange.CLAIMED): Owner.PROGRAM,
-    (Owner.NOBODY, ControlChange.MODE_CHANGED): Owner.NOBODY,  # a switch of a vehicle that nobody flies
+    (Owner.NOBODY, ControlChange.MODE_CHANGED): Owner.NOBODY,  # a switch on the ground
     (Owner.NOBODY, ControlChange.MODE_COMMANDED): Owner.NOBODY,
     (Owner.NOBODY, ControlChange.MODE_FAILED_SAFE): Owner.NOBODY,
     (Owner.NOBODY, ControlChange.ARMED): Owner.PILOT,
@@ -187,9 +187,7 @@ class Latch:
     def __init__(self, now_s: float) -> None:
         self.control = Control(Owner.NOBODY, now_s, "not claimed yet")
         self._reported: Heartbeat | None = None
-        self._mode: str | None = (
-            None  # what it was last seen to be in by command; None: any, while it stands disarmed
-        )
+        self._mode: str | None = None  # the last commanded mode seen; None: any, while it stands disarmed
         self._modes_ahead: tuple[str, ...] = ()  # those that the command on its way leads to, in order
         self._armed = False
         self._armed_ahead: bool | None = None
@@ -286,9 +284,7 @@ class Latch:
     def _compare_lost(self, before: Heartbeat, report: Heartbeat, now_s: float) -> None:
         if report.armed and not before.armed:
             self._take(*_armed_or_disarmed(report), now_s)
-        changed = (
-            report.armed and report.mode != before.mode
-        )  # one that stands may go back to an earlier mode
+        changed = report.armed and report.mode != before.mode  # disarmed it may go back to an earlier mode
         if changed or (report.failsafe and not before.failsafe):
             self._take_mode(report, now_s, "")
         elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):

@@ -30,17 +30,14 @@ from upwash.core.vehicle.way_home import (
     time_home_s,
 )
 
-_STEP_PERCENT = 1.0  # of the reports: 80 may be anything from 80 up to 81
+_STEP_PERCENT = 1.0  # of the reports: 80 means 80 up to 81
 _WINDOW_S = 180.0  # over which the consumption of now is measured
 _LEAST_S = 60.0  # less flight than this says nothing of it
 _SWAPPED_PERCENT = 3.0  # a rise of more is another battery, or a sag that is over
-_STEADY_S, _STEADY_M_S = (
-    3.0,
-    0.3,
-)  # so long at a speed that changes by no more: it neither speeds up nor brakes
+_STEADY_S, _STEADY_M_S = 3.0, 0.3  # at a speed within this for this long it neither speeds up nor brakes
 _LEVEL_M_S = 0.3  # a leg that climbs or descends faster is slow for that reason
 _LEAST_M_S = 0.5  # below this it stands
-_WIND_KEPT_S = 600.0  # for so long a slow leg tells of the wind
+_WIND_KEPT_S = 600.0  # how long a slow leg counts for the wind
 
 
 class FlightReport(Struct, frozen=True):
@@ -229,9 +226,7 @@ class Wind:
             return 0.0
         head_m_s = -(self._reported.east_m_s * east + self._reported.north_m_s * north)
         cross_m_s = abs(self._reported.east_m_s * north - self._reported.north_m_s * east)
-        ahead_m_s = math.sqrt(
-            max(0.0, speed_m_s**2 - cross_m_s**2)
-        )  # what is left, with the nose into the wind
+        ahead_m_s = math.sqrt(max(0.0, speed_m_s**2 - cross_m_s**2))  # with the nose into the wind
         return speed_m_s - ahead_m_s + max(0.0, head_m_s)
 
     def _note_slowness(self, time_s: float, velocity: Velocity, told_m_s: float) -> None:

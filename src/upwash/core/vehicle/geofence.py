@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from upwash.core.geo import Circle, Position, ground_distance_m
 
-_ON_THE_BORDER_M = 1e-3  # ten times finer than the steps in which plans give coordinates
+_ON_THE_BORDER_M = 1e-3  # a tenth of the step of coordinates in plans
 
 
 class Polygon(Struct, frozen=True):

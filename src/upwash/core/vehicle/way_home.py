@@ -19,7 +19,7 @@ from upwash.core.planning.legs import Leg
 
 STILL = Velocity()
 _LEAST_SHARE = 1 / 3  # of the speed of returns: it flew out against the wind that it returns against
-LOOK_S = 2.0  # between two looks at the battery, and until the vehicle is told
+LOOK_S = 2.0  # between two looks at the battery, and until the command
 
 
 class WayHome(Struct, frozen=True):
@@ -29,7 +29,7 @@ class WayHome(Struct, frozen=True):
     climb_m_s: float
     speed_m_s: float  # over the ground, without wind
     acceleration_m_s2: float
-    hover_s: float  # above home, and whatever else takes a fixed time
+    hover_s: float  # above home, with all other fixed times
     descent_m_s: float
     slowly_below_m: float  # the last metres,
     landing_m_s: float  # ... which it descends at this speed
