@@ -2,7 +2,7 @@
 
 A file is read in this order: `reading` (TOML to plain values), `shorthand` (short forms written out), `convert` (the
 types, which `values`, `drone`, `daemon` and `runtime` declare), `checks` (what no type says). The first problem is
-raised. After that every value is possible, and `places`, `flight_times`, `fleet` and `truth` answer what follows from
+raised. After that every value is possible, and `places`, `flight_times` and `truth` answer what follows from
 several keys.
 
 A docstring below a key is its line in docs/configuration-reference.md, and the description of a kind of value is what
@@ -45,8 +45,14 @@ from upwash.config.drone import (
     VehicleConfig,
     unsigned_port,
 )
-from upwash.config.drone_file import drone_config, read_drone_config, refuse_several
-from upwash.config.fleet import Presence, fleet_of, presences
+from upwash.config.drone_file import (
+    Presence,
+    drone_config,
+    fleet_of,
+    presences,
+    read_drone_config,
+    refuse_several,
+)
 from upwash.config.flight_times import (
     finish_by_s,
     pace_in_numbers,

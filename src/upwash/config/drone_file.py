@@ -1,21 +1,24 @@
-"""Read a drone's configuration or a scenario."""
+"""Read a drone's configuration or a scenario, which may be of several drones."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-import msgspec
+from msgspec import Struct
+from msgspec.structs import replace
 
 from upwash.config.checks import order_problems, plan_problems, problems
-from upwash.config.drone import DroneConfig
-from upwash.config.fleet import fleet_of
+from upwash.config.drone import DroneConfig, FleetDroneConfig, MissionConfig
 from upwash.config.places import as_planned
 from upwash.config.reading import Document, Problem, convert, read_document, refuse_first
 from upwash.config.shorthand import written_out
+from upwash.core.planning.order import SWEEPS
 from upwash.errors import ConfigError
 
 _MOST_PAIRS = 20_000  # of a service and a server
+_SEED_BYTES = 6  # of a derived seed: it fits every integer
 _OF_A_DAEMON = {"listen", "runtime", "lease_s", "allow_without_certificates"}
 
 
@@ -36,7 +39,7 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
     mission = config.mission
     if mission.plan is not None:
         mission = as_planned(mission, mission.plan, named=document["mission"])
-        config = msgspec.structs.replace(config, mission=mission)
+        config = replace(config, mission=mission)
     refuse_first(file, problems(config))
     for drone in fleet_of(config):
         plan = drone.mission.plan
@@ -66,3 +69,55 @@ def refuse_several(config: DroneConfig, file: Path, *, what: str) -> None:
             f"{what} is of one drone, and this file has [[drone]] tables, which are for simulations: give each drone "
             "a file of its own, with its name at the top and its waypoints in [mission]",
         )
+
+
+class Presence(Struct, frozen=True):
+    """When a drone appears, and when its computer vanishes without a word; seconds of the simulation."""
+
+    departs_s: float = 0.0
+    vanishes_s: float | None = None
+
+
+def fleet_of(config: DroneConfig) -> tuple[DroneConfig, ...]:
+    """A configuration for each `[[drone]]` of the file; without any, the file's own alone.
+
+    The first drone has the file's seed. Each other drone has a seed derived from it and from the drone's name.
+    """
+    if not config.drones:
+        return (config,)
+    return tuple(_one(config, drone, number) for number, drone in enumerate(config.drones))
+
+
+def presences(config: DroneConfig) -> tuple[Presence, ...]:
+    """When each drone of `fleet_of` is there."""
+    return tuple(Presence(drone.departs_s, drone.vanishes_s) for drone in config.drones) or (Presence(),)
+
+
+def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConfig:
+    digest = hashlib.sha256(
+        f"{config.seed}/{drone.name}".encode()
+    ).digest()  # independent of the other drones
+    return replace(
+        config,
+        name=drone.name,
+        seed=config.seed if number == 0 else int.from_bytes(digest[:_SEED_BYTES]),
+        mission=_mission(config.mission, drone, number),
+        policy=replace(config.policy, name=drone.policy or config.policy.name),
+        services=tuple(
+            replace(
+                service, local_call_s={**service.local_call_s, **drone.local_call_s.get(service.name, {})}
+            )
+            for service in config.services
+        ),
+        drones=(),
+    )
+
+
+def _mission(mission: MissionConfig, drone: FleetDroneConfig, number: int) -> MissionConfig:
+    """The file's mission with the drone's waypoints and sweep; its own plan says how high and how fast."""
+    if mission.order == "by-index":
+        mission = replace(mission, order=number % SWEEPS)
+    if drone.grid is None and drone.waypoints_m is None and drone.plan is None:
+        return mission
+    mission = replace(mission, grid=drone.grid, waypoints_m=drone.waypoints_m, plan=drone.plan)
+    return mission if drone.plan is None else as_planned(mission, drone.plan, named=("home",))
