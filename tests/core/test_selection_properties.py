@@ -36,7 +36,7 @@ from upwash.core.policies.policy import (
 from upwash.core.selection.commands import Check, Effect, Leave, Prepare, Probe, Start
 from upwash.core.selection.events import (
     CheckAnswered,
-    Event,
+    SelectionEvent,
     LeaseRenewed,
     LegBegun,
     LegEnded,
@@ -333,7 +333,7 @@ class Flights(RuleBasedStateMachine):
             self.slow.add((call.server, call.operation))
 
     def happens(
-        self, event: Event, *, check: int | None = None, states: Collection[State] = CHECKING
+        self, event: SelectionEvent, *, check: int | None = None, states: Collection[State] = CHECKING
     ) -> None:
         """The machine takes it in; what belongs to a check that is over must be worth no more than a look."""
         if check is not None and not self.is_at(check, states):

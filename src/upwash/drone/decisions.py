@@ -21,7 +21,7 @@ from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Decision, Lightened, Local, Remote, Wait
 from upwash.core.selection.commands import Command, Effect, ExpectedTimes, Full, Mapped, ServerPaused
-from upwash.core.selection.events import Event, Tick
+from upwash.core.selection.events import SelectionEvent, Tick
 from upwash.core.selection.selection import Selection
 from upwash.errors import AutopilotLost
 from upwash.eventlog import schema
@@ -83,7 +83,7 @@ class Decisions:
         """The number of the latest check of the server."""
         return self._selection.servers[server].check
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SelectionEvent) -> None:
         """Pass the event to the core, and carry out its effects."""
         effects = self._selection.handle(event, now_s=now_s(), position=self._autopilot.position)
         self._perform(effects)

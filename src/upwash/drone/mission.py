@@ -30,7 +30,7 @@ _OTHER_THREAD = (
 _GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
 
 
-class ThreadTurn(Protocol):
+class LoopTurn(Protocol):
     """The turn of a mission's thread on a loop of virtual time."""
 
     def give(self) -> None:
@@ -50,7 +50,7 @@ class ThreadTurn(Protocol):
 class TurnTaking(Protocol):
     """An event loop whose clock stands still while a mission's code runs."""
 
-    def mission_turn(self) -> ThreadTurn:
+    def mission_turn(self) -> LoopTurn:
         """The turn of a mission's thread that is about to begin."""
 
 

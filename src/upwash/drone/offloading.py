@@ -16,7 +16,7 @@ from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Remote, Wait
-from upwash.core.selection.events import Event, NoMoreCalls
+from upwash.core.selection.events import SelectionEvent, NoMoreCalls
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
 from upwash.drone.calling import CallAnswer, Calling, Invocation, Racing
@@ -93,7 +93,7 @@ class Offloading:
             return None, None
         return server, self._radios.worker_at(server).round_trip_s(server)
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SelectionEvent) -> None:
         """Takes in what happened, and does what it calls for."""
         self._decisions.tell(event)
 
@@ -219,7 +219,7 @@ class FailSafeOffloading:
                 self._fail(error)
         return None
 
-    def tell(self, event: Event) -> None:
+    def tell(self, event: SelectionEvent) -> None:
         """Takes in what happened."""
         if not self._failed:
             try:

@@ -13,7 +13,7 @@ from typing import NoReturn, TypeVar
 
 from upwash.core.selection import events
 from upwash.core.selection.commands import Check, Command, Leave, Prepare, Probe, Start
-from upwash.core.selection.events import Event
+from upwash.core.selection.events import SelectionEvent
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UNREACHED, LinkError, NetworkError, ServerFull, ServicePaused
 from upwash.eventlog import schema
@@ -34,7 +34,7 @@ class RadioWorker:
         network: Network,
         dialer: Dialer,
         journal: Journal,
-        tell: Callable[[Event], None],
+        tell: Callable[[SelectionEvent], None],
     ) -> None:
         self.session: ServerSession | None = None
         self._session_with = ""  # the server
@@ -249,7 +249,7 @@ class RadioWorkers:
         networks: Sequence[Network],
         dialer: Dialer,
         journal: Journal,
-        tell: Callable[[Event], None],
+        tell: Callable[[SelectionEvent], None],
     ) -> None:
         self.workers = [
             RadioWorker(in_range, endpoints, network=network, dialer=dialer, journal=journal, tell=tell)

@@ -10,15 +10,15 @@ from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.way_home import EnergyFacts
 
 
-class Event(Struct, frozen=True):
+class SelectionEvent(Struct, frozen=True):
     """Something that happened."""
 
 
-class Tick(Event, frozen=True):
+class Tick(SelectionEvent, frozen=True):
     """A period is over, or a border of a range was crossed: time to look again."""
 
 
-class MissionBegun(Event, frozen=True):
+class MissionBegun(SelectionEvent, frozen=True):
     """The mission's time begins: the vehicle is armed, or was found in the air. This is what it says of itself.
 
     `pace` is how it flies on average, None where that is not known.
@@ -28,7 +28,7 @@ class MissionBegun(Event, frozen=True):
     pace: Pace | None = None
 
 
-class CheckAnswered(Event, frozen=True):
+class CheckAnswered(SelectionEvent, frozen=True):
     """The daemon answered that the server is available, and whether all wanted services run.
 
     `peers` are the servers that it can have prepared; `waiting` drones queue for a slot.
@@ -40,21 +40,21 @@ class CheckAnswered(Event, frozen=True):
     waiting: int = 0
 
 
-class SlotRefused(Event, frozen=True):
+class SlotRefused(SelectionEvent, frozen=True):
     """The server is full and `waiting` drones queue; the drone asks again."""
 
     check: int
     waiting: int
 
 
-class LeaseRenewed(Event, frozen=True):
+class LeaseRenewed(SelectionEvent, frozen=True):
     """The server keeps its slot for the drone; `waiting` others queue."""
 
     check: int
     waiting: int
 
 
-class SlotTaken(Event, frozen=True):
+class SlotTaken(SelectionEvent, frozen=True):
     """The server, READY by that check, gave the drone's slot to another drone, perhaps `in_call`."""
 
     check: int
@@ -62,13 +62,13 @@ class SlotTaken(Event, frozen=True):
     in_call: bool = False
 
 
-class ServicesStarted(Event, frozen=True):
+class ServicesStarted(SelectionEvent, frozen=True):
     """The daemon started the services and gave their endpoints."""
 
     check: int
 
 
-class ServerUnusable(Event, frozen=True):
+class ServerUnusable(SelectionEvent, frozen=True):
     """The server could not be joined, did not answer in time, is unavailable or could not start a service.
 
     The first two leave it `unreached`. If it leaves a service alone for `pause_s`, it is left out for as long.
@@ -80,7 +80,7 @@ class ServerUnusable(Event, frozen=True):
     pause_s: float = 0.0
 
 
-class ProbePaused(Event, frozen=True):
+class ProbePaused(SelectionEvent, frozen=True):
     """The probed server leaves a service alone for a pause, and is left out for as long."""
 
     check: int
@@ -88,41 +88,41 @@ class ProbePaused(Event, frozen=True):
     pause_s: float
 
 
-class ProbeAnswered(Event, frozen=True):
+class ProbeAnswered(SelectionEvent, frozen=True):
     """A failed server answered, with all wanted services that run there; `running` if all do."""
 
     check: int
     running: bool
 
 
-class ProbeUnanswered(Event, frozen=True):
+class ProbeUnanswered(SelectionEvent, frozen=True):
     """A failed server has not answered by the time of the next question."""
 
     check: int
 
 
-class NetworkGone(Event, frozen=True):
+class NetworkGone(SelectionEvent, frozen=True):
     """The network that was joined for the check is no longer connected."""
 
     check: int
     why: str
 
 
-class PeerPrepared(Event, frozen=True):
+class PeerPrepared(SelectionEvent, frozen=True):
     """A server holds a slot and starts its services, as the daemon `by` has asked it to."""
 
     server: str
     by: str
 
 
-class LocalCallEnded(Event, frozen=True):
+class LocalCallEnded(SelectionEvent, frozen=True):
     """A call ran on the drone."""
 
     operation: Operation
     delay_s: float
 
 
-class RemoteCallEnded(Event, frozen=True):
+class RemoteCallEnded(SelectionEvent, frozen=True):
     """A call ran on a server; `late` where the drone's own service had answered it before."""
 
     server: str
@@ -131,7 +131,7 @@ class RemoteCallEnded(Event, frozen=True):
     late: bool = False
 
 
-class RemoteCallFailed(Event, frozen=True):
+class RemoteCallFailed(SelectionEvent, frozen=True):
     """A call to a server got no usable answer, by that check; `late` after the drone's own answer."""
 
     server: str
@@ -140,14 +140,14 @@ class RemoteCallFailed(Event, frozen=True):
     late: bool = False
 
 
-class RemoteCallRaised(Event, frozen=True):
+class RemoteCallRaised(SelectionEvent, frozen=True):
     """A server reports an exception of the service; the drone repeats the call before it believes that."""
 
     server: str
     why: str
 
 
-class RemoteFaultTested(Event, frozen=True):
+class RemoteFaultTested(SelectionEvent, frozen=True):
     """The drone repeated a call whose exception a server reported; `confirmed` if it raised there too.
 
     `check` made the server READY, and the report took `delay_s`.
@@ -161,7 +161,7 @@ class RemoteFaultTested(Event, frozen=True):
     confirmed: bool
 
 
-class RemoteCallCut(Event, frozen=True):
+class RemoteCallCut(SelectionEvent, frozen=True):
     """The deadline cut a call after `waited_s` on a server that turned out to be alive: it is slow."""
 
     server: str
@@ -169,7 +169,7 @@ class RemoteCallCut(Event, frozen=True):
     waited_s: float
 
 
-class Reached(Event, frozen=True):
+class Reached(SelectionEvent, frozen=True):
     """Whether a server without a range answered a call from that position, as far as its link is concerned.
 
     It answered, or was given up, after `delay_s`; request and reply have `size_bytes`.
@@ -183,7 +183,7 @@ class Reached(Event, frozen=True):
     size_bytes: int
 
 
-class LegBegun(Event, frozen=True):
+class LegBegun(SelectionEvent, frozen=True):
     """The drone leaves for a place at that ground speed, None for the last; `back` if the calls there are over."""
 
     target: Position
@@ -191,17 +191,17 @@ class LegBegun(Event, frozen=True):
     back: bool = False
 
 
-class LegEnded(Event, frozen=True):
+class LegEnded(SelectionEvent, frozen=True):
     """The drone is where its leg led to."""
 
 
-class TargetUnknown(Event, frozen=True):
+class TargetUnknown(SelectionEvent, frozen=True):
     """Where the drone goes next is not known: it takes off, holds, returns or lands."""
 
 
-class DescentBegun(Event, frozen=True):
+class DescentBegun(SelectionEvent, frozen=True):
     """The drone begins to return or to land: the mission needs no server, unless it calls again."""
 
 
-class NoMoreCalls(Event, frozen=True):
+class NoMoreCalls(SelectionEvent, frozen=True):
     """No call will come any more."""

@@ -36,7 +36,7 @@ from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Poli
 from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
-from upwash.core.selection.events import Event
+from upwash.core.selection.events import SelectionEvent
 from upwash.core.selection.mission_times import Lighter, LighterSettings, Timetable
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery
@@ -148,7 +148,7 @@ class Selection:
         server = self._radios.selected_by(check, CHECKING)
         return server is not None and not server.refused
 
-    def handle(self, event: Event, *, now_s: float, position: Position) -> list[Effect]:
+    def handle(self, event: SelectionEvent, *, now_s: float, position: Position) -> list[Effect]:
         """Take in an event, with the drone at the position; return the effects in their order."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, events.MissionBegun):
@@ -238,7 +238,7 @@ class Selection:
 
     # --- what arrives ---------------------------------------------------------------------------------------
 
-    def _take_in(self, event: Event, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912
+    def _take_in(self, event: SelectionEvent, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912
         """Learn from the event; return its own effects, before the policy is asked."""
         match event:
             # What the radios report concerns the mission only once a server changes its state.
