@@ -1,8 +1,7 @@
 """What a call costs: a 430 KB request with a small reply, over loopback and over an emulated 54 Mbit/s link.
 
-Four ways, in turn: raw TCP, bare gRPC with mutual TLS, a service call of a mission that runs on an edge server, and
-one that runs on the drone: `python -m bench.call`. Before that, what decoding costs over msgspec alone. See
-docs/performance.md.
+`python -m bench.call` takes four ways in turn: raw TCP, bare gRPC with mutual TLS, a remote service call of a
+mission, and a local one. First it compares decoding with msgspec alone. See docs/performance.md.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ def main() -> None:
 
 
 def decoding_s(hint: type, value: object, rounds: int) -> tuple[float, float]:
-    """The median times in which upwash, and msgspec alone, decode the value; they take turns."""
+    """The median times to decode the value: with upwash and with msgspec alone, in turns."""
     encoding: Encoding[object] = Encoding(hint)
     message = encoding.encode(value)
     bare: msgspec.msgpack.Decoder[object] = msgspec.msgpack.Decoder(hint)
@@ -203,7 +202,7 @@ def emulated_link() -> Iterator[Place]:
         for namespace, address in ((drone, "10.54.0.1"), (server, "10.54.0.2")):
             _do(f"ip -n {namespace} address add {address}/24 dev radio")
             _do(f"ip -n {namespace} link set radio up")
-            # The burst is small, as whatever it holds is sent faster than the link; the queue takes a whole request.
+            # The burst is small: its bytes pass faster than the link's rate. The queue takes a whole request.
             _do(
                 f"tc -n {namespace} qdisc add dev radio root tbf "
                 f"rate {RATE_BIT_S / 1e6:.0f}mbit burst 3200 latency 100ms"

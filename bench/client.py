@@ -162,7 +162,7 @@ def _interleaved(contenders: Mapping[str, Call], photo: bytes, *, rounds: int) -
 
 
 def _check_places(journal: Path, calls: int) -> None:
-    """Ends with an error if a call ran elsewhere than where it was to be measured."""
+    """Ends with an error if a call ran at another place than the measured one."""
     with journal.open("rb") as lines:
         events = [msgspec.json.decode(line) for line in lines]
     places = Counter((event["operation"], event["place"]) for event in events if event["event"] == "call")

@@ -130,7 +130,7 @@ async def call(link: GrpcLink, photo: bytes) -> float:
     reply = await link.request(service_path("echo", "measure"), request, timeout_s=10.0)
     delay_s = time.perf_counter() - began_s
     if int(MEASURE.result(MEASURE.decode(reply))) != len(photo):  # type: ignore[call-overload]
-        raise SystemExit("the service answered something else than it was asked")
+        raise SystemExit("the service gave a wrong answer")
     return delay_s
 
 

@@ -1,8 +1,7 @@
 """What a decision of the look-ahead policy costs: `python -m bench.decide`.
 
-A drone flies over a field of 50 servers and is asked at everything that happens: leg begun, arrival, call, end of a
-call. Each time it looks 20 calls ahead. Times are of the processor, and the least of three flights that decide the
-same, as the machine may be busy with other things.
+A drone flies over a field of 50 servers and decides at each event: begin of a leg, arrival, call, end of a call. It
+looks 20 calls ahead. Times are processor time, the least of three flights with the same decisions.
 """
 
 from __future__ import annotations

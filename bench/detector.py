@@ -1,8 +1,7 @@
 """What the detector costs: `python -m bench.detector`.
 
-From a photo's bytes to its boxes, against the network alone and the JPEG's decoding. For the bundled network, and for
-YOLOv3 at its full size with random weights: that one is for its time only, what it "finds" means nothing. See
-docs/performance.md.
+From a photo's bytes to its boxes, against the network alone and the JPEG's decoding, for the bundled network and for
+YOLOv3 at full size. YOLOv3 has random weights: its times count, its boxes mean nothing. See docs/performance.md.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class Contest:
 
 @dataclass(frozen=True)
 class Delays:
-    """Of one mode, round by round, in the order in which they were measured."""
+    """Seconds of one mode by round, in the order of measurement."""
 
     whole_s: list[float]
     network_s: list[float]
@@ -93,7 +92,7 @@ def quick_contests() -> Iterator[Contest]:
 
 
 def random_yolov3(folder: Path) -> ModelFiles:
-    """YOLOv3 as published, but for its numbers."""
+    """YOLOv3 as published, with random weights."""
     cfg, weights = write_model(folder, yolov3())
     return ModelFiles(cfg=cfg, weights=weights, names=write_labels(folder, 80))
 
@@ -173,7 +172,7 @@ def race(
         for way, call in ways.items():
             began_s = time.perf_counter()
             call()
-            if number:  # the first is to warm up
+            if number:  # the first round warms up
                 delays_s[way].append(time.perf_counter() - began_s)
     boxes = len(detector.process_photo(photo, mode, contest.confidence))
     return Delays(delays_s["whole"], delays_s["network"], delays_s["decoding"], boxes)

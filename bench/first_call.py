@@ -1,7 +1,7 @@
 """What patience with a first call is worth: `python -m bench.first_call`.
 
-Every scenario of one drone and the thesis's eight cells under `look-ahead` and `location-aware`, with and without
-`patient_first_call`, where a service's first call on a server takes as long as the others, 0.5, 2 or 5 s longer.
+Every scenario of one drone and the thesis's eight cells, under `look-ahead` and `location-aware`, with and without
+`patient_first_call`. The first call of a service on a server takes 0, 0.5, 2 or 5 s longer than the others.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def table(
 
 
 def flown(scenario: NamedScenario, policy: str, extra_s: float, seeds: int) -> Iterator[tuple[float, float]]:
-    """Minutes of each seed's mission without patience, and how many more or less with it.
+    """Minutes of each seed's mission without patience, and the difference with patience.
 
-    A call is hedged by nobody and a failed server left alone: a hedged call has that time anyway.
+    Calls are not hedged and failed servers are left alone: hedging would give a first call that time anyway.
     """
     config = with_policy(slow_at_first(scenario.config, extra_s), policy)
     for seed in range(1, seeds + 1):
@@ -81,7 +81,7 @@ def flown(scenario: NamedScenario, policy: str, extra_s: float, seeds: int) -> I
 
 
 def slow_at_first(config: DroneConfig, extra_s: float) -> DroneConfig:
-    """The scenario with servers on which a service's first call takes that much longer."""
+    """The scenario with servers whose first calls take `extra_s` longer."""
     replace = msgspec.structs.replace
     servers = [
         replace(server, truth=replace(server.truth, first_extra_s=extra_s)) for server in config.servers

@@ -1,8 +1,8 @@
 """What simulated fleets cost: `python -m bench.fleets`.
 
-So many drones fly the thesis's mission (scenarios/thesis.toml) in light mode over one field with eight servers, which
-have a slot for each of them and time for all their calls. How long that takes on one core, and how the cost of one
-drone grows with the number of drones. See docs/performance.md.
+Fleets of several sizes fly the thesis's mission (scenarios/thesis.toml) in light mode over one field. Eight servers
+have a slot for each drone and time for all calls. The result is the time on one core, and how the cost of one drone
+grows with the number of drones. See docs/performance.md.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def measure(config: DroneConfig, extent: Extent) -> None:
 
 
 def with_drones(config: DroneConfig, count: int) -> DroneConfig:
-    """So many drones over the same field, with eight servers that take all of them."""
+    """A fleet over one field, with eight servers that take all drones."""
     first = config.servers[0]
     servers = tuple(copy_of(first, number, at_m, slots=count) for number, at_m in enumerate(PLACES_M))
     drones = tuple(FleetDroneConfig(name=f"d{number}") for number in range(count))

@@ -19,7 +19,7 @@ from upwash.vehicle.body.firmware import Result
 DATA = Path(__file__).parents[1] / "tests" / "vehicle" / "data"
 SETTINGS = VehicleSettings(home=GeoPosition(39.3666, 22.9507), armable_after_s=0.0)
 READ_S = 0.1
-REACTION_S = 0.1  # the vehicle's last report at rest comes so long after the command
+REACTION_S = 0.1  # from the command to the vehicle's last report at rest
 LANDED_M = 0.001
 LONGEST_S = 300.0
 
@@ -51,7 +51,7 @@ class Flight:
         return self.copter.position(self.now_s)
 
     def wait(self, duration_s: float) -> None:
-        """Lets so much time pass."""
+        """Let the time pass."""
         end_s = self.now_s + duration_s
         self.until(lambda: self.now_s >= end_s - READ_S / 2)
 
@@ -103,7 +103,7 @@ def leg_s(length_m: float, speed_m_s: float) -> float:
 
 
 def hold_m() -> float:
-    """How far it runs on when it is told at 4.9 m/s to stay where it is."""
+    """The braking distance after a command at 4.9 m/s to stay."""
     flight = Flight()
     flight.copter.steer(flight.now_s, Position(60.0, 0.0, 10.0))
     flight.copter.change_speed(flight.now_s, 5.0)

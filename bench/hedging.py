@@ -1,7 +1,7 @@
 """What hedging does where a third of the servers are faulty: `python -m bench.hedging`.
 
-A survey of 9 x 9 photos over nine servers with a cell each, 30 seeds, 3 % noise on calls and 2 % on legs. With three
-of them something is wrong for 30 s in every 90 s, in one way after another; the drone believes in them all alike.
+A survey of 9 x 9 photos over nine servers with a cell each, 30 seeds, 3 % noise on calls and 2 % on legs. Three
+servers are faulty for 30 s in every 90 s, with one kind of fault after another; the drone's estimates are all alike.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def server(name: str, number: int) -> ServerConfig:
 
 
 def spells(name: str, way: FaultConfig | None, first_s: float) -> list[FaultConfig]:
-    """The times at which the server is faulty in that way."""
+    """The times of one kind of fault of the server."""
     if way is None:
         return []
     starts_s = [first_s + number * PERIOD_S for number in range(int(LONGEST_S / PERIOD_S))]
@@ -88,7 +88,7 @@ def spells(name: str, way: FaultConfig | None, first_s: float) -> list[FaultConf
 
 
 def line(runs: Sequence[Run]) -> str:
-    """What the flights came to."""
+    """The results of the flights."""
     delays_s = [call.delay_s for run in runs for call in run.result.calls]
     events = [event for run in runs for event in run.events]
     hedged = sum(isinstance(event, schema.Hedged) for event in events)

@@ -1,8 +1,7 @@
 """What a mission that has to be over in time keeps of its accuracy: planned, and with heavy calls until none fits.
 
-The thesis's survey with its own policy. "Planned" is `[mission] finish_by_s` and `lighter`. "First" is the best that
-a mission can do which makes heavy calls first and light ones from then on: the largest number of heavy calls with
-which it is over in time, found by flying it.
+The thesis's survey with its own policy. "Planned" is `[mission] finish_by_s` and `lighter`. "First" makes
+heavy calls first and then light ones: the largest number of heavy calls that ends in time, found by flying it.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ def first(budget_s: float) -> Flown:
 
 
 def heavy_then_light(heavy: int) -> Flown:
-    """The mission with so many heavy calls, and light ones from then on."""
+    """The mission with `heavy` heavy calls and then light ones."""
     return _fly({"mission.program": f"{__file__}:survey", "mission.mode": str(heavy)})
 
 

@@ -55,7 +55,7 @@ from upwash.rpc.service import spec_of
 TAKES_S = 0.05
 VISIT_CALLS = 3  # over one connection to the bare server; in a soak a drone leaves then, and comes again
 TURN_S = 5.0  # the least that can be configured: some turns fit into a minute
-DEADLINE_S = 30.0  # far more than a drone would wait: what is late is to be seen
+DEADLINE_S = 30.0  # far longer than a drone waits, so that late answers are counted
 IN_TURN = 4  # times as long where drones take turns
 SOAK_DRONES = 15
 MAX_MESSAGE_BYTES = 16 * 2**20
@@ -137,7 +137,7 @@ HEAD = (
 
 
 class Drone:
-    """A drone at one server; it stays for as long as it may, or for so many calls a visit."""
+    """A drone at one server; it stays for as long as it may, or for a number of calls a visit."""
 
     def __init__(
         self, name: str, keys: Path, seen: Seen, pace: Pace, *, seed: int, visit_calls: int | None = None
@@ -179,7 +179,9 @@ class Drone:
                         break
                     _, body = MEASURE.encode((self._photo,), {})
                     await self._timed(call, service_path("echo", "measure"), body, until_s)
-            self._seen.leases.discard(self.name)  # before it says so, as the daemon knows before it hears so
+            self._seen.leases.discard(
+                self.name
+            )  # before the message, as the daemon knows before the message arrives
             await tell(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")))
 
     async def visit_bare(self, address: str, until_s: float) -> None:
@@ -391,7 +393,7 @@ def _below(process: int) -> list[int]:
 
 
 def main() -> None:
-    """Prints the table, or what the soak came to."""
+    """Print the table, or the result of the soak."""
     parser = command_line("load", __doc__)
     parser.add_argument("--drones", type=int, nargs="+", default=[1, 10, 20, 50, 100, 200])
     parser.add_argument(

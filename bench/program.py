@@ -16,5 +16,5 @@ def command_line(name: str, about: str | None) -> argparse.ArgumentParser:
 
 
 def machine() -> str:
-    """The number of cores and the load over 1, 5 and 15 minutes, without which no figure means anything."""
+    """The number of cores and the load over 1, 5 and 15 minutes, which belong beside every figure."""
     return f"{os.cpu_count()} cores, load {', '.join(f'{load:.2f}' for load in os.getloadavg())}"

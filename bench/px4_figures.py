@@ -59,7 +59,7 @@ def samples(folder: Path, name: str) -> list[Sample]:
 
 
 def moments(folder: Path, name: str, pattern: str) -> list[float]:
-    """When the log says something, in seconds after boot."""
+    """The times of a message in the log, in seconds after boot."""
     lines = (folder / f"{name}.log").read_text(encoding="utf-8").splitlines()
     return [float(line[1 : line.index("]")]) for line in lines if re.search(pattern, line)]
 

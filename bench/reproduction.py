@@ -17,7 +17,7 @@ _LEAST_PERCENT = 0.5  # what moves every mission time by less is not shown
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One figure of one experiment: its mean over so many missions, and that of each of the first seeds."""
+    """One figure of one experiment: its mean over all missions, and its values of the first seeds."""
 
     setup: str
     experiment: str

@@ -1,7 +1,7 @@
-"""What fleets come to that share servers, by how the servers give their slots: `python -m bench.sharing --keep`.
+"""Mission times of fleets that share servers, by the servers' rule for slots: `python -m bench.sharing --keep`.
 
 Fleets of 1 to 16 drones fly in three layouts, and three scenarios as they are. Each server has one slot, first come;
-or one slot, in turns; or as many as it measures to be right, in turns; or one for every drone. What comes out is kept
+or one slot, in turns; or as many as it measures to be right, in turns; or one for every drone. The result is kept
 in bench/results/sharing.json, and `python -m bench.promises` brings it into docs/fleets.md.
 """
 
@@ -48,9 +48,9 @@ WAYS = (
 
 
 class Shared(msgspec.Struct, frozen=True, kw_only=True):
-    """What one fleet came to: minutes, and how even the savings were.
+    """The result of one fleet: minutes, and the evenness of the savings.
 
-    `least_min` is the least mean that there could have been, with `slots` at servers that give as many as they can.
+    `least_min` is the least possible mean, with `slots` at servers that give as many as they can.
     """
 
     layout: str
@@ -114,7 +114,7 @@ def moved(server: ServerConfig, number: int, east_m: float, north_m: float) -> S
 
 
 def field(east_m: float) -> tuple[tuple[float, float], ...]:
-    """The thesis's grid, so far to the east, row by row, there and back."""
+    """The thesis's grid, shifted to the east, row by row, there and back."""
     columns = [east_m + STEP_M * column for column in range(11)]
     return tuple((east, STEP_M * row) for row in range(11) for east in columns[:: 1 if row % 2 == 0 else -1])
 
@@ -131,7 +131,7 @@ def replaced(struct: S, **changes: object) -> S:
 
 
 class Flight(NamedTuple):
-    """A fleet to fly: its layout, or the scenario as it is, with so many drones, and the way of its servers."""
+    """A fleet to fly: its layout or its scenario, the number of drones, and the servers' rule for slots."""
 
     layout: str
     drones: int
@@ -150,7 +150,7 @@ def flights(*, quick: bool) -> Iterator[Flight]:
 
 
 def scenario(name: str) -> DroneConfig:
-    """The scenario of that name, as it is."""
+    """The scenario of that name, unchanged."""
     return read_drone_config(SCENARIOS / f"{name}.toml")
 
 

@@ -40,7 +40,7 @@ CAMPAIGN_WORKERS = 2
 LEAST_REAL_TIME = 40_000
 LEAST_MISSIONS_PER_MINUTE = 2_000
 MOST_GROWTH = 1.2  # of the cost per waypoint and server in range, from the smallest to the largest
-MOST_GROWTH_IN_LINE = {100: 1.2, 1000: 2.0}  # of the cost per waypoint, by servers, few of which are in range
+MOST_GROWTH_IN_LINE = {100: 1.2, 1000: 2.0}  # of the cost per waypoint, by servers with few in range
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def measure_campaign(extent: Extent) -> None:
 
 
 def measure_growth(config: DroneConfig, extent: Extent) -> None:
-    """The cost by waypoints, by servers of which few are in range, and by servers that all are."""
+    """The cost by number of waypoints, of servers with few in range, and of servers all in range."""
     print("\nwaypoints  servers  in range       ms  µs/waypoint  µs/(waypoint x (1 + in range))")
     grids = [with_grid(config, side) for side in extent.sides]
     in_line, near = (
@@ -184,7 +184,7 @@ class Cost:
 
 
 def measured(what: str, sizes: Sequence[DroneConfig], *, rounds: int) -> list[Cost]:
-    """The cost of each size, of which a line is printed."""
+    """The cost of each size; prints a line for each."""
     print(f"- {what}")
     costs = []
     for config in sizes:
@@ -215,7 +215,7 @@ def with_grid(config: DroneConfig, side: int) -> DroneConfig:
 
 
 def with_servers(config: DroneConfig, count: int, *, spacing_m: float) -> DroneConfig:
-    """The same mission with so many copies of the first server, eastwards from its place."""
+    """The same mission with copies of the first server, eastwards from its place."""
     first = config.servers[0]
     assert first.east_m is not None
     copies = tuple(copy_of(first, number, first.east_m + number * spacing_m) for number in range(count))

@@ -1,8 +1,8 @@
 """What going on before answers gains on the thesis's heavy mission: `python -m bench.stay_or_go --keep`.
 
-Each mission is flown with the same seed by a drone that stays, one that always goes, and one that learns; an answer
+A drone that stays, a drone that always goes, and a drone that learns fly each mission with the same seed. An answer
 demands 5 s at its waypoint with some probability. The gain is of the mission's time, in pairs of the same seed.
-What comes out is kept in bench/results/stay_or_go.json, and `python -m bench.promises` brings it into
+The result is kept in bench/results/stay_or_go.json, and `python -m bench.promises` brings it into
 docs/pending-calls.md.
 """
 
@@ -52,7 +52,7 @@ class Flight(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What it came to."""
+    """The result of one mission."""
 
     mission_s: float
     turned_back: int

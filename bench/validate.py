@@ -4,8 +4,9 @@
     sudo .venv/bin/python -m bench.validate --radio ns3 --in containers --only equal-servers-light/simulation
     .venv/bin/python -m bench.validate --report                          # only what is there
 
-The figures of each valid cell are kept in bench/results/validation, with its command. Such a cell is not flown again:
-the same command goes on where it was interrupted. `python -m bench.promises` brings them into docs/validation.md.
+The figures of each valid cell are kept in bench/results/validation, with its command. A kept cell is not flown again:
+after an interruption the same command goes on with the next cell. `python -m bench.promises` brings them into
+docs/validation.md.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Field(NamedTuple):
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
-    """What one emulated cell came to, beside its simulation and what the thesis prints."""
+    """The result of one emulated cell, beside its simulation and the thesis's figures."""
 
     cell: str
     radio: RadioKind
@@ -65,7 +66,7 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     thesis_min: float
     calls: int
     alike: int  # at the same place as in the simulation
-    remote_s: float | None  # the median of remote calls that did not wait, where there was one
+    remote_s: float | None  # the median of remote calls that did not wait; None without any
     simulated_remote_s: float | None
     radio_lag_s: float
     position_lag_s: float
@@ -219,7 +220,7 @@ def row_of(figures: Figures) -> tuple[str, ...]:
 
 
 def kept() -> Iterator[tuple[Result, Figures]]:
-    """What was flown so far, in the order of the thesis's cells."""
+    """The cells flown until now, in the order of the thesis."""
     for cell in cells():
         for file in sorted(KEPT.glob(f"{name_of(cell).replace('/', '-')}-*.json")):
             result = msgspec.json.decode(file.read_bytes(), type=Result)

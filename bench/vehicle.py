@@ -50,7 +50,7 @@ class Times:
         return self.takeoff_s + self.grid_s + self.disarmed_s
 
 
-# guided_4ms_from_rest.csv: what its README says, and the moments of its phases. It was armed 0.4 s before it was told
+# guided_4ms_from_rest.csv: what its README says, and the moments of its phases. It was armed 0.4 s before the command
 # to take off; here the times count from arming, as the lift-off does.
 RECORDED_LIFTS_S, RECORDED_TAKEOFF_S = 3.9, 12.6
 RECORDED_GRID_S, RECORDED_TOUCHDOWN_S, RECORDED_DISARMED_S = 446.1, 44.0, 46.7
@@ -126,13 +126,13 @@ class Client:
         return math.hypot(report.vx, report.vy, report.vz) / 100
 
     async def wait(self, duration_s: float) -> None:
-        """Returns so much later by the vehicle's clock."""
+        """Wait by the vehicle's clock."""
         begun_s = self.now_s()
         await self.until(lambda: self.now_s() >= begun_s + duration_s)
 
 
 async def fly_grid_over_udp(targets: list[Position], *, speedup: float) -> Times:
-    """Flies them with a stand-in whose clock runs so many times as fast."""
+    """Fly them with a stand-in whose clock runs `speedup` times as fast."""
     settings = VehicleSettings(home=HOME, armable_after_s=0.0, speedup=speedup)
     vehicle, client = await serve_vehicle("udp:127.0.0.1:0", settings), Client()
     link = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), client.hear)

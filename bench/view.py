@@ -1,10 +1,10 @@
 """How soon a page shows what a log says: `python -m bench.view`.
 
-There are ten positions a second, and a headless Chromium on this machine. Prints first how long it takes to open the
-page of a mission of 2,000 waypoints that is nearly over, and of a finished one whose log is 100 MB: once the program
-says that it is ready, so that the log is read meanwhile, and again. `--against DIR` has another checkout's program
-serve in the same rounds. Then, of the first mission, the delay from the end of the write of an event to the frame in
-which the page shows it, for the drone's positions and for calls, and for how long the page was busy meanwhile.
+A headless Chromium on this machine shows a log with ten positions a second. First the program prints the time to open
+two pages: a mission of 2,000 waypoints near its end, and a finished mission with a log of 100 MB. Each is opened
+while the log is still being read, and again afterwards. Then the program prints, for the first mission, the delay
+from the write of a position or a call to the frame that shows it, and the time for which the page was busy.
+`--against DIR` has another checkout serve in the same rounds.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Extent:
     """How much is measured."""
 
     waypoints: int
-    done: int  # of them, before anybody looks
+    done: int  # calls done before the page opens
     watched_s: float
     finished: int  # waypoints of a flight that is over
 
@@ -116,7 +116,7 @@ def open_in_turns(
 
 
 def opened_s(page: Browser, address: str, calls: int) -> float:
-    """How long it takes until the page shows so many calls."""
+    """The seconds until the page shows that number of calls."""
     began_s = time.monotonic()
     page.open(address)
     page.wait_until(lambda: f"{calls} calls" in page.text(".totals"), within_s=PATIENCE_S)

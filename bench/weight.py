@@ -1,7 +1,7 @@
 """What a drone's programs weigh in memory while they fly, beside a bare gRPC client and an HTTP client.
 
 Run from the repository, on Linux: `python -m bench.weight`. A quiet flight with a service of its own calls it at each
-waypoint; so does one with certificates that has a daemon near. `--against DIR` flies another checkout's programs in
+waypoint; a second flight has certificates and a daemon near. `--against DIR` flies another checkout's programs in
 the same rounds. Afterwards each module that the drone's two programs import is weighed by itself.
 
 `/proc/PID/smaps` says what each process holds. A *proportional* part of a page of a file is counted, as a page in use
@@ -105,7 +105,7 @@ connection.getresponse().read()
 print("called", flush=True)
 sys.stdin.read()
 """
-PROGRAMS = {  # what each imports before it is asked for anything that not every flight needs
+PROGRAMS = {  # their imports for every flight, without parts that only some flights need
     "upwash fly": "upwash.cli.main upwash.cli.fly",
     "its service": "upwash.real.instances.instance",
 }

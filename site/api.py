@@ -106,7 +106,7 @@ def _class_head(name: str, cls: type) -> str:
 
 
 def _members(cls: type) -> Iterator[str]:
-    """Its own public methods and properties, as they are written."""
+    """The public methods and properties that the class itself defines."""
     for name, member in vars(cls).items():
         if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):
             yield name
@@ -161,7 +161,7 @@ def _default(parameter: inspect.Parameter | None) -> str:
 
 
 def _written(hint: object) -> str:
-    """A type as one writes it, whatever the Python; raises SystemExit for a class that is not public."""
+    """A type as source text, the same on all Pythons; raises SystemExit for a class that is not public."""
     arguments = typing.get_args(hint)
     match typing.get_origin(hint):
         case None:

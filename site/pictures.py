@@ -1,6 +1,6 @@
 """Draws the site's pictures at build time: with the project's own commands, and a server's states from their table.
 
-A page asks for one in a comment, which whoever reads the page elsewhere does not see:
+A page asks for a picture in a comment, which other viewers of the page do not show:
 
     <!-- picture map.png: what it shows -->
 
@@ -42,7 +42,7 @@ _LINK = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+[^)#]+)(?:#[^)]*)?\)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pictures, and the report that one of the pages shows."""
+    """Add the pictures, and the report that a page shows."""
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]  # bench/ is not installed
     with TemporaryDirectory(prefix="upwash-docs-") as folder:
         for command in COMMANDS:
@@ -60,7 +60,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Puts pictures where they are asked for; names what lies outside the site instead of linking to it."""
+    """Put pictures in place of the comments, and plain names in place of links that leave the site."""
     here = Path(page.file.src_uri).parent.as_posix()
 
     def show(asked: re.Match[str]) -> str:

@@ -1,8 +1,8 @@
 """Takes pictures of the pages: `make pictures`, or `python site/screenshots.py FOLDER`.
 
-Each page in each size and in light and dark colours, as Chromium draws it: of the demonstration, flown for it with
-its daemons and its detector, and of simulated flights, one of which ends badly. With `--keep` those that the README
-and the documentation show are made anew in docs/pictures, in 256 colours so that they stay small.
+Chromium draws each page in each size, in light and dark colours: pages of the demonstration, which is flown for this
+with its daemons and its detector, and of simulated flights with good and bad ends. `--keep` also updates
+docs/pictures, the pictures of the README and the documentation, in 256 colours to keep them small.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _SETTLED = "return new Promise((done) => requestAnimationFrame(() => requestAnim
 
 @dataclass(frozen=True)
 class Size:
-    """A window, in CSS pixels, each of which is `scale` pixels wide: 2 where somebody zooms to 200 %."""
+    """A window in CSS pixels; `scale` is the number of pixels in a CSS pixel, 2 at a zoom of 200 %."""
 
     name: str
     width: int
@@ -155,7 +155,7 @@ def _picture(page: Browser, size: Size, *, whole: bool) -> bytes:
 
 
 def keep(folder: Path) -> None:
-    """Makes the kept pictures anew from those in the folder."""
+    """Update the kept pictures from those in the folder."""
     KEPT.mkdir(exist_ok=True)
     for name, kept in BEST.items():
         with Image.open(folder / f"{name}.png") as picture:

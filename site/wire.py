@@ -18,7 +18,7 @@ PHOTO = bytes([0, 0, 255, 255])
 
 
 def vectors() -> list[tuple[str, bytes]]:
-    """What is written in a short conversation with the program of the example, frame by frame, and by whom."""
+    """The frames of a short conversation with the example's program, and their senders."""
     example = runpy.run_path(str(ROOT / "examples" / "other-languages" / "detail.py"))
     method = spec_of(example["Detail"]).methods["measure"]
     _, asked = method.encode((PHOTO,), {})

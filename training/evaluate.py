@@ -29,7 +29,7 @@ from upwash.services.solar_park import LABELS, RenderedPhoto, TrueBox, render_ph
 
 _SEEDS = {"validation": VALIDATION_SEEDS, "test": TEST_SEEDS}
 _LEAST_CONFIDENCE = 0.001
-_USUAL_CONFIDENCE = 0.25  # the service's, unless it is told another
+_USUAL_CONFIDENCE = 0.25  # the default of the service
 _SIZES_PX = (0, 10, 16, 32, 1440)  # of the longer side
 _ALTITUDES = "altitudes"
 _RESAMPLES = 2000

@@ -1,8 +1,8 @@
 """How far off the network's guesses are, and which of them should have found what.
 
-As in YOLOv3, a box belongs to the cell its middle lies in, and there to the anchors that resemble it; a guess
-that overlaps a box well without being its own is neither praised nor blamed. Unlike it, boxes are compared
-by their overlap (complete IoU), which weighs a pixel in a small box as it should.
+As in YOLOv3, a box belongs to the cell of its centre, and there to the anchors that resemble it; another guess that
+overlaps the box well is ignored. Unlike in YOLOv3, boxes are compared by their overlap (complete IoU), which weighs a
+pixel in a small box as it should.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch.nn import functional
 from training.network import Head
 
 _LIKE_ANCHOR = 0.35  # least overlap of a box's shape with an anchor's to belong to it too
-_NEARLY_RIGHT = 0.5  # overlap from which a guess without a box of its own is not blamed
+_NEARLY_RIGHT = 0.5  # guesses without a box are ignored from this overlap on
 _BOX_WEIGHT, _CLASS_WEIGHT = 2.5, 0.5
 
 
@@ -28,7 +28,7 @@ def detection_loss(heads: Sequence[Head], boxes: Tensor) -> Tensor:
 
 
 def _owners(heads: Sequence[Head], boxes: Tensor) -> list[Tensor]:
-    """For each head, which anchor (column) is to find which box (row)."""
+    """For each head, the box (row) that each anchor (column) should find."""
     sizes = boxes[:, 4:6] - boxes[:, 2:4]
     anchors = torch.cat([head.anchors_px for head in heads])
     shared = torch.minimum(sizes[:, None], anchors[None]).prod(-1)

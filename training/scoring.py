@@ -58,7 +58,7 @@ class Ranking:
 def average_precision(photos: Sequence[Judged]) -> float:
     """The area below precision over recall, with precision made to fall steadily; from 0 to 1.
 
-    Detections are taken by score, whatever photo they are in; each may hit one box that no surer one has hit.
+    Detections of all photos are taken by score; each may hit one box that no better detection has hit.
     """
     return Ranking.of(photos).average_precision(np.ones(len(photos), np.intp))
 

@@ -1,7 +1,7 @@
 """What each of upwash's mechanisms gains: `python -m bench.gains`.
 
-Flies the thesis's cells, the scenarios and servers that fail under a ladder of variants, each with one mechanism more
-than the one before, and prints what they come to beside the theoretical minimum: docs/science.md.
+Flies the thesis's cells, the scenarios and failing servers under a ladder of variants. Each variant has one mechanism
+more than the variant before. The mission times stand beside the theoretical minimum: docs/science.md.
 `--keep` leaves the mission times in bench/results; `--figure FILE` draws what is kept there and flies nothing.
 """
 

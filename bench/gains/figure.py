@@ -91,7 +91,7 @@ def _rows(worlds: Sequence[MeasuredWorld]) -> list[Row]:
 
 
 def _draw_row(axes: Axes, row: Row, variants: Sequence[str]) -> None:
-    """Variants one below the other, in the ladder's order; one that changes no mission there has no mark."""
+    """Variants one below the other, in the ladder's order; a variant without effect has no mark."""
     for number, variant in enumerate(variants):
         if variant not in row.world.times_s or not row.world.changes(variant):
             continue
@@ -111,7 +111,7 @@ def _draw_row(axes: Axes, row: Row, variants: Sequence[str]) -> None:
 
 
 def _beside(axes: Axes, rows: Sequence[Row]) -> None:
-    """The groups' names to the left; to the right what all mechanisms together come to."""
+    """The groups' names to the left; to the right the gain of all mechanisms together."""
 
     def note(text: str, x: float, y: float, *, weight: str = "normal") -> None:
         axes.annotate(

@@ -1,4 +1,4 @@
-"""What missions come to: how much of what could be gained a variant gains, and what each step of the ladder adds."""
+"""The share of the possible gain that each variant reaches, and the gain of each step of the ladder."""
 
 from __future__ import annotations
 

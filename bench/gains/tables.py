@@ -11,7 +11,7 @@ from bench.gains.shares import MeasuredWorld, measured_worlds
 from upwash.support.confidence import Mean, mean_of
 
 _UNCHANGED = "="
-_LEAST_S = 0.05  # what rounds to 0.0 s is neither a gain nor a loss
+_LEAST_S = 0.05  # a difference that rounds to 0.0 s counts as none
 
 
 class Flown(msgspec.Struct, frozen=True, kw_only=True):

@@ -33,7 +33,7 @@ LINKS: dict[str, dict[str, Any]] = {
     "5 Mbit/s, MTU 1,280": {"rate_bit_s": 5e6, "mtu": 1280},
     "5 Mbit/s, 5 % lost": {"rate_bit_s": 5e6, "loss": 0.05},
 }
-HOLE: dict[str, Any] = {"rate_bit_s": 5e6, "largest_bytes": 1280}  # of an MTU that nobody is told
+HOLE: dict[str, Any] = {"rate_bit_s": 5e6, "largest_bytes": 1280}  # an MTU without "packet too big" messages
 ORDER = Order(calls=20, photo_bytes=20_000, deadline_s=10.0, checks=3)
 SERVER_TOML = """\
 listen = "{address}"

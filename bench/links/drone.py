@@ -21,7 +21,7 @@ START_S = 60.0
 
 
 class Order(msgspec.Struct, frozen=True, kw_only=True):
-    """Calls of a photo, each with a deadline, after so many checks at most."""
+    """Calls with a photo and a deadline, after at most the given number of checks."""
 
     calls: int
     photo_bytes: int

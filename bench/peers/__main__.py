@@ -1,7 +1,7 @@
 """Compares upwash with simple alternatives when a server fails: `python -m bench.peers`, as root. See docs/peers.md.
 
-Each trial has namespaces, a link and programs of its own. A round makes every trial once, so that whatever the
-machine does beside them meets all peers alike.
+Each trial has namespaces, a link and programs of its own. A round makes every trial once, so that other work
+of the machine affects all peers alike.
 """
 
 from __future__ import annotations

@@ -43,5 +43,5 @@ class Client:
         """Where it was computed."""
         try:
             return str(self._client.submit(self._compute, photo, pure=False).result(TIMEOUT_S))
-        except (TimeoutError, CancelledError, OSError):  # of which distributed's own are kinds
+        except (TimeoutError, CancelledError, OSError):  # base classes of distributed's errors
             return self._local(photo)

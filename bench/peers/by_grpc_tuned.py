@@ -1,4 +1,4 @@
-"""gRPC as one tunes it by hand for a radio: a dead connection is noticed and made anew, a failed server shunned."""
+"""gRPC tuned by hand for a radio: dead connections are replaced, and a failed server is avoided for a while."""
 
 from __future__ import annotations
 

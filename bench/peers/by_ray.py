@@ -11,7 +11,7 @@ from collections.abc import Callable
 import ray
 
 TIMEOUT_S = 2.0
-_PROBE = "import ray, sys; ray.init(f'ray://{sys.argv[1]}')"  # its port is open before it can do anything
+_PROBE = "import ray, sys; ray.init(f'ray://{sys.argv[1]}')"  # the port opens before Ray is ready
 _PAUSE_S = 0.5
 
 

@@ -14,9 +14,9 @@ _PAUSE_S = 0.2
 
 
 def make_calls(call: Callable[[bytes], str], photo: bytes, *, folder: str, calls: int) -> None:
-    """Calls until the server answers, then so often, each 2 s after the one before or when that is over.
+    """Call until the server answers, then make `calls` calls, each 2 s after the last one or at its end.
 
-    Raises TimeoutError where the server does not answer at first. Whatever a later call raises is told and counted.
+    Raises TimeoutError if the server never answers. Exceptions of later calls are reported and counted.
     """
     give_up_s = time.monotonic() + _WARM_UP_S
     while call(photo) != "server":

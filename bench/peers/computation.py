@@ -24,7 +24,7 @@ def on_server(folder: str, photo: bytes) -> str:
 
 
 def on_drone(folder: str, takes_s: float, photo: bytes) -> str:
-    """Where it was computed, after so many seconds."""
+    """The place of the computation, after `takes_s`."""
     tell(folder, "computed", place="drone", photo_bytes=len(photo))
     time.sleep(takes_s)
     return "drone"

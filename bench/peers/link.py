@@ -10,7 +10,7 @@ from upwash.emulation.namespaces import LinkEnd, command, inside, join_by_cable,
 
 DRONE = LinkEnd("drone", "radio", "10.54.0.1")
 SERVER = LinkEnd("server", "radio", "10.54.0.2")
-# The burst is small, as whatever it holds is sent faster than the link; the queue takes a whole request.
+# The burst is small: its bytes pass faster than the link's rate. The queue takes a whole request.
 _SHAPE = "tbf rate 54mbit burst 3200 latency 100ms"
 _DROP = """\
 table inet dark {
@@ -33,7 +33,7 @@ def make_link() -> None:
 
 @contextlib.contextmanager
 def dark() -> Iterator[None]:
-    """Loses every frame both ways, as a radio out of reach does: no program and no kernel is told."""
+    """Lose every frame both ways, as a radio out of reach; no program and no kernel gets an error."""
     for end in (DRONE, SERVER):
         subprocess.run([*inside(end.namespace), "nft", "-f", "-"], input=_DROP, text=True, check=True)
     try:

@@ -1,4 +1,4 @@
-"""What one trial is told, and what it leaves."""
+"""The input of one trial, and its result."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FIGURES = "figures.json"
 
 
 class Peer(msgspec.Struct, frozen=True, kw_only=True):
-    """One that is compared; `policy` is what upwash's configuration has in [policy], empty for its defaults."""
+    """A client of the comparison; `policy` is the [policy] table for upwash, empty for defaults."""
 
     name: str  # as in the table's row
     module: str
@@ -44,7 +44,7 @@ def read_order(file: Path) -> Order:
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of it; the fault's end is a killed server's start, its readiness when it says so."""
+    """The result of a trial. A fault by kill ends with the restart; readiness is the server's own report."""
 
     total_s: float  # from the first call to the end of the last
     longest_s: float
@@ -70,7 +70,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """All that was measured, by which versions, on how many cores."""
+    """All measurements, with versions and the number of cores."""
 
     versions: dict[str, str]
     cores: int

@@ -1,4 +1,4 @@
-"""What the trials came to, as tables: a row for each peer, a column for each scenario."""
+"""The results of the trials as tables: a row for each peer, a column for each scenario."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _cell(trials: Iterable[Trial], cell: Callable[[Sequence[Figures]], str]) -> 
 
 
 def _seen(figures: Sequence[Figures]) -> str:
-    """Medians of the rounds, but for exceptions, which are added, and the longest call."""
+    """Medians of the rounds; exceptions are added, and the longest call is the maximum."""
     total_s = median(each.total_s for each in figures)
     longest_s = max(each.longest_s for each in figures)
     raised = sum(len(each.raised) for each in figures)

@@ -14,14 +14,14 @@ _MOST_BYTES = 10_000
 
 
 def tell(folder: str, what: str, **facts: object) -> None:
-    """Tells something that has just happened; the clock is the machine's monotonic one."""
+    """Report an event with the machine's monotonic time."""
     message = {"what": what, "at_s": time.monotonic(), **facts}
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(json.dumps(message).encode(), f"{folder}/{SOCKET}")
 
 
 class Listener:
-    """Hears what is told in the folder, from now on."""
+    """Read the events that are reported in the folder from now on."""
 
     def __init__(self, folder: Path) -> None:
         self.told: list[dict[str, Any]] = []

@@ -22,7 +22,7 @@ from bench.peers.telling import Listener
 from upwash.emulation.enclosure import settle_in
 
 _READY_S = 150.0
-_SHIFT_S = 0.7  # a round's fault begins so much later than the last one's, within a call's period
+_SHIFT_S = 0.7  # shift of the fault from round to round, within the period of the calls
 _STRAY_S = 60.0  # that the calls may take beyond what each of them needs at most by its peer's time-outs
 
 
@@ -92,7 +92,7 @@ def _make(order: Order, server: Server, seen: Path) -> Fault:
 
 
 def figures_of(told: Sequence[Mapping[str, Any]], fault: Fault) -> Figures:
-    """What the calls came to, without those before the first that counts."""
+    """The results of the calls, without those before the first that counts."""
     began_s = next(each["at_s"] for each in told if each["what"] == "began")
     calls = [each for each in told if each["what"] == "call"]
     computed = [each["place"] for each in told if each["what"] == "computed" and each["at_s"] >= began_s]
