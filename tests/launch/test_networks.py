@@ -13,7 +13,7 @@ from upwash.config import drone_config
 from upwash.core.geo import Position
 from upwash.drone.networks import NoNetwork, PositionNetwork
 from upwash.errors import NetworkError
-from upwash.launch.networks import opened_networks
+from upwash.launch.drone import opened_networks
 from upwash.ports import Network
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.journal import MemoryJournal

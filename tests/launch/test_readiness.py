@@ -11,7 +11,7 @@ import pytest
 from upwash.config import DroneConfig, drone_config
 from upwash.errors import UpwashError
 from upwash.launch.readiness import refusals, require_ready
-from upwash.launch.server_survey import services_in_trouble
+from upwash.launch.survey import services_in_trouble
 
 SERVICES = """
 from upwash import service

@@ -125,7 +125,7 @@ def test_a_folder_is_packed_only_if_nothing_in_it_leads_elsewhere(tmp_path: Path
         assert str(odd) in refused(folder)
         odd.unlink()
     os.mkfifo(odd)
-    assert refused(folder) == f"{odd} is neither a file nor a folder: remove it"
+    assert refused(folder) == f"{odd} is not a file or folder: remove it"
     odd.unlink()
     (folder / "\x1b[2J").touch()
     assert "cannot be shown" in refused(folder)

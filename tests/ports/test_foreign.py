@@ -197,10 +197,13 @@ def test_a_fault_is_an_exception_of_its_class_or_the_services_own(tmp_path: Path
         ("crash", "ended with code 3: out of film"),
         ("die", "the program was killed by SIGKILL"),
         ("die of a real-time signal", "the program was killed by signal 36"),
-        ("print", "the program said what is no answer: a frame of 1751477356 bytes, at most 104096 are read"),
-        ("flood", "the program said what is no answer: a frame of 2139062143 bytes, at most 104096 are read"),
+        ("print", "the program sent no valid answer: a frame of 1751477356 bytes, at most 104096 are read"),
+        ("flood", "the program sent no valid answer: a frame of 2139062143 bytes, at most 104096 are read"),
         ("answer another", "the program answered a call that was not made: 77"),
-        ("answer nothing", "the program said what is no answer: an answer with neither a value nor a fault"),
+        (
+            "answer nothing",
+            "the program sent no valid answer: an answer must have either a value or a fault",
+        ),
     ],
 )
 def test_a_program_that_ends_or_says_what_is_no_answer_ends_the_instance_with_the_reason(

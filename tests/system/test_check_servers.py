@@ -15,7 +15,7 @@ import pytest
 from tests.system.daemons import config, daemon
 
 from upwash.config import DroneConfig, drone_config
-from upwash.launch.server_survey import survey_servers
+from upwash.launch.survey import survey_servers
 from upwash.real.network import SurveyFinding
 
 pytestmark = pytest.mark.system

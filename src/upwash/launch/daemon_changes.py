@@ -145,7 +145,7 @@ def _call_limit_s(image: ImageConfig) -> float:
 def _refuse_restart(old: DaemonConfig, new: DaemonConfig) -> None:
     """Raises UsageError if the two differ in what a running daemon cannot change."""
     if [at.name for at in old.identities] != [at.name for at in new.identities]:
-        raise UsageError("another server cannot join a daemon that runs, nor leave it: restart it")
+        raise UsageError("the servers of a running daemon cannot change: restart it")
     if (old.keys is None) != (new.keys is None):
         raise UsageError("a daemon that runs cannot begin or cease to use certificates: restart it")
     if old.runtime.kind != "process" and old.images != new.images:

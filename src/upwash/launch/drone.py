@@ -1,17 +1,18 @@
-"""How the programs on a drone reach its vehicle, its servers and its own services."""
+"""How the programs on a drone reach its vehicle, its networks, its servers and its own services."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
-from upwash.config import DroneConfig, ServerConfig, is_on_this_machine
+from upwash.config import DroneConfig, ServerConfig, is_on_this_machine, server_truth, true_areas
 from upwash.config.values import MDNS
 from upwash.core.geo import GeoPosition, LocalFrame
+from upwash.drone.networks import NetworkCell, NoNetwork, PositionNetwork
 from upwash.errors import CredentialsError, UsageError
 from upwash.mavlink.signing import Signing
-from upwash.ports import Finder
+from upwash.ports import Autopilot, Finder, Journal, Network
 from upwash.real.instances.runtime import OwnProcesses
 from upwash.real.link.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
@@ -25,44 +26,26 @@ _ASKED_WITHIN_S = 10.0  # by a command that does not fly
 _FOUND_WITHIN_S = 3.0  # an answer to a multicast question takes a second at most
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleLink:
-    """How the configured vehicle is reached."""
+async def connect_vehicle(
+    config: DroneConfig,
+    settings: FlightSettings = _DEFAULTS,
+    *,
+    within_s: float = _ASKED_WITHIN_S,
+    waiting: Callable[[str, float], None] = lambda *_: None,
+) -> MavlinkAutopilot:
+    """The configured vehicle. See `connect_autopilot`.
 
-    connection: str
-    home: GeoPosition
-    ground_speed_m_s: float
-    signing: Signing | None
-    system: int | None
-
-    async def connect(
-        self,
-        settings: FlightSettings = _DEFAULTS,
-        *,
-        within_s: float = _ASKED_WITHIN_S,
-        waiting: Callable[[str, float], None] = lambda *_: None,
-    ) -> MavlinkAutopilot:
-        """Connects to it; raises AutopilotError where it is not heard, or not certain. See `connect_autopilot`."""
-        return await connect_autopilot(
-            self.connection,
-            frame=LocalFrame(self.home),
-            ground_speed_m_s=self.ground_speed_m_s,
-            settings=settings,
-            signing=self.signing,
-            system=self.system,
-            heartbeat_timeout_s=within_s,
-            waiting=waiting,
-        )
-
-
-def vehicle_link(config: DroneConfig) -> VehicleLink:
-    """How the configured vehicle is reached; raises UsageError where the configuration does not say."""
-    return VehicleLink(
-        home=home_of(config),
-        connection=connection_of(config),
+    Raises UsageError if the configuration lacks home or connection, AutopilotError if the vehicle is silent or unknown.
+    """
+    return await connect_autopilot(
+        connection_of(config),
+        frame=LocalFrame(home_of(config)),
         ground_speed_m_s=config.mission.ground_speed_m_s,
+        settings=settings,
         signing=signing_of(config),
         system=config.autopilot.system,
+        heartbeat_timeout_s=within_s,
+        waiting=waiting,
     )
 
 
@@ -147,3 +130,49 @@ def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credent
 def onboard(drone: str, *, max_message_bytes: int) -> OwnProcesses:
     """Starts and dials the drone's own services."""
     return OwnProcesses(drone, max_message_bytes=max_message_bytes)
+
+
+async def opened_networks(
+    config: DroneConfig, autopilot: Autopilot, journal: Journal, stack: contextlib.AsyncExitStack
+) -> list[Network]:
+    """A network for each radio, until the stack is closed; raises NetworkError if a radio cannot be used."""
+    radios = range(config.network.radios)
+    if config.network.kind == "wired":
+        return [NoNetwork() for _ in radios]
+    if config.network.kind == "networkmanager":
+        return [
+            await _managed_network(interfaces, config, journal, stack) for interfaces in _per_radio(config)
+        ]
+    areas = true_areas(config)
+    cells: dict[str, list[NetworkCell]] = {}
+    for server in config.servers:
+        truth = server_truth(server, config.services)
+        cell = NetworkCell(areas[server.name], truth.join_s, leave_s=truth.leave_s)
+        cells.setdefault(server.network, []).append(cell)
+    return [PositionNetwork(cells, lambda: autopilot.position) for _ in radios]
+
+
+async def network_on_the_ground(
+    config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
+) -> Network:
+    """The network of the first radio, before a flight; nothing is joined if a position stands in for networks."""
+    if config.network.kind != "networkmanager":
+        return NoNetwork()
+    return await _managed_network(_per_radio(config)[0], config, journal, stack)
+
+
+def _per_radio(config: DroneConfig) -> list[tuple[str, ...]]:
+    """The interfaces of each radio: a single radio may use all, and each of several has one of its own."""
+    interfaces = config.network.interfaces
+    return [interfaces] if config.network.radios == 1 else [(each,) for each in interfaces]
+
+
+async def _managed_network(
+    interfaces: Sequence[str], config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
+) -> Network:
+    with extra("network"):
+        from upwash.real.network.network import ManagedNetwork
+    network = ManagedNetwork(interfaces, [server.network for server in config.servers], journal)
+    stack.push_async_callback(network.close)
+    await network.open()
+    return network

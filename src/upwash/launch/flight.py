@@ -17,14 +17,13 @@ from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
 from upwash.launch.cameras import NoCamera, needs_camera, opened_camera
 from upwash.launch.drone import (
-    VehicleLink,
+    connect_vehicle,
     drone_credentials,
     onboard,
+    opened_networks,
     server_dialer,
     server_finder,
-    vehicle_link,
 )
-from upwash.launch.networks import opened_networks
 from upwash.launch.readiness import require_ready
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Autopilot, Camera, Journal
@@ -67,7 +66,6 @@ async def fly(
     if program is not None:
         config = replace(config, mission=replace(config.mission, program=program))
     require_ready(config)
-    vehicle = vehicle_link(config)
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     done = waypoints_done(read_events(log), config) if resumes else None
@@ -78,7 +76,7 @@ async def fly(
         journal = stack.enter_context(
             contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes, unwritten=unwritten))
         )
-        autopilot = await _autopilot(config, vehicle, journal, stack)
+        autopilot = await _autopilot(config, journal, stack)
         if credentials is not None:
             gps_unix_s = await _gps_unix_s(autopilot, problem_by(clock, credentials), journal)
             agree_on_time(gps_unix_s, credentials, journal, clock=clock)
@@ -112,7 +110,7 @@ def _keep_coverage(config: DroneConfig, flight: Flight, journal: Journal) -> Non
 
 
 async def _autopilot(
-    config: DroneConfig, vehicle: VehicleLink, journal: Journal, stack: contextlib.AsyncExitStack
+    config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
 ) -> MavlinkAutopilot:
     if problem := unsigned_port(config.autopilot):
         journal.record(schema.UnsignedPort(why=problem))
@@ -121,7 +119,8 @@ async def _autopilot(
     def wait(why: str, waited_s: float) -> None:
         journal.record(schema.WaitingForVehicle(why=why, waited_s=round(waited_s, 1), within_s=within_s))
 
-    autopilot = await vehicle.connect(
+    autopilot = await connect_vehicle(
+        config,
         FlightSettings(
             arrival_distance_m=config.autopilot.arrival_distance_m,
             arrival_speed_m_s=config.autopilot.arrival_speed_m_s,

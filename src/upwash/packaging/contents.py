@@ -271,5 +271,5 @@ def _size(path: Path) -> int:
     if stat.S_ISDIR(found.st_mode):
         return 0
     if not stat.S_ISREG(found.st_mode):
-        raise UsageError(f"{path} is neither a file nor a folder: remove it")
+        raise UsageError(f"{path} is not a file or folder: remove it")
     return found.st_size

@@ -149,7 +149,7 @@ def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     # these import the whole flight program
     from upwash.launch.cameras import NO_CAMERA, Look, look, needs_camera
     from upwash.launch.readiness import expiry_trouble, refusals
-    from upwash.launch.server_survey import services_in_trouble
+    from upwash.launch.survey import services_in_trouble
 
     refused = list(refusals(config))
     for refusal in refused:

@@ -37,7 +37,7 @@ def check_servers(config: DroneConfig, console: Console) -> bool:
     """
     if not config.servers:
         raise UsageError("no server to ask: the configuration has no [[server]] table")
-    from upwash.launch.server_survey import survey_servers
+    from upwash.launch.survey import survey_servers
 
     return _print(asyncio.run(survey_servers(config)), console)
 

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float32]
 
 MAX_PHOTO_PIXELS = 40_000_000
-MAX_SCANNED_PIXELS = 16 * MAX_PHOTO_PIXELS  # each scan visits all pixels; a progressive JPEG has about 10 scans
+MAX_SCANNED_PIXELS = (
+    16 * MAX_PHOTO_PIXELS
+)  # each scan visits all pixels; a progressive JPEG has about 10 scans
 _GREY = 0.5  # around the photo, as Darknet has it
 
 

@@ -125,7 +125,7 @@ class ForeignProgram:
         except RecursionError:
             raise ValueError("an answer that is nested too deeply") from None
         if (answer.value is msgspec.UNSET) == (answer.fault is msgspec.UNSET):
-            raise ValueError("an answer with neither a value nor a fault, or with both")
+            raise ValueError("an answer must have either a value or a fault")
         return answer
 
     def _listen(self) -> None:
@@ -139,7 +139,7 @@ class ForeignProgram:
         except (OSError, EOFError):
             pass  # it ends
         except ValueError as error:
-            why = f"the program said what is no answer: {error}"
+            why = f"the program sent no valid answer: {error}"
         self._end(why)
 
     def _end(self, why: str) -> None:

@@ -42,9 +42,7 @@ from upwash.support.background import thread
 from upwash.support.heat import Heat
 from upwash.support.loading import look_here
 
-_CONCURRENT_CALLS = (
-    256  # a few run, the others arrive or queue until their deadlines: of drones with a lease alone
-)
+_CONCURRENT_CALLS = 256  # most of them arrive or queue, all from drones with a lease
 _CALLS_PER_DRONE = 4  # one, and others that it has given up
 _LONGEST_REASON = 10_000  # characters
 _LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
@@ -149,7 +147,7 @@ class ServiceInstance:
     def _perform(self, method: Method, body: bytes, caller: Caller, whole_s: float) -> _Performed:
         self._gate.require_still(caller.client)  # now that the call has arrived and its turn has come
         if not caller.is_waiting():
-            raise Refused("nobody waits for this call any more")
+            raise Refused("the caller has hung up")
         drone, began_s = caller.client.key, time.monotonic()
         self._report(control.Called(drone))
         key, reply = self._compute(method, body)

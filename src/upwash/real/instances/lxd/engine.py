@@ -202,7 +202,7 @@ class Engine:
         return await loop.run_in_executor(self._threads, functools.partial(self._ask_any, ask))
 
     def _ask_any(self, ask: Callable[[Any], T]) -> T:
-        """Asks the first address that answers at all, and that one first from then on. Runs in a thread."""
+        """Ask the first address that answers; runs in a thread."""
         from pylxd.exceptions import ClientConnectionFailed, LXDAPIException
         from requests import RequestException
 
@@ -217,8 +217,7 @@ class Engine:
                 _log.warning("%s", unreachable)
                 problem = problem or unreachable
                 continue
-            if address != self._addresses[0]:
-                self._addresses = [address, *(each for each in self._addresses if each != address)]
+            self._addresses.sort(key=lambda known: known != address)  # this one first from now on
             return answer
         assert problem is not None  # noqa: S101 - there is at least one address
         raise problem
@@ -245,9 +244,7 @@ def _client(address: EngineAddress, project: str) -> Any:
         session = get_session_for_url(
             url, verify=str(address.engine_certificate), cert=(str(address.certificate), str(address.key))
         )
-    session.trust_env = (
-        False  # environment variables for other programs would replace the engine's certificate
-    )
+    session.trust_env = False  # or environment variables could replace the engine's certificate
     return pylxd.Client(endpoint=url, session=session, timeout=(_CONNECT_S, _ANSWER_S), project=project)
 
 

@@ -29,9 +29,7 @@ from upwash.support.loading import module_command
 
 # In the environment of process 1:
 CREDENTIALS = "UPWASH_LEASH"  # the name in containers of earlier versions
-SCRATCH_BYTES = (
-    "UPWASH_SCRATCH_BYTES"  # the size of each folder for files, which count as the container's memory
-)
+SCRATCH_BYTES = "UPWASH_SCRATCH_BYTES"  # the size of each folder for files, in the container's memory
 
 _SERVICE_USER = 1000
 _HANDSHAKE_S = 2.0

@@ -113,7 +113,7 @@ class LxdInstance(ControlledInstance):
                         return reports, orders
         except TimeoutError:
             raise EngineError(
-                f"{self.container.name} was started, but nobody answers at {self.container.address}: "
+                f"{self.container.name} was started, but does not answer at {self.container.address}: "
                 "is there a route to the subnet of runtime.network?"
             ) from None
 
