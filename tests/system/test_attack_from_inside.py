@@ -50,10 +50,10 @@ def test_what_it_says_keeps_no_silent_drones_slot(tmp_path: Path, keys: Path) ->
 @pytest.mark.parametrize(
     ("attack", "arguments", "reason"),
     [
-        ("invent_methods", ("heron", 20_000), "it said too much over its control line"),
-        ("speak_out_of_turn", (1,), "it said something out of turn"),
-        ("fail_at_length", (), "it said something that cannot be understood"),
-        ("cut_the_line", (), "it said something that cannot be understood"),
+        ("invent_methods", ("heron", 20_000), "it sent too much over its control line"),
+        ("speak_out_of_turn", (1,), "it sent a message out of turn"),
+        ("fail_at_length", (), "it sent a message that cannot be decoded"),
+        ("cut_the_line", (), "it sent a message that cannot be decoded"),
         ("leave", (255,), "ended with code 255"),
         ("leave", (200,), "ended with code 200"),
     ],
