@@ -36,7 +36,6 @@ from upwash.config.values import (
     SecondsByKey,
     SecondsByService,
     SecondsOfEachKey,
-    Seed,
     Settings,
     Share,
     SharesByKey,
@@ -208,7 +207,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """A video device's number or path, a stream's URL, or GStreamer's pipeline."""
     latency_s: NotNegative = 0.0
     """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
-    park_seed: Seed | None = None
+    park_seed: CountFromZero | None = None
     """Photos are rendered: what lies below the drone in the solar park of that seed."""
 
 
