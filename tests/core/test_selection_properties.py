@@ -36,7 +36,6 @@ from upwash.core.policies.policy import (
 from upwash.core.selection.commands import Check, Effect, Leave, Prepare, Probe, Start
 from upwash.core.selection.events import (
     CheckAnswered,
-    SelectionEvent,
     LeaseRenewed,
     LegBegun,
     LegEnded,
@@ -49,6 +48,7 @@ from upwash.core.selection.events import (
     RemoteCallFailed,
     RemoteCallRaised,
     RemoteFaultTested,
+    SelectionEvent,
     ServerUnusable,
     ServicesStarted,
     SlotRefused,

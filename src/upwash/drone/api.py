@@ -9,7 +9,14 @@ from typing import Any, Literal, ParamSpec, TypeVar
 
 from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
 from upwash.core.operation import Operation
-from upwash.core.selection.events import DescentBegun, SelectionEvent, LegBegun, LegEnded, MissionBegun, TargetUnknown
+from upwash.core.selection.events import (
+    DescentBegun,
+    LegBegun,
+    LegEnded,
+    MissionBegun,
+    SelectionEvent,
+    TargetUnknown,
+)
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.coming_down import ComingDown
 from upwash.drone.mission import MissionThread

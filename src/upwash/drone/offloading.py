@@ -9,14 +9,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import traceback
-from collections.abc import AsyncIterator, Mapping, Sequence
-from typing import Any, Literal, NoReturn
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from typing import Any, Literal, NoReturn, TypeVar
 
 from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Remote, Wait
-from upwash.core.selection.events import SelectionEvent, NoMoreCalls
+from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
 from upwash.drone.calling import CallAnswer, Calling, Invocation, Racing
@@ -29,6 +29,8 @@ from upwash.eventlog import schema
 from upwash.ports import Autopilot, Dialer, Journal, Network
 from upwash.rpc.service import Method
 from upwash.support.background import end, first, start
+
+T = TypeVar("T")
 
 
 class Offloading:
@@ -212,20 +214,19 @@ class FailSafeOffloading:
 
     def outlook(self) -> Outlook | None:
         """As `Selection.outlook`."""
+        return self._guarded(self._offloading.outlook)
+
+    def tell(self, event: SelectionEvent) -> None:
+        """Pass the event on to the core."""
+        self._guarded(lambda: self._offloading.tell(event))
+
+    def _guarded(self, do: Callable[[], T]) -> T | None:
         if not self._failed:
             try:
-                return self._offloading.outlook()
+                return do()
             except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
                 self._fail(error)
         return None
-
-    def tell(self, event: SelectionEvent) -> None:
-        """Takes in what happened."""
-        if not self._failed:
-            try:
-                self._offloading.tell(event)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
-                self._fail(error)
 
     async def _end(self, background: asyncio.Task[Any]) -> None:
         """Leave the server, unless the background, which would leave it, has failed."""
