@@ -80,7 +80,6 @@ __all__ = [
 
 if TYPE_CHECKING:
     from upwash.core.geo import EarthPosition, Position, Velocity, Waypoint
-    from upwash.core.planning.bound import Bound, FleetBound
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User, Vehicle
     from upwash.drone.payload import Payload, Photographer
@@ -89,11 +88,12 @@ if TYPE_CHECKING:
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
     from upwash.lab.campaigns.comparison import ComparedPolicy, compare
+    from upwash.lab.least_time import Bound, FleetBound
     from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 else:
     _NAMES = {
         "upwash.core.geo": ("EarthPosition", "Position", "Velocity", "Waypoint"),
-        "upwash.core.planning.bound": ("Bound", "FleetBound"),
+        "upwash.lab.least_time": ("Bound", "FleetBound"),
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),
         "upwash.drone.api": ("Drone", "User", "Vehicle"),
         "upwash.drone.payload": ("Payload", "Photographer"),

@@ -13,8 +13,8 @@ from tests.scenarios import scenario, server
 
 from upwash.config import fleet_of, server_areas, waypoints
 from upwash.config.drone_file import drone_config
-from upwash.core.planning.bound import Onward
 from upwash.lab.bounds import bound_of, bounds_of
+from upwash.lab.least_time import Onward
 from upwash.lab.run import simulate, simulate_drones
 
 ACTION_S = 5.0

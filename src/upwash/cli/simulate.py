@@ -15,13 +15,13 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.cli.arguments import add_figures, add_policy, figures_of, warn_of_plans
-from upwash.core.planning.bound import Bound
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.kept import lines_of
 from upwash.eventlog.results import as_json
 from upwash.eventlog.terminal import print_result
 from upwash.lab.figures import FigureFiles
+from upwash.lab.least_time import Bound
 from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 from upwash.support.output_files import write_file

@@ -1,4 +1,4 @@
-"""How fast simulated missions could have been at best: the bounds of core/planning/bound.py in their world."""
+"""How fast simulated missions could have been at best: the bounds of lab/least_time.py in their world."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from statistics import fmean
 from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_places, server_truth
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
-from upwash.core.planning.bound import Bound, FleetBound, Onward, SharedMission, bound, shared_s
 from upwash.core.planning.schedule import ComingCall, Offer
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
+from upwash.lab.least_time import Bound, FleetBound, Onward, SharedMission, bound, shared_s
 from upwash.lab.observer import RangeInterval
 from upwash.lab.run import Run
 from upwash.missions.bundled import load_services, load_specs

@@ -10,9 +10,9 @@ from statistics import fmean
 import msgspec
 
 from upwash.config import DroneConfig, PolicyConfig, Presence, fleet_of, presences
-from upwash.core.planning.bound import FleetBound
 from upwash.eventlog.results import EnergyTotals, Totals
 from upwash.lab.bounds import bound_of, bounds_of
+from upwash.lab.least_time import FleetBound
 from upwash.lab.run import Run, simulate, simulate_drones, simulate_fleet
 from upwash.sim.chance import plays_a_part
 

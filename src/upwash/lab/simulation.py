@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
 from upwash.config import DroneConfig, coverage_kept, fleet_of
-from upwash.core.planning.bound import Bound, FleetBound
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import Event
 from upwash.lab.bounds import bound_of, bounds_of
+from upwash.lab.least_time import Bound, FleetBound
 from upwash.lab.outcome import fleet_outcome
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.run import simulate as fly

@@ -11,7 +11,6 @@ Laws:
     schedule        the quickest sequence of servers
     order           the order of the waypoints
     stay_or_go      whether to fly on before an answer is there
-    bound           how fast a mission can be at best
 
 What is ugly: the search of `schedule` keeps two of many sets of started services, as all of them would be too many.
 """

@@ -1,4 +1,4 @@
-"""The bound of several missions that share servers, against schedules that could not be better."""
+"""The least times of missions, alone and of several that share servers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.planning.bound import SharedMission, shared_s
+from upwash.core.planning.schedule import ComingCall, Offer
+from upwash.lab.least_time import SharedMission, bound, shared_s
+
+
+def test_without_joins_each_call_runs_where_it_is_fastest() -> None:
+    calls = [
+        ComingCall(10.0, 5.0, [Offer("a", 2.0, 0.0), Offer("b", 1.0, 0.0)]),
+        ComingCall(10.0, 5.0, [Offer("a", 12.0, 5.0)]),
+        ComingCall(10.0, 5.0, []),
+    ]
+    assert bound(calls, {"a": 3.0, "b": 3.0}).free_s == 1.0 + 10.0 + 10.0
+
+
+def test_joins_are_paid_for_where_no_flight_hides_them() -> None:
+    calls = [
+        ComingCall(10.0, 5.0, [Offer("a", 1.0, 5.0)]),
+        ComingCall(10.0, 2.0, [Offer("b", 1.0, 2.0)]),
+    ]
+    assert bound(calls, {"a": 3.0, "b": 3.0}).with_joins_s == 1.0 + (3.0 - 2.0) + 1.0
 
 
 def mission(begun_s: float = 0.0, local_s: float = 100.0, free_s: float = 20.0) -> SharedMission:
