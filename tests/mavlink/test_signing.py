@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.packets import PacketReader, packed
 from upwash.mavlink.px4 import CurrentModeMessage
-from upwash.mavlink.signing import TICKS_PER_S, Refusal, Signing, key_of, key_of_passphrase
+from upwash.mavlink.signing import TICKS_PER_S, SignatureRefusal, Signing, key_of, key_of_passphrase
 
 KEY = bytes(range(32))
 NOW_S = 1.8e9
@@ -34,7 +34,7 @@ def made_at(packet: bytes) -> int:
     return int.from_bytes(packet[-12:-6], "little")
 
 
-def refusals(signing: Signing, *packets: bytes) -> list[Refusal | None]:
+def refusals(signing: Signing, *packets: bytes) -> list[SignatureRefusal | None]:
     reader = PacketReader(signing)
     return [refusal for packet in packets for _, refusal in reader.read(packet)]
 
@@ -52,16 +52,18 @@ def test_what_pymavlink_signs_is_believed_and_the_other_way_round() -> None:
 def test_unsigned_packets_of_another_key_and_altered_ones_are_refused() -> None:
     plain = bytes(beat().pack(codec()))
     old_protocol = bytes(beat().pack(codec(), force_mavlink1=True))
-    assert refusals(at(NOW_S), plain, old_protocol) == [Refusal.UNSIGNED] * 2
-    assert refusals(at(NOW_S), at(NOW_S, bytes(32)).pack(beat(), codec())) == [Refusal.OTHER_KEY]
+    assert refusals(at(NOW_S), plain, old_protocol) == [SignatureRefusal.UNSIGNED] * 2
+    assert refusals(at(NOW_S), at(NOW_S, bytes(32)).pack(beat(), codec())) == [SignatureRefusal.OTHER_KEY]
     later = bytearray(at(NOW_S).pack(beat(), codec()))
     later[-12] ^= 1
-    assert refusals(at(NOW_S), bytes(later)) == [Refusal.OTHER_KEY]
+    assert refusals(at(NOW_S), bytes(later)) == [SignatureRefusal.OTHER_KEY]
 
 
 def test_a_message_that_pymavlink_does_not_know_has_to_be_signed_too() -> None:
     fields = dict.fromkeys(CurrentModeMessage.fieldnames, 0)
-    assert refusals(at(NOW_S), bytes(CurrentModeMessage(**fields).pack(codec()))) == [Refusal.UNSIGNED]
+    assert refusals(at(NOW_S), bytes(CurrentModeMessage(**fields).pack(codec()))) == [
+        SignatureRefusal.UNSIGNED
+    ]
     signed = at(NOW_S).pack(CurrentModeMessage(**fields), codec())
     assert refusals(at(NOW_S), signed) == [None]
 
@@ -69,20 +71,25 @@ def test_a_message_that_pymavlink_does_not_know_has_to_be_signed_too() -> None:
 def test_a_packet_is_believed_once_and_none_after_a_later_one() -> None:
     theirs, ours = at(NOW_S), at(NOW_S)
     first, second = (theirs.pack(beat(), codec()) for _ in range(2))
-    assert refusals(ours, first, first, second, first) == [None, Refusal.REPLAYED, None, Refusal.REPLAYED]
+    assert refusals(ours, first, first, second, first) == [
+        None,
+        SignatureRefusal.REPLAYED,
+        None,
+        SignatureRefusal.REPLAYED,
+    ]
 
 
 def test_a_forged_time_changes_nothing_for_the_true_packets_that_follow() -> None:
     ours, theirs = at(NOW_S), at(NOW_S)
     forged = bytearray(at(NOW_S + 1e8, bytes(32)).pack(beat(), codec()))
     packets = theirs.pack(beat(), codec()), bytes(forged), theirs.pack(beat(), codec())
-    assert refusals(ours, *packets) == [None, Refusal.OTHER_KEY, None]
+    assert refusals(ours, *packets) == [None, SignatureRefusal.OTHER_KEY, None]
     assert made_at(ours.pack(beat(), codec())) < NOW + 10
 
 
 def test_a_stream_that_begins_a_minute_late_is_refused() -> None:
     assert refusals(at(NOW_S), at(NOW_S - 59).pack(beat(), codec())) == [None]
-    assert refusals(at(NOW_S), at(NOW_S - 61).pack(beat(), codec())) == [Refusal.STALE]
+    assert refusals(at(NOW_S), at(NOW_S - 61).pack(beat(), codec())) == [SignatureRefusal.STALE]
 
 
 def test_its_time_follows_the_clock_the_peer_and_what_was_kept_and_never_goes_back() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.px4 import understood
-from upwash.mavlink.signing import Refusal, Signing
+from upwash.mavlink.signing import SignatureRefusal, Signing
 
 _NOT_UNDERSTOOD = (mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown)  # garbage, or no checksum to verify
 
@@ -23,7 +23,7 @@ class PacketReader:
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True  # what cannot be understood becomes a message of its own
 
-    def read(self, data: bytes) -> list[tuple[Any, Refusal | None]]:
+    def read(self, data: bytes) -> list[tuple[Any, SignatureRefusal | None]]:
         """The messages that the bytes complete."""
         parser = self._parser
         found = parser.parse_buffer(data) or ()

@@ -28,7 +28,7 @@ _SIGNATURE_BYTES, _HASH_BYTES = 13, 6
 _SHORTEST_BYTES = 10 + 2 + _SIGNATURE_BYTES
 
 
-class Refusal(Enum):
+class SignatureRefusal(Enum):
     """Why a packet is not believed, in words that go after "its messages"."""
 
     UNSIGNED = "are not signed"
@@ -69,7 +69,7 @@ class Signing:
         codec.signing.timestamp, codec.signing.sign_outgoing = self._latest, True
         return bytes(message.pack(codec))
 
-    def refusal(self, packet: bytes) -> Refusal | None:
+    def refusal(self, packet: bytes) -> SignatureRefusal | None:
         """Why the packet, which is whole, is not believed; None where it is, which makes it the stream's last."""
         if forgery := self.forgery(packet):
             return forgery
@@ -77,23 +77,23 @@ class Signing:
         stream = link, packet[5], packet[6]
         last = self._heard.get(stream)
         if last is not None and made <= last:
-            return Refusal.REPLAYED
+            return SignatureRefusal.REPLAYED
         if last is None and made + _NEW_STREAM_TICKS < max(self._now(), self._latest):
-            return Refusal.STALE
+            return SignatureRefusal.STALE
         self._heard[stream] = made
         self._advance(made)
         return None
 
-    def forgery(self, packet: bytes) -> Refusal | None:
+    def forgery(self, packet: bytes) -> SignatureRefusal | None:
         """Why the packet, which is whole, was not made by a holder of the key; None if it was, now or earlier."""
         if (
             len(packet) < _SHORTEST_BYTES
             or packet[0] != mavlink.PROTOCOL_MARKER_V2
             or not packet[2] & _SIGNED
         ):
-            return Refusal.UNSIGNED
+            return SignatureRefusal.UNSIGNED
         signed = hashlib.sha256(self._key + packet[:-_HASH_BYTES]).digest()[:_HASH_BYTES]
-        return None if hmac.compare_digest(signed, packet[-_HASH_BYTES:]) else Refusal.OTHER_KEY
+        return None if hmac.compare_digest(signed, packet[-_HASH_BYTES:]) else SignatureRefusal.OTHER_KEY
 
     def _now(self) -> int:
         return min(_LATEST - 1, max(0, int((self._unix_s() - _EPOCH_UNIX_S) * TICKS_PER_S)))

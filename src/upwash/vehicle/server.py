@@ -7,7 +7,7 @@ from typing import Any
 
 from upwash.errors import UsageError
 from upwash.mavlink.packets import PacketReader
-from upwash.mavlink.signing import Refusal, Signing
+from upwash.mavlink.signing import SignatureRefusal, Signing
 from upwash.support.background import end, start
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
@@ -117,7 +117,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         for message, refusal in PacketReader(self._vehicle.signing).read(data):
             if refusal is None:
                 self._connection(address).hear(message)
-            elif refusal is Refusal.STALE:
+            elif refusal is SignatureRefusal.STALE:
                 self._connection(address)  # who has the key and a clock that is behind learns the time so
 
     def _connection(self, address: Any) -> PeerConnection:

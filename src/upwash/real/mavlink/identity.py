@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.errors import AutopilotError, AutopilotNotHeard
 from upwash.eventlog.schema import LinkTrouble
 from upwash.mavlink.names import name_of
-from upwash.mavlink.signing import Refusal
+from upwash.mavlink.signing import SignatureRefusal
 from upwash.real.mavlink.gate import Troubles
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.numbering import Twins
@@ -46,10 +46,11 @@ _LOOKED_EACH_S = 1.0
 _DEFINITE_S = 10.0  # the wait for the vehicle ends this long after the first heartbeat of a wrong vehicle
 _TOLD_AFTER_S, _TOLD_EACH_S = 3.0, 15.0
 _REMEDIES = {
-    Refusal.UNSIGNED: "give it the key with a ground station, or leave autopilot.signing_key out",
-    Refusal.OTHER_KEY: "give it the key of autopilot.signing_key with a ground station, or name the file of its key",
-    Refusal.STALE: "wait until its GPS has a fix, and see that this computer's clock is right",
-    Refusal.REPLAYED: "somebody repeats what it said earlier, or it was started anew: try again",
+    SignatureRefusal.UNSIGNED: "give it the key with a ground station, or leave autopilot.signing_key out",
+    SignatureRefusal.OTHER_KEY: "give it the key of autopilot.signing_key with a ground station, "
+    "or name the file of its key",
+    SignatureRefusal.STALE: "wait until its GPS has a fix, and see that this computer's clock is right",
+    SignatureRefusal.REPLAYED: "somebody repeats what it said earlier, or it was started anew: try again",
 }
 
 
@@ -248,7 +249,7 @@ async def first_heartbeat(
 
 def _is_definite(link: MavlinkLink, identity: Identity) -> bool:
     """Whether a longer wait cannot help: a wrong key, or a vehicle that cannot be flown."""
-    return link.refused in (Refusal.UNSIGNED, Refusal.OTHER_KEY) or identity.is_unflyable
+    return link.refused in (SignatureRefusal.UNSIGNED, SignatureRefusal.OTHER_KEY) or identity.is_unflyable
 
 
 def _why_waiting(link: MavlinkLink, identity: Identity) -> str:

@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection, serial_speed
 from upwash.mavlink.packets import packed
-from upwash.mavlink.signing import Refusal, Signing
+from upwash.mavlink.signing import SignatureRefusal, Signing
 from upwash.real.mavlink.receiver import Address, Message, MessageReceiver, Peer, from_autopilot
 from upwash.support.background import end, kept_up, only_logged, start
 
@@ -87,7 +87,7 @@ class MavlinkLink:
         return f" ({'; '.join(reasons)})" if reasons else ""
 
     @property
-    def refused(self) -> Refusal | None:
+    def refused(self) -> SignatureRefusal | None:
         """Why the last heartbeat of an autopilot was not believed; None for a believed one, or without any."""
         return self._receiver.refused
 

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.packets import PacketReader
-from upwash.mavlink.signing import Refusal, Signing
+from upwash.mavlink.signing import SignatureRefusal, Signing
 
 Message: TypeAlias = Any  # pymavlink's messages are not typed
 Address: TypeAlias = tuple[Any, ...]  # host and port, and more with IPv6
@@ -47,7 +47,7 @@ class MessageReceiver:
         signing: Signing | None,
         overheard: Callable[[Message], object] = lambda _: None,
     ) -> None:
-        self.refused: Refusal | None = None
+        self.refused: SignatureRefusal | None = None
         self._heard = heard
         self._follows = follows
         self._overheard = overheard
@@ -96,7 +96,7 @@ class MessageReceiver:
         for message, refusal in read:
             if from_autopilot(message):
                 self.refused = refusal
-                late |= refusal is Refusal.STALE
+                late |= refusal is SignatureRefusal.STALE
         return [message for message, refusal in read if refusal is None], late
 
 

@@ -20,9 +20,12 @@ from upwash.vehicle.body.kinematics import (
     Motion,
     MotionPart,
     Phase,
+    cruise_m_s,
+    direction_of,
     duration_s,
     heading_of,
     leg,
+    pause,
     settled_s,
     smooth_phase,
     steadily,
@@ -78,11 +81,11 @@ def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> 
     """A leg from rest to rest, with the time it takes to react."""
     length_m = distance_m(start, end)
     if length_m < _FINEST_M:
-        return (_pause(end, _REACTION_S),)
+        return (pause(end, _REACTION_S),)
     parts = _chased(round(length_m / _FINEST_M) * _FINEST_M, _cruise_m_s(start, end, ground_speed_m_s))
     ahead = heading_of(start, end)
     back = Velocity(-ahead.east_m_s, -ahead.north_m_s, -ahead.up_m_s)
-    phases = [_pause(start, _REACTION_S)]
+    phases = [pause(start, _REACTION_S)]
     for length_m, from_m_s, to_m_s, lasts_s in parts:
         forwards = length_m > 0 or (length_m == 0 and from_m_s >= 0)
         sign = 1 if forwards else -1
@@ -104,14 +107,14 @@ def redirected(
 ) -> tuple[MotionPart, ...]:
     """From its present motion to rest at a target, new or old, at a new speed."""
     length_m = distance_m(start, end)
-    ahead = heading_of(start, end) if length_m else _direction(velocity)
+    ahead = heading_of(start, end) if length_m else direction_of(velocity)
     along_m_s = _product(velocity, ahead)
     across = Velocity(
         velocity.east_m_s - along_m_s * ahead.east_m_s,
         velocity.north_m_s - along_m_s * ahead.north_m_s,
         velocity.up_m_s - along_m_s * ahead.up_m_s,
     )
-    aside = _direction(across)
+    aside = direction_of(across)
     cruise_m_s = _cruise_m_s(start, end, ground_speed_m_s)
     samples = _GUIDED.chase(length_m, complex(along_m_s, across.speed_m_s), cruise_m_s=cruise_m_s)
     knots = _thinned(list(samples))
@@ -130,7 +133,7 @@ def redirected(
 def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
     """To rest, straight ahead."""
     speed_m_s = velocity.speed_m_s
-    return _BRAKING.phases(start, _direction(velocity), speed_m_s) if speed_m_s > 0 else ()
+    return _BRAKING.phases(start, direction_of(velocity), speed_m_s) if speed_m_s > 0 else ()
 
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
@@ -142,7 +145,7 @@ def takeoff(ground: Position, altitude_m: float) -> tuple[Phase, ...]:
     """Spools up, then climbs straight up to the altitude."""
     up = Position(ground.east_m, ground.north_m, altitude_m)
     climb = ramped_leg(ground, up, cruise_m_s=_CLIMB_M_S, faster=_LIFTING, slower=_LEVELLING)
-    return (_pause(ground, spool_up_s), *climb)
+    return (pause(ground, spool_up_s), *climb)
 
 
 def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
@@ -172,7 +175,7 @@ def landing(start: Position) -> tuple[Phase, ...]:
     low = Position(start.east_m, start.north_m, min(start.altitude_m, _SLOWLY_BELOW_M))
     ground = Position(start.east_m, start.north_m)
     return (
-        _pause(start, _DESCENT_REACTION_S),
+        pause(start, _DESCENT_REACTION_S),
         *leg(start, low, cruise_m_s=_DESCENT_M_S, acceleration_m_s2=_DESCENT_M_S2),
         *steadily(low, ground, duration_s=low.altitude_m / _LANDING_M_S),
     )
@@ -181,10 +184,10 @@ def landing(start: Position) -> tuple[Phase, ...]:
 def _return_climb(start: Position, altitude_m: float) -> tuple[Phase, ...]:
     """To the altitude of returns; only the time that it takes to turn for home where it is as high already."""
     if start.altitude_m >= altitude_m:
-        return (_pause(start, _RETURN_REACTION_S),)
+        return (pause(start, _RETURN_REACTION_S),)
     top = Position(start.east_m, start.north_m, altitude_m)
     climb = ramped_leg(start, top, cruise_m_s=_CLIMB_M_S, faster=_RETURN_CLIMBING, slower=_RETURN_LEVELLING)
-    return (_pause(start, _RETURN_CLIMB_REACTION_S), *climb)
+    return (pause(start, _RETURN_CLIMB_REACTION_S), *climb)
 
 
 def _way_from_above(
@@ -196,7 +199,7 @@ def _way_from_above(
         above, above_home, cruise_m_s=ground_speed_m_s, faster=_RETURN_FASTER, slower=_RETURN_SLOWER
     )
     early_s = min(_LEAVES_EARLY_S, duration_s(way)) if climbed else 0.0
-    return *way, _pause(above_home, _HOVER_S - early_s)
+    return *way, pause(above_home, _HOVER_S - early_s)
 
 
 @lru_cache(maxsize=4096)
@@ -261,14 +264,6 @@ def _drawn_well(samples: Sequence[PursuitSample], begin: int, end: int) -> bool:
     return True
 
 
-def _direction(vector: Velocity) -> Velocity:
-    """The vector at length 1; as it is where it leads nowhere."""
-    length = vector.speed_m_s
-    if length == 0:
-        return vector
-    return Velocity(vector.east_m_s / length, vector.north_m_s / length, vector.up_m_s / length)
-
-
 def _product(one: Velocity, other: Velocity) -> float:
     return one.east_m_s * other.east_m_s + one.north_m_s * other.north_m_s + one.up_m_s * other.up_m_s
 
@@ -290,13 +285,4 @@ def _place(start: Position, ahead: Velocity, aside: Velocity, number: complex) -
 
 
 def _cruise_m_s(start: Position, end: Position, ground_speed_m_s: float) -> float:
-    """The ground speed, or less where the way is so steep that climb or descent would be too fast."""
-    rise_m = end.altitude_m - start.altitude_m
-    if rise_m == 0:
-        return ground_speed_m_s
-    vertical_m_s = _CLIMB_M_S if rise_m > 0 else _DESCENT_M_S
-    return min(ground_speed_m_s, vertical_m_s * distance_m(start, end) / abs(rise_m))
-
-
-def _pause(place: Position, duration_s: float) -> Phase:
-    return Phase(place, Velocity(), 0.0, 0.0, duration_s)
+    return cruise_m_s(start, end, ground_speed_m_s, climb_m_s=_CLIMB_M_S, descent_m_s=_DESCENT_M_S)

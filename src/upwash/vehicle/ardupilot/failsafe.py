@@ -80,7 +80,8 @@ class Failsafes:
         self.lost_place = False
         self.ekf_flags = EKF_FLIES_BY_GPS
         self.heard_ground_s: float | None = None
-        self._landed = self._radio = self._ground = False
+        self._landed = False
+        self._lost_links: set[str] = set()
         self._done: dict[tuple[FaultKind, bool], float] = {}  # how far in each story it is
         self._glitch_s: float | None = None
         self._glitch_over_s: float | None = None
@@ -88,7 +89,7 @@ class Failsafes:
     @property
     def active(self) -> bool:
         """Whether one of them has taken over, and what it is about is still wrong."""
-        return self.battery or self._landed or self._radio or self._ground
+        return self.battery or self._landed or bool(self._lost_links)
 
     def triggers(
         self,
@@ -170,25 +171,23 @@ class Failsafes:
     def _out_of_reach(
         self, now_s: float, since_s: float | None, parameters: ParameterTable, *, armed: bool
     ) -> Iterator[FailsafeTrigger]:
-        lost = since_s is not None and now_s - since_s >= _RADIO_S and bool(parameters["FS_THR_ENABLE"])
-        if lost and not self._radio and armed:
-            mode = _LAND if parameters["FS_THR_ENABLE"] == 3 else _RETURN
-            yield FailsafeTrigger((Text("Radio Failsafe", WARNING),), mode)
-            self._radio = True
-        elif not lost and self._radio:
-            self._radio = False
-            yield FailsafeTrigger((Text("Radio Failsafe Cleared", WARNING),))
+        action = int(parameters["FS_THR_ENABLE"])
+        lost = since_s is not None and now_s - since_s >= _RADIO_S and bool(action)
+        yield from self._latch("Radio", _LAND if action == 3 else _RETURN, lost=lost, armed=armed)
 
     def _unheard(self, now_s: float, parameters: ParameterTable, *, armed: bool) -> Iterator[FailsafeTrigger]:
-        action = int(parameters["FS_GCS_ENABLE"])
-        heard_s = self.heard_ground_s
+        action, heard_s = int(parameters["FS_GCS_ENABLE"]), self.heard_ground_s
         lost = bool(action) and heard_s is not None and now_s - heard_s >= parameters["FS_GCS_TIMEOUT"]
-        if lost and not self._ground and armed:
-            yield FailsafeTrigger((Text("GCS Failsafe", WARNING),), _LAND if action == 5 else _RETURN)
-            self._ground = True
-        elif not lost and self._ground:
-            self._ground = False
-            yield FailsafeTrigger((Text("GCS Failsafe Cleared", WARNING),))
+        yield from self._latch("GCS", _LAND if action == 5 else _RETURN, lost=lost, armed=armed)
+
+    def _latch(self, name: str, mode: int, *, lost: bool, armed: bool) -> Iterator[FailsafeTrigger]:
+        """A link's fail-safe begins once while the vehicle is armed, and ends with the link's return."""
+        if lost and name not in self._lost_links and armed:
+            self._lost_links.add(name)
+            yield FailsafeTrigger((Text(f"{name} Failsafe", WARNING),), mode)
+        elif not lost and name in self._lost_links:
+            self._lost_links.remove(name)
+            yield FailsafeTrigger((Text(f"{name} Failsafe Cleared", WARNING),))
 
     def _story(
         self, name: tuple[FaultKind, bool], story: tuple[tuple[float, FailsafeTrigger], ...], elapsed_s: float

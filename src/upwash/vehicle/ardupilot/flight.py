@@ -12,7 +12,7 @@ from upwash.vehicle.ardupilot.fence import FenceWatch
 from upwash.vehicle.ardupilot.settings import FASTEST_M_S, CopterMode, VehicleSettings
 from upwash.vehicle.ardupilot.symmetric import Airframe, Symmetric
 from upwash.vehicle.body.copter import GRAVITY_M_S2, HOME, LandedState, Multicopter
-from upwash.vehicle.body.kinematics import Motion, MotionPart, Phase, duration_s
+from upwash.vehicle.body.kinematics import Motion, MotionPart, Phase, duration_s, pause
 from upwash.vehicle.body.parameters import ParameterTable
 
 _HIGHEST_M = 1_000.0
@@ -232,7 +232,7 @@ class CopterFlight(Multicopter):
             stretches = self._airframe.brake(here, velocity)
             here = stretches[-1].end if stretches else here
             if (left_s := pause_s - duration_s(stretches)) > 0:
-                stretches = *stretches, Phase(here, Velocity(), 0.0, 0.0, left_s)
+                stretches = *stretches, pause(here, left_s)
         self._descends_s = now_s + (duration_s(stretches) if mode is CopterMode.RTL else 0.0)
         stretches = *stretches, *self._airframe.landing(here)
         self._motion = Motion(now_s, stretches, here.at_altitude(0.0))

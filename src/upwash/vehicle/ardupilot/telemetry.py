@@ -11,7 +11,7 @@ from upwash.vehicle.ardupilot.fence import Breach
 from upwash.vehicle.ardupilot.settings import CopterMode
 from upwash.vehicle.body.copter import FaultKind, LandedState
 from upwash.vehicle.body.firmware import Message, Report
-from upwash.vehicle.body.telemetry import Telemetry, degrees_e7, made
+from upwash.vehicle.body.telemetry import StandInTelemetry, degrees_e7, made
 
 _BASE_MODE = (
     mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -38,7 +38,7 @@ _SENSORS = (
 _SATELLITES, _TOO_FEW_SATELLITES = 10, 3
 
 
-class CopterTelemetry(Telemetry[Copter]):
+class CopterTelemetry(StandInTelemetry[Copter]):
     """What it reports, message by message."""
 
     throttle_percent = 35

@@ -224,12 +224,13 @@ def braking(start: Position, velocity: Velocity, *, acceleration_m_s2: float) ->
     speed_m_s = velocity.speed_m_s
     if speed_m_s == 0:
         return ()
-    heading = Velocity(
-        east_m_s=velocity.east_m_s / speed_m_s,
-        north_m_s=velocity.north_m_s / speed_m_s,
-        up_m_s=velocity.up_m_s / speed_m_s,
-    )
+    heading = direction_of(velocity)
     return (Phase(start, heading, speed_m_s, -acceleration_m_s2, speed_m_s / acceleration_m_s2),)
+
+
+def pause(place: Position, duration_s: float) -> Phase:
+    """A stay at one place."""
+    return Phase(place, Velocity(), 0.0, 0.0, duration_s)
 
 
 def smooth_phase(
@@ -251,7 +252,7 @@ def steadily(start: Position, end: Position, *, duration_s: float) -> tuple[Phas
     """A straight line at one speed; a pause where it leads nowhere or takes no time."""
     length_m = distance_m(start, end)
     if length_m < NO_LENGTH_M or duration_s == 0:
-        return (Phase(end, Velocity(), 0.0, 0.0, duration_s),)
+        return (pause(end, duration_s),)
     return (Phase(start, heading_of(start, end), length_m / duration_s, 0.0, duration_s),)
 
 
@@ -269,6 +270,29 @@ def stretched(phases: Iterable[Phase], factor: float) -> tuple[Phase, ...]:
             phase.jerk_m_s3 / factor**3,
         )
         for phase in phases
+    )
+
+
+def cruise_m_s(
+    start: Position, end: Position, ground_speed_m_s: float, *, climb_m_s: float, descent_m_s: float
+) -> float:
+    """The ground speed, or less where the way is so steep that climb or descent would be too fast."""
+    rise_m = end.altitude_m - start.altitude_m
+    if rise_m == 0:
+        return ground_speed_m_s
+    vertical_m_s = climb_m_s if rise_m > 0 else descent_m_s
+    return min(ground_speed_m_s, vertical_m_s * distance_m(start, end) / abs(rise_m))
+
+
+def direction_of(velocity: Velocity) -> Velocity:
+    """The velocity at length 1; unchanged at length 0."""
+    speed_m_s = velocity.speed_m_s
+    if speed_m_s == 0:
+        return velocity
+    return Velocity(
+        east_m_s=velocity.east_m_s / speed_m_s,
+        north_m_s=velocity.north_m_s / speed_m_s,
+        up_m_s=velocity.up_m_s / speed_m_s,
     )
 
 

@@ -33,7 +33,7 @@ def degrees_e7(degrees: float) -> int:
     return round(degrees * 1e7)
 
 
-class Telemetry(ABC, Generic[AnyCopter]):
+class StandInTelemetry(ABC, Generic[AnyCopter]):
     """What it reports, message by message. A report that is None is not known yet."""
 
     drawn, consumed = -1, -1  # from the battery, as messages hold it: not known

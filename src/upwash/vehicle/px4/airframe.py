@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.core.vehicle.way_home import PX4
-from upwash.vehicle.body.kinematics import Phase, heading_of
+from upwash.vehicle.body.kinematics import Phase, cruise_m_s, heading_of, pause
 from upwash.vehicle.px4.body import (
     CLIMB_M_S,
     CLIMB_RETURNING_M_S,
@@ -46,7 +46,7 @@ def rest_of_leg(
 ) -> tuple[Phase, ...]:
     """A leg from that speed to rest; empty if it is faster than it may be, or could not stop in time."""
     length_m = distance_m(start, end)
-    cap_m_s = _cruise_m_s(start, end, ground_speed_m_s)
+    cap_m_s = cruise_m_s(start, end, ground_speed_m_s, climb_m_s=CLIMB_RETURNING_M_S, descent_m_s=SINKING_M_S)
     if length_m == 0 or speed_m_s > cap_m_s or speed_m_s > max(approach_m_s(length_m), _TURNS_AT_ONCE_M_S):
         return ()
     return _along(start, heading_of(start, end), _leg_samples(length_m, cap_m_s, speed_m_s))
@@ -80,9 +80,8 @@ def arrival_s(phases: tuple[Phase, ...]) -> float:
 def takeoff(ground: Position, altitude_m: float) -> tuple[Phase, ...]:
     """Spools up, then climbs straight up to the altitude."""
     steering = Steering(altitude_m=altitude_m, climb_m_s=CLIMB_M_S, climb_m_s2=CLIMBING_M_S2)
-    pause = Phase(ground, Velocity(), 0.0, 0.0, spool_up_s)
     up = _along(ground, Velocity(up_m_s=1.0), _vertical(ground.altitude_m, lambda _: steering))
-    return (pause, *up)
+    return (pause(ground, spool_up_s), *up)
 
 
 def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
@@ -105,7 +104,7 @@ def way_home(
     up = _along(start, Velocity(up_m_s=1.0), _vertical(start.altitude_m, lambda _: steering))
     leg = waypoint_leg(above_start, above_home, ground_speed_m_s=ground_speed_m_s)
     here = leg[-1].end if leg else above_home
-    return *up, *leg, Phase(here, Velocity(), 0.0, 0.0, 0.0)
+    return *up, *leg, pause(here, 0.0)
 
 
 def landing(start: Position) -> tuple[Phase, ...]:
@@ -116,7 +115,7 @@ def landing(start: Position) -> tuple[Phase, ...]:
 
     down = _along(start, Velocity(up_m_s=1.0), _vertical(start.altitude_m, sinking))
     ground = Position(start.east_m, start.north_m)
-    return *down, Phase(ground, Velocity(), 0.0, 0.0, BELIEVES_GROUND_S)
+    return *down, pause(ground, BELIEVES_GROUND_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,12 +226,3 @@ def _phase(here: Position, heading: Velocity, piece: tuple[float, float, float, 
     return Phase(
         here, heading, from_m_s, acceleration_m_s2, lasts_s, jerk_m_s3=12 * (mean_m - way_m) / lasts_s**3
     )
-
-
-def _cruise_m_s(start: Position, end: Position, ground_speed_m_s: float) -> float:
-    """The ground speed, or less where the way is so steep that climb or descent would be too fast."""
-    rise_m = end.altitude_m - start.altitude_m
-    if rise_m == 0:
-        return ground_speed_m_s
-    vertical_m_s = CLIMB_RETURNING_M_S if rise_m > 0 else SINKING_M_S
-    return min(ground_speed_m_s, vertical_m_s * distance_m(start, end) / abs(rise_m))

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.px4 import AVAILABLE_MODES, CURRENT_MODE, AvailableModesMessage, CurrentModeMessage, Mode
 from upwash.vehicle.body.firmware import Message, Report
-from upwash.vehicle.body.telemetry import Telemetry, degrees_e7, made
+from upwash.vehicle.body.telemetry import StandInTelemetry, degrees_e7, made
 from upwash.vehicle.px4.inputs import InputSource
 from upwash.vehicle.px4.vehicle import Quadrotor
 
@@ -70,7 +70,7 @@ def available_modes(index: int) -> tuple[Message, ...]:
     )
 
 
-class Px4Telemetry(Telemetry[Quadrotor]):
+class Px4Telemetry(StandInTelemetry[Quadrotor]):
     """What it reports, message by message."""
 
     drawn, consumed = -100, 0
