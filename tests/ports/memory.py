@@ -15,11 +15,11 @@ from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.mavlink.packets import PacketReader
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.connection import PeerConnection, StandIn
+from upwash.vehicle.body.connection import PeerConnection
 from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.telemetry import UNASKED_S
-from upwash.vehicle.server import firmware
+from upwash.vehicle.server import switched_on
 
 HOME = GeoPosition(39.3666, 22.9507)
 AGILE = VehicleSettings(
@@ -92,9 +92,9 @@ class Bench:
 
     def switch_on(self, settings: VehicleSettings | Px4Settings) -> None:
         """Starts the vehicle, on the ground at home."""
-        self.firmware: Any = firmware(settings, now_s=asyncio.get_running_loop().time())
+        self.vehicle = switched_on(settings)
+        self.firmware: Any = self.vehicle.firmware
         self.copter: Any = self.firmware.copter
-        self.vehicle = StandIn(self.firmware, settings.speedup)
         self._life = asyncio.create_task(self.vehicle.live())
         if not self._unasked:
             PeerConnection(self.vehicle, write=self._note)

@@ -13,7 +13,7 @@ from upwash.mavlink.px4 import understood
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body.connection import PeerConnection, StandIn
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.server import firmware
+from upwash.vehicle.server import switched_on
 
 Hear = Callable[[Any], None]
 
@@ -27,7 +27,7 @@ async def directly_linked(
     What is said is heard in the loop's next turn, so that one can say something and then wait for the answer.
     """
     codec = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-    vehicle = StandIn(firmware(settings, now_s=asyncio.get_running_loop().time()), settings.speedup)
+    vehicle = switched_on(settings)
 
     def parsed(data: bytes) -> list[Any]:
         return [understood(message) for message in mavlink.MAVLink(None).parse_buffer(data) or ()]

@@ -14,7 +14,6 @@ from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body.connection import PeerConnection, StandIn
 from upwash.vehicle.body.copter import FaultKind
-from upwash.vehicle.body.firmware import StandInFirmware
 from upwash.vehicle.px4.firmware import Px4Firmware
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.vehicle import Quadrotor
@@ -23,11 +22,12 @@ _FORGOTTEN_AFTER_S = 10.0
 _MOST_UNSENT_BYTES = 65_536
 
 
-def firmware(settings: VehicleSettings | Px4Settings, *, now_s: float) -> StandInFirmware[Any]:
-    """The autopilot that the settings are for, just switched on."""
+def switched_on(settings: VehicleSettings | Px4Settings, signing: Signing | None = None) -> StandIn:
+    """A stand-in without a socket, with the autopilot that the settings are for."""
+    now_s = asyncio.get_running_loop().time()
     if isinstance(settings, Px4Settings):
-        return Px4Firmware(Quadrotor(settings, now_s=now_s))
-    return ArduCopterFirmware(Copter(settings, now_s=now_s))
+        return StandIn(Px4Firmware(Quadrotor(settings, now_s=now_s)), settings.speedup, signing)
+    return StandIn(ArduCopterFirmware(Copter(settings, now_s=now_s)), settings.speedup, signing)
 
 
 async def serve_vehicle(
@@ -39,7 +39,7 @@ async def serve_vehicle(
     """
     kind, host, port = _parse(listen)
     loop = asyncio.get_running_loop()
-    vehicle = StandIn(firmware(settings, now_s=loop.time()), settings.speedup, signing)
+    vehicle = switched_on(settings, signing)
     one_peer = isinstance(settings, Px4Settings) and settings.one_peer
     endpoint: asyncio.BaseTransport | asyncio.Server
     try:

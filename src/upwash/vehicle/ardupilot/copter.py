@@ -90,7 +90,7 @@ class Copter(CopterFlight):
         tells = self.settings.clock_offset_s is not None and self.has_fix(now_s)
         return self._booted_unix_s + self.uptime_s(now_s) if tells else 0.0
 
-    def knows_its_place(self, now_s: float) -> bool:
+    def has_origin(self, now_s: float) -> bool:
         """Whether it has an origin to tell positions from."""
         self._look_for_gps(now_s)
         return self._boot.places(self.uptime_s(now_s))
@@ -109,7 +109,7 @@ class Copter(CopterFlight):
         """The objections of its checks before arming; empty when they pass."""
         if self.booting(now_s):
             return ("System not initialised",)
-        placed, uptime_s = self.knows_its_place(now_s), self.uptime_s(now_s)
+        placed, uptime_s = self.has_origin(now_s), self.uptime_s(now_s)
         reasons = list(self._boot.sensors_object(uptime_s))
         if self.suffers(FaultKind.ARMING, now_s):
             reasons.append("Hardware safety switch")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from enum import Enum, auto
+from typing import Protocol
 
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.mavlink.version import Version
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.ardupilot.fence import FenceWatch
 from upwash.vehicle.ardupilot.settings import FASTEST_M_S, CopterMode, VehicleSettings
-from upwash.vehicle.ardupilot.symmetric import Airframe, Symmetric
+from upwash.vehicle.ardupilot.symmetric import Symmetric
 from upwash.vehicle.body.copter import GRAVITY_M_S2, HOME, LandedState, Multicopter
 from upwash.vehicle.body.kinematics import Motion, MotionPart, Phase, duration_s, pause
 from upwash.vehicle.body.parameters import ParameterTable
@@ -35,6 +36,37 @@ class _Doing(Enum):
     FALLING = auto()
 
 
+class _Airframe(Protocol):
+    """The module `airframe`, or a `Symmetric`."""
+
+    @property
+    def spool_up_s(self) -> float: ...
+
+    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]: ...
+
+    def waypoint_leg(
+        self, start: Position, end: Position, *, ground_speed_m_s: float
+    ) -> tuple[Phase, ...]: ...
+
+    def redirected(
+        self, start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
+    ) -> tuple[MotionPart, ...]: ...
+
+    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]: ...
+
+    def way_home(
+        self,
+        start: Position,
+        velocity: Velocity,
+        home: Position,
+        *,
+        ground_speed_m_s: float,
+        altitude_m: float,
+    ) -> tuple[MotionPart, ...]: ...
+
+    def landing(self, start: Position) -> tuple[Phase, ...]: ...
+
+
 class CopterFlight(Multicopter):
     """The flight mode, the motors, and the motion that comes of them."""
 
@@ -45,7 +77,7 @@ class CopterFlight(Multicopter):
         self.mode = CopterMode.STABILIZE
         self.home = HOME  # where it returns to, relative to where it was switched on
         self.fence = FenceWatch(self.parameters, now_s)
-        self._airframe: Airframe = (
+        self._airframe: _Airframe = (
             arducopter
             if settings.acceleration_m_s2 is None
             else Symmetric(settings.acceleration_m_s2, settings.climb_m_s, settings.descent_m_s)

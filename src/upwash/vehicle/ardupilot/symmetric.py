@@ -3,48 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
-from upwash.vehicle.body.kinematics import MotionPart, Phase, braking, heading_of, leg
+from upwash.vehicle.body.kinematics import Phase, braking, heading_of, leg
 
 _STRAIGHT = 1 - 1e-6  # the cosine of an angle that is none
-
-
-class Airframe(Protocol):
-    """How a vehicle flies: `vehicle.ardupilot.airframe` is one, `Symmetric` another."""
-
-    @property
-    def spool_up_s(self) -> float:
-        """How long a take-off stays on the ground."""
-
-    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-        """Straight up to the altitude."""
-
-    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-        """From rest to rest."""
-
-    def redirected(
-        self, start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
-    ) -> tuple[MotionPart, ...]:
-        """From that velocity to rest at a target."""
-
-    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-        """To rest, straight ahead."""
-
-    def way_home(
-        self,
-        start: Position,
-        velocity: Velocity,
-        home: Position,
-        *,
-        ground_speed_m_s: float,
-        altitude_m: float,
-    ) -> tuple[MotionPart, ...]:
-        """To rest above home, no lower than the altitude."""
-
-    def landing(self, start: Position) -> tuple[Phase, ...]:
-        """From rest straight down to the ground."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,8 +81,7 @@ class CopterTelemetry(StandInTelemetry[Copter]):
             mavlink.MAV_TYPE_QUADROTOR, autopilot, base_mode, copter.mode, status, 3
         )
 
-    def sensors(self, now_s: float) -> tuple[int, int, int]:
-        """The sensors that are present, enabled and healthy; whether it can be armed is one of them."""
+    def _sensors(self, now_s: float) -> tuple[int, int, int]:
         health = _SENSORS
         if not self.copter.armable(now_s):
             health &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -92,9 +91,8 @@ class CopterTelemetry(StandInTelemetry[Copter]):
             health &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
         return _SENSORS, _SENSORS, health
 
-    def receiver(self, now_s: float) -> dict[str, Any]:
-        """The fields of GPS_RAW_INT that depend on the receiver's fix."""
-        course = {"cog": self.heading_cdeg(now_s)}
+    def _receiver(self, now_s: float) -> dict[str, Any]:
+        course = {"cog": self._heading_cdeg(now_s)}
         if not self.copter.hears_satellites(now_s):
             nowhere = {"fix_type": mavlink.GPS_FIX_TYPE_NO_GPS, "lat": 0, "lon": 0}
             return course | nowhere | {"eph": 65535, "epv": 65535, "satellites_visible": 0}
@@ -103,14 +101,6 @@ class CopterTelemetry(StandInTelemetry[Copter]):
             nowhere = {"fix_type": mavlink.GPS_FIX_TYPE_NO_FIX, "lat": 0, "lon": 0}
             return heard | nowhere | {"satellites_visible": _TOO_FEW_SATELLITES}
         return heard | {"fix_type": mavlink.GPS_FIX_TYPE_RTK_FIXED, "satellites_visible": _SATELLITES}
-
-    def unix_s(self, now_s: float) -> float:
-        """The time of day that its receiver tells, in seconds since 1970; 0 while it tells none."""
-        return self.copter.unix_s(now_s)
-
-    def has_origin(self, now_s: float) -> bool:
-        """Whether it has an origin to tell positions from."""
-        return self.copter.knows_its_place(now_s)
 
     def ekf_status(self, now_s: float) -> Message:
         """EKF_STATUS_REPORT: the sources of the position estimate."""
@@ -121,23 +111,22 @@ class CopterTelemetry(StandInTelemetry[Copter]):
     def global_position(self, now_s: float) -> Message:
         """GLOBAL_POSITION_INT: place and velocity."""
         above_home_m = self.copter.position(now_s).altitude_m - self.copter.home.altitude_m
-        known = self.copter.knows_its_place(now_s) or self.copter.has_fix(now_s)
-        return self.global_position_of(now_s, above_home_mm=round(above_home_m * 1e3), known=known)
+        known = self.copter.has_origin(now_s) or self.copter.has_fix(now_s)
+        return self._global_position_of(now_s, above_home_mm=round(above_home_m * 1e3), known=known)
 
     def position_target_local(self, now_s: float) -> Message | None:
         """POSITION_TARGET_LOCAL_NED in GUIDED: its target or the top of its take-off; else that it has a velocity."""
         if self.copter.mode is not CopterMode.GUIDED or not self.copter.armed(now_s):
             return None
-        return self.local_target(now_s, self.copter.target(now_s) or self.copter.climbs_to)
+        return self._local_target(now_s, self.copter.target(now_s) or self.copter.climbs_to)
 
-    def home(self, now_s: float) -> dict[str, int]:
-        """The fields of HOME_POSITION."""
+    def _home(self, now_s: float) -> dict[str, int]:
         home = self.copter.home
         geo = self.copter.frame.geo(home)
         return {
             "latitude": degrees_e7(geo.latitude_deg),
             "longitude": degrees_e7(geo.longitude_deg),
-            "altitude": self.above_sea_mm(home),
+            "altitude": self._above_sea_mm(home),
         }
 
     def fence_status(self, now_s: float) -> Message:
@@ -156,11 +145,11 @@ class CopterTelemetry(StandInTelemetry[Copter]):
         geo = self.copter.frame.geo(shot.position)
         return made(
             mavlink.MAVLink_camera_feedback_message,
-            time_usec=self.boot_us(shot.taken_s),
+            time_usec=self._boot_us(shot.taken_s),
             img_idx=shot.number,
             lat=degrees_e7(geo.latitude_deg),
             lng=degrees_e7(geo.longitude_deg),
-            alt_msl=self.above_sea_mm(shot.position) / 1e3,
+            alt_msl=self._above_sea_mm(shot.position) / 1e3,
             alt_rel=shot.position.altitude_m,
             yaw=self.copter.heading_deg(shot.taken_s),
             flags=mavlink.CAMERA_FEEDBACK_PHOTO,

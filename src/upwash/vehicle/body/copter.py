@@ -131,6 +131,14 @@ class Multicopter(ABC):
     def landed_state(self, now_s: float) -> LandedState:
         """On the ground, in the air, or on the way between."""
 
+    @abstractmethod
+    def has_origin(self, now_s: float) -> bool:
+        """Whether it has an origin to tell positions from."""
+
+    @abstractmethod
+    def unix_s(self, now_s: float) -> float:
+        """The time of day that its receiver tells, in seconds since 1970; 0 while it tells none."""
+
     # --- what is wrong with it ------------------------------------------------------------------------------
 
     def uptime_s(self, now_s: float) -> float:
@@ -177,6 +185,10 @@ class Multicopter(ABC):
         if self.suffers(FaultKind.BATTERY, now_s):
             return min(charge_percent, self.at_most_percent_in_fault)
         return charge_percent
+
+    def battery_level(self, _now_s: float) -> int:
+        """MAV_BATTERY_CHARGE_STATE; 0 where it is not reported."""
+        return 0
 
     def battery_v(self, now_s: float) -> float:
         """The voltage of the battery."""

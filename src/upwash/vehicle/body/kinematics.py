@@ -95,21 +95,15 @@ class Curve:
         rest = 1 - share
         from_start, from_end = rest**2 * (1 + 2 * share), share**2 * (1 + 2 * rest)
         leaving_s, arriving_s = share * rest**2 * self.duration_s, -rest * share**2 * self.duration_s
-        here, there = self.start, self.end
-        left, came = self.velocity_at_start, self.velocity_at_end
+        here, there, left, came = self.start, self.end, self.velocity_at_start, self.velocity_at_end
+
+        def mixed(here_m: float, there_m: float, left_m_s: float, came_m_s: float) -> float:
+            return from_start * here_m + from_end * there_m + leaving_s * left_m_s + arriving_s * came_m_s
+
         return Position(
-            from_start * here.east_m
-            + from_end * there.east_m
-            + leaving_s * left.east_m_s
-            + arriving_s * came.east_m_s,
-            from_start * here.north_m
-            + from_end * there.north_m
-            + leaving_s * left.north_m_s
-            + arriving_s * came.north_m_s,
-            from_start * here.altitude_m
-            + from_end * there.altitude_m
-            + leaving_s * left.up_m_s
-            + arriving_s * came.up_m_s,
+            mixed(here.east_m, there.east_m, left.east_m_s, came.east_m_s),
+            mixed(here.north_m, there.north_m, left.north_m_s, came.north_m_s),
+            mixed(here.altitude_m, there.altitude_m, left.up_m_s, came.up_m_s),
         )
 
     def velocity(self, elapsed_s: float) -> Velocity:
@@ -118,8 +112,7 @@ class Curve:
         rest = 1 - share
         way_per_s = 6 * share * rest / self.duration_s
         leaving, arriving = rest * (1 - 3 * share), share * (3 * share - 2)
-        here, there = self.start, self.end
-        left, came = self.velocity_at_start, self.velocity_at_end
+        here, there, left, came = self.start, self.end, self.velocity_at_start, self.velocity_at_end
         return Velocity(
             way_per_s * (there.east_m - here.east_m) + leaving * left.east_m_s + arriving * came.east_m_s,
             way_per_s * (there.north_m - here.north_m) + leaving * left.north_m_s + arriving * came.north_m_s,

@@ -73,30 +73,18 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
         """HEARTBEAT: the mode, and whether it is armed."""
 
     @abstractmethod
-    def sensors(self, now_s: float) -> tuple[int, int, int]:
+    def _sensors(self, now_s: float) -> tuple[int, int, int]:
         """The sensors that are present, enabled and healthy, as SYS_STATUS holds them."""
 
     @abstractmethod
-    def receiver(self, now_s: float) -> dict[str, Any]:
+    def _receiver(self, now_s: float) -> dict[str, Any]:
         """The fields of GPS_RAW_INT that depend on the receiver's fix."""
-
-    @abstractmethod
-    def unix_s(self, now_s: float) -> float:
-        """The time of day that its receiver tells, in seconds since 1970; 0 while it tells none."""
-
-    @abstractmethod
-    def has_origin(self, now_s: float) -> bool:
-        """Whether it has an origin to tell positions from."""
-
-    def charge_state(self, _now_s: float) -> int:
-        """MAV_BATTERY_CHARGE_STATE; 0 where it is not reported."""
-        return 0
 
     # --- reports --------------------------------------------------------------------------------------------
 
     def sys_status(self, now_s: float) -> Message:
         """SYS_STATUS: the sensors and the battery."""
-        present, enabled, healthy = self.sensors(now_s)
+        present, enabled, healthy = self._sensors(now_s)
         return made(
             mavlink.MAVLink_sys_status_message,
             onboard_control_sensors_present=present,
@@ -120,36 +108,38 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             current_consumed=self.consumed,
             energy_consumed=-1,
             battery_remaining=math.floor(self.copter.battery_percent(now_s)),
-            charge_state=self.charge_state(now_s),
+            charge_state=self.copter.battery_level(now_s),
         )
 
     def system_time(self, now_s: float) -> Message:
         """SYSTEM_TIME: the date, and the time since boot."""
-        return mavlink.MAVLink_system_time_message(round(self.unix_s(now_s) * 1e6), self.boot_ms(now_s))
+        return mavlink.MAVLink_system_time_message(
+            round(self.copter.unix_s(now_s) * 1e6), self._boot_ms(now_s)
+        )
 
     def gps_raw(self, now_s: float) -> Message:
         """GPS_RAW_INT: the receiver's fix."""
         place, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
         geo = self.copter.frame.geo(place)
         fields = {
-            "time_usec": self.boot_us(now_s),
+            "time_usec": self._boot_us(now_s),
             "lat": degrees_e7(geo.latitude_deg),
             "lon": degrees_e7(geo.longitude_deg),
-            "alt": self.above_sea_mm(place),
+            "alt": self._above_sea_mm(place),
             "vel": round(velocity.ground_m_s * 100),
         }
-        return made(mavlink.MAVLink_gps_raw_int_message, **fields | self.receiver(now_s))
+        return made(mavlink.MAVLink_gps_raw_int_message, **fields | self._receiver(now_s))
 
     def attitude(self, now_s: float) -> Message:
         """ATTITUDE: always level, nose ahead."""
         yaw = math.remainder(math.radians(self.copter.heading_deg(now_s)), math.tau)
-        return made(mavlink.MAVLink_attitude_message, time_boot_ms=self.boot_ms(now_s), yaw=yaw)
+        return made(mavlink.MAVLink_attitude_message, time_boot_ms=self._boot_ms(now_s), yaw=yaw)
 
     def local_position(self, now_s: float) -> Message | None:
         """LOCAL_POSITION_NED: metres from where it was switched on."""
         position, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
         return mavlink.MAVLink_local_position_ned_message(
-            self.boot_ms(now_s),
+            self._boot_ms(now_s),
             position.north_m,
             position.east_m,
             -position.altitude_m,
@@ -162,20 +152,20 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
     def global_position(self, now_s: float) -> Message | None:
         """GLOBAL_POSITION_INT: place and velocity."""
 
-    def global_position_of(self, now_s: float, *, above_home_mm: int, known: bool) -> Message:
+    def _global_position_of(self, now_s: float, *, above_home_mm: int, known: bool) -> Message:
         """GLOBAL_POSITION_INT with that height; latitude and longitude are 0 where they are not known."""
         position, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
         geo = self.copter.frame.geo(position)
         return mavlink.MAVLink_global_position_int_message(
-            time_boot_ms=self.boot_ms(now_s),
+            time_boot_ms=self._boot_ms(now_s),
             lat=degrees_e7(geo.latitude_deg) if known else 0,
             lon=degrees_e7(geo.longitude_deg) if known else 0,
-            alt=self.above_sea_mm(position),
+            alt=self._above_sea_mm(position),
             relative_alt=above_home_mm,
             vx=round(velocity.north_m_s * 100),
             vy=round(velocity.east_m_s * 100),
             vz=round(-velocity.up_m_s * 100),
-            hdg=self.heading_cdeg(now_s),
+            hdg=self._heading_cdeg(now_s),
         )
 
     def mission_current(self, _now_s: float) -> Message:
@@ -185,22 +175,22 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
     def gps_global_origin(self, now_s: float) -> Message | None:
         """GPS_GLOBAL_ORIGIN: where local positions count from."""
         home = self.copter.settings.home
-        if not self.has_origin(now_s):
+        if not self.copter.has_origin(now_s):
             return None
         return mavlink.MAVLink_gps_global_origin_message(
-            degrees_e7(home.latitude_deg), degrees_e7(home.longitude_deg), self.above_sea_mm(HOME)
+            degrees_e7(home.latitude_deg), degrees_e7(home.longitude_deg), self._above_sea_mm(HOME)
         )
 
     def home_position(self, now_s: float) -> Message | None:
         """HOME_POSITION: where it returns to."""
         return (
-            made(mavlink.MAVLink_home_position_message, q=[1, 0, 0, 0], **self.home(now_s))
-            if self.has_origin(now_s)
+            made(mavlink.MAVLink_home_position_message, q=[1, 0, 0, 0], **self._home(now_s))
+            if self.copter.has_origin(now_s)
             else None
         )
 
     @abstractmethod
-    def home(self, now_s: float) -> dict[str, int]:
+    def _home(self, now_s: float) -> dict[str, int]:
         """The fields of HOME_POSITION."""
 
     def vfr_hud(self, now_s: float) -> Message:
@@ -211,7 +201,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             velocity.ground_m_s,
             round(self.copter.heading_deg(now_s)) % 360,
             self.throttle_percent if self.copter.flying(now_s) else 0,
-            self.above_sea_mm(self.copter.position(now_s)) / 1e3,
+            self._above_sea_mm(self.copter.position(now_s)) / 1e3,
             velocity.up_m_s,
         )
 
@@ -223,25 +213,25 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
         geo = self.copter.frame.geo(target)
         return made(
             mavlink.MAVLink_position_target_global_int_message,
-            time_boot_ms=self.boot_ms(now_s),
+            time_boot_ms=self._boot_ms(now_s),
             coordinate_frame=self.frame_of_targets,
             type_mask=_ONLY_POSITION,
             lat_int=degrees_e7(geo.latitude_deg),
             lon_int=degrees_e7(geo.longitude_deg),
-            alt=self.above_sea_mm(target) / 1e3,
+            alt=self._above_sea_mm(target) / 1e3,
         )
 
     def position_target_local(self, now_s: float) -> Message | None:
         """POSITION_TARGET_LOCAL_NED: the target in force, in metres."""
         target = self.copter.target(now_s)
-        return None if target is None else self.local_target(now_s, target)
+        return None if target is None else self._local_target(now_s, target)
 
-    def local_target(self, now_s: float, target: Position | None) -> Message:
+    def _local_target(self, now_s: float, target: Position | None) -> Message:
         """POSITION_TARGET_LOCAL_NED; without a target, that it follows a velocity, of 0."""
         place = target or HOME
         return made(
             mavlink.MAVLink_position_target_local_ned_message,
-            time_boot_ms=self.boot_ms(now_s),
+            time_boot_ms=self._boot_ms(now_s),
             coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
             type_mask=_NO_POSITION if target is None else _ONLY_POSITION,
             x=place.north_m,
@@ -260,27 +250,27 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             capabilities=self.capabilities,
             flight_sw_version=self.copter.settings.version.number,
             uid=1,
-            **self.build(),
+            **self._build(),
         )
 
-    def build(self) -> dict[str, int]:
+    def _build(self) -> dict[str, int]:
         """Further fields of AUTOPILOT_VERSION."""
         return {}
 
     # --- as messages hold it --------------------------------------------------------------------------------
 
-    def boot_ms(self, now_s: float) -> int:
+    def _boot_ms(self, now_s: float) -> int:
         """The time since boot, in milliseconds."""
         return round(self.copter.uptime_s(now_s) * 1e3) % 2**32
 
-    def boot_us(self, now_s: float) -> int:
+    def _boot_us(self, now_s: float) -> int:
         """The time since boot, in microseconds."""
         return round(self.copter.uptime_s(now_s) * 1e6)
 
-    def above_sea_mm(self, position: Position) -> int:
+    def _above_sea_mm(self, position: Position) -> int:
         """The altitude of a position above the sea, in millimetres."""
         return round((self.copter.settings.home_altitude_m + position.altitude_m) * 1e3)
 
-    def heading_cdeg(self, now_s: float) -> int:
+    def _heading_cdeg(self, now_s: float) -> int:
         """The direction of its nose, in hundredths of a degree."""
         return round(self.copter.heading_deg(now_s) * 100) % 36_000

@@ -130,16 +130,16 @@ def _leg_samples(length_m: float, cap_m_s: float, speed_m_s: float) -> tuple[_Sa
     steering = Steering(place=Position(length_m, 0.0), cap_m_s=cap_m_s)
     body = Body()
     if speed_m_s:
-        body.cruise(speed_m_s, 0.0)
+        body.cruise(speed_m_s)
 
     def done() -> bool:
-        return abs(length_m - body.east_m) <= _STILL_M and abs(body.east_m_s) <= _STILL_M_S
+        return abs(length_m - body.place_m.real) <= _STILL_M and abs(body.ground_m_s.real) <= _STILL_M_S
 
     samples = [_Sample(0.0, 0.0, speed_m_s)]
     waits_s = 0.0 if speed_m_s else REACTION_S
     if waits_s:
         samples.append(_Sample(waits_s, 0.0, 0.0))
-    _sample(samples, body, lambda: steering, done, lambda: (body.east_m, body.east_m_s))
+    _sample(samples, body, lambda: steering, done, lambda: (body.place_m.real, body.ground_m_s.real))
     last = samples[-1]
     return (*samples, _Sample(last.time_s + STEP_S, length_m, 0.0))
 
@@ -147,14 +147,14 @@ def _leg_samples(length_m: float, cap_m_s: float, speed_m_s: float) -> tuple[_Sa
 @lru_cache(maxsize=64)
 def _brake_samples(speed_m_s: float) -> tuple[_Sample, ...]:
     body, steering = Body(), Steering()
-    body.cruise(speed_m_s, 0.0)
+    body.cruise(speed_m_s)
     samples = [_Sample(0.0, 0.0, speed_m_s)]
     _sample(
         samples,
         body,
         lambda: steering,
-        lambda: body.east_m_s <= _STILL_M_S,
-        lambda: (body.east_m, max(0.0, body.east_m_s)),
+        lambda: body.ground_m_s.real <= _STILL_M_S,
+        lambda: (body.place_m.real, max(0.0, body.ground_m_s.real)),
     )
     return (*samples, _Sample(samples[-1].time_s + STEP_S, samples[-1].way_m, 0.0))
 

@@ -9,7 +9,7 @@ quadrotor, in its own simulation, no wind).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from upwash.core.geo import Position, Velocity
 
@@ -59,51 +59,44 @@ class Steering:
 class Body:
     """The vehicle as a point, with what its controllers remember."""
 
-    east_m: float = 0.0
-    north_m: float = 0.0
+    place_m: complex = 0j  # east, and north as the imaginary part; so are the velocities
     altitude_m: float = 0.0
-    east_m_s: float = 0.0
-    north_m_s: float = 0.0
+    ground_m_s: complex = 0j
     up_m_s: float = 0.0
     heading_deg: float = 0.0
-    _held: list[float] = field(default_factory=lambda: [0.0, 0.0])  # the integrals
-    _thrust: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    _told: list[float] = field(default_factory=lambda: [0.0, 0.0])  # the ramp of AUTO
+    _held: complex = 0j  # the integrals
+    _thrust: complex = 0j
+    _told: complex = 0j  # the ramp of AUTO
 
     @property
     def position(self) -> Position:
-        """Where it is."""
-        return Position(self.east_m, self.north_m, self.altitude_m)
+        """The place after its last step."""
+        return Position(self.place_m.real, self.place_m.imag, self.altitude_m)
 
     def ahead(self, since_s: float) -> Position:
         """The place at that time after its last step."""
-        return Position(
-            self.east_m + self.east_m_s * since_s,
-            self.north_m + self.north_m_s * since_s,
-            max(0.0, self.altitude_m + self.up_m_s * since_s),
-        )
+        place_m = self.place_m + self.ground_m_s * since_s
+        return Position(place_m.real, place_m.imag, max(0.0, self.altitude_m + self.up_m_s * since_s))
 
     @property
     def velocity(self) -> Velocity:
-        """How it moves."""
-        return Velocity(self.east_m_s, self.north_m_s, self.up_m_s)
+        """The velocity after its last step."""
+        return Velocity(self.ground_m_s.real, self.ground_m_s.imag, self.up_m_s)
 
     @property
     def told_to_stand(self) -> bool:
         """Whether its controllers have braked to a stop; the rest of its speed overshoots."""
-        return self._told == [0.0, 0.0]
+        return self._told == 0
 
     def rest(self) -> None:
         """Stands still, as on the ground."""
-        self.east_m_s = self.north_m_s = self.up_m_s = 0.0
-        self._held, self._thrust, self._told = [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
+        self.ground_m_s, self.up_m_s = 0j, 0.0
+        self._held = self._thrust = self._told = 0j
 
-    def cruise(self, east_m_s: float, north_m_s: float) -> None:
+    def cruise(self, east_m_s: float) -> None:
         """Moves steadily, and has done so for long."""
-        self.east_m_s, self.north_m_s = east_m_s, north_m_s
-        self._told = [east_m_s, north_m_s]
-        self._held = [_DRAG * east_m_s, _DRAG * north_m_s]
-        self._thrust = list(self._held)
+        self.ground_m_s = self._told = complex(east_m_s)
+        self._held = self._thrust = _DRAG * self.ground_m_s
 
     def step(self, steering: Steering) -> None:
         """Goes on for `STEP_S`."""
@@ -113,56 +106,45 @@ class Body:
 
     def _move_over_ground(self, steering: Steering) -> None:
         if steering.level:
-            thrust = 0.0, 0.0
-            self._told = [self.east_m_s, self.north_m_s]
+            thrust, self._told = 0j, self.ground_m_s
         else:
             thrust = self._wanted_thrust(self._wanted(steering))
-        share = STEP_S / _TILT_LAG_S
-        self._thrust[0] += (thrust[0] - self._thrust[0]) * share
-        self._thrust[1] += (thrust[1] - self._thrust[1]) * share
-        self.east_m_s += (self._thrust[0] - _DRAG * self.east_m_s) * STEP_S
-        self.north_m_s += (self._thrust[1] - _DRAG * self.north_m_s) * STEP_S
-        self.east_m += self.east_m_s * STEP_S
-        self.north_m += self.north_m_s * STEP_S
+        self._thrust += (thrust - self._thrust) * (STEP_S / _TILT_LAG_S)
+        self.ground_m_s += (self._thrust - _DRAG * self.ground_m_s) * STEP_S
+        self.place_m += self.ground_m_s * STEP_S
 
-    def _wanted(self, steering: Steering) -> tuple[float, float]:
+    def _wanted(self, steering: Steering) -> complex:
         """The velocity that the controllers aim at."""
+        velocity_m_s = 0j
+        if steering.velocity is not None:
+            velocity_m_s = complex(steering.velocity.east_m_s, steering.velocity.north_m_s)
         if steering.velocity is not None and steering.place is None:
-            share = STEP_S / _EASING_S if steering.eases else 1.0
-            self._told[0] += (steering.velocity.east_m_s - self._told[0]) * share
-            self._told[1] += (steering.velocity.north_m_s - self._told[1]) * share
-            return self._told[0], self._told[1]
+            self._told += (velocity_m_s - self._told) * (STEP_S / _EASING_S if steering.eases else 1.0)
+            return self._told
         if steering.place is None:
-            return self._ramped(0.0, 0.0, _STOPPING_M_S2)
-        east_m, north_m = steering.place.east_m - self.east_m, steering.place.north_m - self.north_m
-        left_m = math.hypot(east_m, north_m)
+            return self._ramped(0j, _STOPPING_M_S2)
+        way_m = complex(steering.place.east_m, steering.place.north_m) - self.place_m
+        left_m = _length(way_m)
+        speed_m_s = _STIFFNESS_1_S * left_m if steering.stiffly else approach_m_s(left_m)
+        wanted_m_s = way_m * (min(steering.cap_m_s, speed_m_s) / left_m if left_m else 0.0)
         if steering.stiffly:
-            speed_m_s = min(steering.cap_m_s, _STIFFNESS_1_S * left_m)
-        else:
-            speed_m_s = min(steering.cap_m_s, approach_m_s(left_m))
-        share = speed_m_s / left_m if left_m else 0.0
-        if steering.stiffly:
-            self._told = [self.east_m_s, self.north_m_s]
-            return _added(steering.velocity, east_m * share, north_m * share)
-        return self._ramped(east_m * share, north_m * share, _SPEEDING_UP_M_S2)
+            self._told = self.ground_m_s
+            return wanted_m_s + velocity_m_s
+        return self._ramped(wanted_m_s, _SPEEDING_UP_M_S2)
 
-    def _ramped(self, east_m_s: float, north_m_s: float, limit_m_s2: float) -> tuple[float, float]:
-        more_east, more_north = east_m_s - self._told[0], north_m_s - self._told[1]
-        more = math.hypot(more_east, more_north)
-        share = min(1.0, limit_m_s2 * STEP_S / more) if more else 0.0
-        self._told = [self._told[0] + more_east * share, self._told[1] + more_north * share]
-        return self._told[0], self._told[1]
+    def _ramped(self, wanted_m_s: complex, limit_m_s2: float) -> complex:
+        more_m_s = wanted_m_s - self._told
+        size_m_s = _length(more_m_s)
+        self._told += more_m_s * (min(1.0, limit_m_s2 * STEP_S / size_m_s) if size_m_s else 0.0)
+        return self._told
 
-    def _wanted_thrust(self, wanted: tuple[float, float]) -> tuple[float, float]:
-        lacks = wanted[0] - self.east_m_s, wanted[1] - self.north_m_s
-        east = _PROPORTION * lacks[0] + self._held[0]
-        north = _PROPORTION * lacks[1] + self._held[1]
-        strength = math.hypot(east, north)
-        if strength <= _TILT_M_S2 or lacks[0] * east + lacks[1] * north < 0:
-            self._held[0] += _INTEGRAL * lacks[0] * STEP_S
-            self._held[1] += _INTEGRAL * lacks[1] * STEP_S
-        share = min(1.0, _TILT_M_S2 / strength) if strength else 0.0
-        return east * share, north * share
+    def _wanted_thrust(self, wanted_m_s: complex) -> complex:
+        lacks_m_s = wanted_m_s - self.ground_m_s
+        thrust = _PROPORTION * lacks_m_s + self._held
+        strength = _length(thrust)
+        if strength <= _TILT_M_S2 or lacks_m_s.real * thrust.real + lacks_m_s.imag * thrust.imag < 0:
+            self._held += _INTEGRAL * lacks_m_s * STEP_S
+        return thrust * (min(1.0, _TILT_M_S2 / strength) if strength else 0.0)
 
     def _move_vertically(self, steering: Steering) -> None:
         wanted_m_s = 0.0
@@ -194,7 +176,5 @@ def approach_m_s(left_m: float) -> float:
     return math.sqrt(lead**2 + 2 * _BRAKING_M_S2 * left_m) - lead
 
 
-def _added(velocity: Velocity | None, east_m_s: float, north_m_s: float) -> tuple[float, float]:
-    if velocity is None:
-        return east_m_s, north_m_s
-    return east_m_s + velocity.east_m_s, north_m_s + velocity.north_m_s
+def _length(vector: complex) -> float:
+    return math.hypot(vector.real, vector.imag)

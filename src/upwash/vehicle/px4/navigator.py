@@ -165,7 +165,8 @@ class Navigator:
     def _course_deg(self) -> float | None:
         if self._place is None or ground_distance_m(self._place, self._body.position) <= _TURNS_BEYOND_M:
             return None
-        east_m, north_m = self._place.east_m - self._body.east_m, self._place.north_m - self._body.north_m
+        here = self._body.position
+        east_m, north_m = self._place.east_m - here.east_m, self._place.north_m - here.north_m
         return math.degrees(math.atan2(east_m, north_m)) % 360
 
     def on_the_way_home(self, now_s: float) -> Steering:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -111,8 +110,7 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
             custom_mode=int(copter.mode), intended_custom_mode=int(copter.intended), standard_mode=standard
         )
 
-    def sensors(self, now_s: float) -> tuple[int, int, int]:
-        """The sensors that are present, enabled and healthy; only `healthy` tells whether it can be armed."""
+    def _sensors(self, now_s: float) -> tuple[int, int, int]:
         copter = self.copter
         present, enabled, healthy = _SENSORS, _SENSORS_ENABLED, _SENSORS_HEALTHY
         if not copter.checked(now_s):
@@ -130,20 +128,7 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
             healthy &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
         return present, enabled, healthy
 
-    def charge_state(self, now_s: float) -> int:
-        """MAV_BATTERY_CHARGE_STATE."""
-        return self.copter.battery_level(now_s)
-
-    def unix_s(self, _now_s: float) -> float:
-        """The date, once it has had a fix."""
-        return time.time() if self.copter.gps.ever_had_fix else 0.0
-
-    def has_origin(self, _now_s: float) -> bool:
-        """Whether it has an origin to tell positions from: since its first fix."""
-        return self.copter.gps.ever_had_fix
-
-    def receiver(self, now_s: float) -> dict[str, Any]:
-        """The fields of GPS_RAW_INT that depend on the receiver's fix."""
+    def _receiver(self, now_s: float) -> dict[str, Any]:
         velocity, fix = self.copter.velocity(now_s), self.copter.gps.has_fix
         course_deg = math.degrees(math.atan2(velocity.east_m_s, velocity.north_m_s)) % 360
         return {
@@ -157,46 +142,44 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
     def estimator_status(self, now_s: float) -> Message:
         """ESTIMATOR_STATUS: what it knows of itself, as ESTIMATOR_STATUS_FLAGS."""
         flags = _ESTIMATES_ALL if self.copter.gps.placed else _ESTIMATES_WITHOUT_GPS
-        return mavlink.MAVLink_estimator_status_message(self.boot_us(now_s), flags, *[0.02] * 6, 0.3, 0.4)
+        return mavlink.MAVLink_estimator_status_message(self._boot_us(now_s), flags, *[0.02] * 6, 0.3, 0.4)
 
     def attitude_quaternion(self, now_s: float) -> Message:
         """ATTITUDE_QUATERNION: the same as ATTITUDE."""
         half = math.radians(self.copter.heading_deg(now_s)) / 2
         return made(
             mavlink.MAVLink_attitude_quaternion_message,
-            time_boot_ms=self.boot_ms(now_s),
+            time_boot_ms=self._boot_ms(now_s),
             q1=math.cos(half),
             q4=math.sin(half),
         )
 
     def local_position(self, now_s: float) -> Message | None:
         """LOCAL_POSITION_NED, once it has had a fix."""
-        return super().local_position(now_s) if self.has_origin(now_s) else None
+        return super().local_position(now_s) if self.copter.has_origin(now_s) else None
 
     def global_position(self, now_s: float) -> Message | None:
         """GLOBAL_POSITION_INT, once it has had a fix."""
-        if not self.has_origin(now_s):
+        if not self.copter.has_origin(now_s):
             return None
-        above_sea_mm = self.above_sea_mm(self.copter.position(now_s))
+        above_sea_mm = self._above_sea_mm(self.copter.position(now_s))
         above_home_mm = above_sea_mm - round(self.copter.home_altitude_m() * 1e3)
-        return self.global_position_of(now_s, above_home_mm=above_home_mm, known=True)
+        return self._global_position_of(now_s, above_home_mm=above_home_mm, known=True)
 
-    def home(self, now_s: float) -> dict[str, int]:
-        """The fields of HOME_POSITION; its height changes at the first arming."""
+    def _home(self, now_s: float) -> dict[str, int]:
         home = self.copter.settings.home
         return {
             "latitude": degrees_e7(home.latitude_deg),
             "longitude": degrees_e7(home.longitude_deg),
             "altitude": round(self.copter.home_altitude_m() * 1e3),
-            "time_usec": self.boot_us(now_s),
+            "time_usec": self._boot_us(now_s),
         }
 
     def mission_current(self, _now_s: float) -> Message:
         """MISSION_CURRENT: it has no mission."""
         return mavlink.MAVLink_mission_current_message(0, total=0xFFFF)
 
-    def build(self) -> dict[str, int]:
-        """Further fields of AUTOPILOT_VERSION."""
+    def _build(self) -> dict[str, int]:
         return {"middleware_sw_version": self.copter.settings.version.number, "board_version": 1}
 
 

@@ -7,6 +7,7 @@ the time, and it catches up. Nothing here needs a clock, a socket or a timer.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 
 from upwash.core.geo import Position, Velocity, ground_distance_m
@@ -109,6 +110,14 @@ class Quadrotor(Px4Flight):
     def descends_blindly(self) -> bool:
         """Whether it only sinks, without knowing where it is; its mode looks like LAND."""
         return self._failsafe.action is Action.DESCEND
+
+    def unix_s(self, _now_s: float) -> float:
+        """The date, once it has had a fix; 0 before."""
+        return time.time() if self.gps.ever_had_fix else 0.0
+
+    def has_origin(self, _now_s: float) -> bool:
+        """Whether it has an origin to tell positions from: since its first fix."""
+        return self.gps.ever_had_fix
 
     def battery_level(self, now_s: float) -> int:
         """MAV_BATTERY_CHARGE_STATE: 1 well, 2 low, 3 critical, 4 emergency."""
