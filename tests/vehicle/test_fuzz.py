@@ -35,6 +35,20 @@ def collect_errors() -> list[dict[str, Any]]:
     return errors
 
 
+async def vandalise(connection: str, chance: random.Random, count_bytes: int) -> None:
+    """Sends garbage, absurd messages and orders for others."""
+    vandal = MavlinkLink(connection, lambda _: None)
+    await vandal.opened.wait()
+    for piece in garbage(count_bytes, chance):
+        vandal.send_bytes(piece)
+        await asyncio.sleep(0)  # the vehicle reads as fast as it is written to
+    for message in (*every_message(chance), *absurd_orders(chance), *orders_for_others()):
+        vandal.send(message)
+        await asyncio.sleep(0)
+    await asyncio.sleep(0.3)
+    await vandal.close()
+
+
 @pytest.mark.parametrize("kind", ["udp", "tcp"])
 def test_a_px4_is_not_moved_by_nonsense(kind: str) -> None:
     async def scenario() -> None:
@@ -71,16 +85,7 @@ def test_a_px4_is_not_moved_by_nonsense(kind: str) -> None:
             await until(lambda: places[-1].alt > 9_900 and abs(places[-1].vz) < 5)
             before = places[-1]
 
-            vandal = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), lambda _: None)
-            stack.push_async_callback(vandal.close)
-            await vandal.opened.wait()
-            for piece in garbage(BYTES // 4, chance):
-                vandal.send_bytes(piece)
-                await asyncio.sleep(0)
-            for message in (*every_message(chance), *absurd_orders(chance), *orders_for_others()):
-                vandal.send(message)
-                await asyncio.sleep(0)
-            await asyncio.sleep(0.3)
+            await vandalise(vehicle.address.replace("udp:", "udpout:"), chance, BYTES // 4)
 
             assert errors == []
             assert modes[-1] == Mode.LOITER
@@ -107,16 +112,7 @@ def test_a_flying_vehicle_is_not_moved_by_nonsense(kind: str) -> None:
             await autopilot.takeoff(10.0)
             before = autopilot.position
 
-            vandal = MavlinkLink(connection, lambda _: None)
-            stack.push_async_callback(vandal.close)
-            await vandal.opened.wait()
-            for piece in garbage(BYTES, chance):
-                vandal.send_bytes(piece)
-                await asyncio.sleep(0)  # the vehicle reads as fast as it is written to
-            for message in (*every_message(chance), *absurd_orders(chance), *orders_for_others()):
-                vandal.send(message)
-                await asyncio.sleep(0)
-            await asyncio.sleep(0.3)
+            await vandalise(connection, chance, BYTES)
 
             assert errors == []
             assert distance_m(autopilot.position, before) < 0.1
