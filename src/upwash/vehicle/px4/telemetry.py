@@ -13,36 +13,24 @@ from upwash.vehicle.body.telemetry import StandInTelemetry, degrees_e7, made
 from upwash.vehicle.px4.inputs import InputSource
 from upwash.vehicle.px4.vehicle import Quadrotor
 
-_BASE_MODES = {
-    Mode.OFFBOARD: 0b0001_0001,  # stabilized, custom
-    Mode.POSCTL: 0b0101_0001,  # and by hand
-    Mode.ALTCTL: 0b0101_0001,
-    Mode.STABILIZED: 0b0101_0001,
-    Mode.ACRO: 0b0100_0001,
-    Mode.MANUAL: 0b0100_0001,
+_BY_HAND = 0b0100_0001  # base modes: by hand, custom
+_STABILIZED = 0b0101_0001  # and stabilized
+_OFFBOARD = 0b0001_0001  # stabilized, custom
+_AUTO = 0b0001_1101  # stabilized, guided, auto, custom
+_MODES = {
+    Mode.MANUAL: ("Manual", _BY_HAND, 0),
+    Mode.ALTCTL: ("Altitude", _STABILIZED, 3),
+    Mode.POSCTL: ("Position", _STABILIZED, 1),
+    Mode.MISSION: ("Mission", _AUTO, 6),
+    Mode.LOITER: ("Hold", _AUTO, 0),
+    Mode.RTL: ("Return", _AUTO, 5),
+    Mode.ACRO: ("Acro", _BY_HAND, 0),
+    Mode.OFFBOARD: ("Offboard", _OFFBOARD, 0),
+    Mode.STABILIZED: ("Stabilized", _STABILIZED, 0),
+    Mode.TAKEOFF: ("Takeoff", _AUTO, 8),
+    Mode.LAND: ("Land", _AUTO, 7),
 }
-_AUTO_BASE_MODE = 0b0001_1101  # stabilized, guided, auto, custom
-_STANDARD_MODES = {
-    Mode.POSCTL: 1,
-    Mode.ALTCTL: 3,
-    Mode.RTL: 5,
-    Mode.MISSION: 6,
-    Mode.LAND: 7,
-    Mode.TAKEOFF: 8,
-}
-_MODE_NAMES = {
-    Mode.MANUAL: "Manual",
-    Mode.ALTCTL: "Altitude",
-    Mode.POSCTL: "Position",
-    Mode.MISSION: "Mission",
-    Mode.LOITER: "Hold",
-    Mode.RTL: "Return",
-    Mode.ACRO: "Acro",
-    Mode.OFFBOARD: "Offboard",
-    Mode.STABILIZED: "Stabilized",
-    Mode.TAKEOFF: "Takeoff",
-    Mode.LAND: "Land",
-}
+"""Names, base modes, and MAV_STANDARD_MODEs."""
 _ADVANCED = 1  # MAV_MODE_PROPERTY
 _SENSORS_UNCHECKED = 0x321_C83F  # these four as recorded
 _SENSORS, _SENSORS_ENABLED, _SENSORS_HEALTHY = 0x300_402F, 0x301_402F, 0x1320_C83F
@@ -59,12 +47,12 @@ def available_modes(index: int) -> tuple[Message, ...]:
         AvailableModesMessage(
             custom_mode=int(mode),
             properties=_ADVANCED if mode in (Mode.OFFBOARD, Mode.ACRO, Mode.STABILIZED) else 0,
-            number_modes=len(_MODE_NAMES),
+            number_modes=len(_MODES),
             mode_index=number,
-            standard_mode=_STANDARD_MODES.get(mode, 0),
-            mode_name=b"" if mode in _STANDARD_MODES else name.encode(),
+            standard_mode=standard,
+            mode_name=b"" if standard else name.encode(),
         )
-        for number, (mode, name) in enumerate(_MODE_NAMES.items(), 1)
+        for number, (mode, (name, _, standard)) in enumerate(_MODES.items(), 1)
         if index in (0, number)
     )
 
@@ -92,7 +80,7 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
         copter = self.copter
         if copter.booting(now_s):
             return None
-        base_mode = _BASE_MODES.get(copter.mode, _AUTO_BASE_MODE)
+        _, base_mode, _ = _MODES[copter.mode]
         if copter.armed:
             base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
             status = mavlink.MAV_STATE_CRITICAL if copter.fails_safe else mavlink.MAV_STATE_ACTIVE
@@ -104,11 +92,9 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
 
     def current_mode(self, _now_s: float) -> Message:
         """CURRENT_MODE: the mode that it flies, and the one commanded; different in a fail-safe."""
-        copter = self.copter
-        standard = 0 if copter.descends_blindly else _STANDARD_MODES.get(copter.mode, 0)
-        return CurrentModeMessage(
-            custom_mode=int(copter.mode), intended_custom_mode=int(copter.intended), standard_mode=standard
-        )
+        mode, intended = int(self.copter.mode), int(self.copter.intended)
+        standard = 0 if self.copter.descends_blindly else _MODES[self.copter.mode][2]
+        return CurrentModeMessage(custom_mode=mode, intended_custom_mode=intended, standard_mode=standard)
 
     def _sensors(self, now_s: float) -> tuple[int, int, int]:
         copter = self.copter
