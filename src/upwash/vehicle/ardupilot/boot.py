@@ -100,7 +100,7 @@ class Boot:
         return uptime_s - self._without_gps_s >= self._ready_s
 
     def ekf_flags(self, uptime_s: float) -> int:
-        """By what its estimate goes."""
+        """The sources of its estimate, as EKF_STATUS_REPORT holds them."""
         if self.estimates(uptime_s):
             return EKF_FLIES_BY_GPS
         if uptime_s >= self._scaled(_ALIGNED_S):
@@ -148,7 +148,7 @@ class Boot:
         return recorded_s * self._share
 
     def _recorded_s(self, uptime_s: float) -> float:
-        """When the recorded one was as far."""
+        """The time at which the recorded vehicle was as far."""
         if uptime_s >= self._ready_s:
             return RECORDED_S + uptime_s - self._ready_s
         return min(uptime_s / self._share, _READIES_S)
