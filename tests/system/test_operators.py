@@ -253,6 +253,7 @@ def settings_of_the_page() -> str:
     """The page's configuration, with a service of the operator's own and short leases."""
     settings = "".join(re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[:1])
     settings = settings.replace('listen = "0.0.0.0:7070"', 'listen = "127.0.0.1:0"\nlease_s = 3')
+    settings = settings.replace("instance_ports = [7100, 7119]\n", "")  # others may have these ports
     settings = settings.replace('name = "detector"', 'name = "level"\nprogram = "my_services.py:Level"')
     if not can_sandbox():
         settings = settings.replace('"required"', '"auto"')
