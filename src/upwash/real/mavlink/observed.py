@@ -1,6 +1,7 @@
 """A vehicle at the other end of a MAVLink connection: what it reports, and questions to it.
 
-Questions, such as for a report or a parameter, change nothing: they are sent whoever has the vehicle.
+Questions, such as for a report or a parameter, change nothing. They are always sent, also while a pilot has the
+vehicle.
 """
 
 from __future__ import annotations
@@ -62,11 +63,11 @@ _UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
 class ObservedVehicle:
     """The vehicle with that `system` on the connection, or without `system` the only vehicle on it.
 
-    Others on the connection are ignored, and so are messages that arrive twice or late: a mode that the vehicle has
-    left, an answer to an earlier attempt. An impossible message is a sign of life only, and an exception in the
-    handling of a message costs that message alone (`gate`). But while reports that tell who has the vehicle cannot
-    be taken in, the vehicle counts as silent, and gets no command. `firmware`, one of the `firmwares`, is right
-    after `found` returned.
+    Others on the connection are ignored. Messages that arrive twice or late are ignored, too: a mode that the
+    vehicle has left, an answer to an earlier attempt. An impossible message is a sign of life only, and an exception
+    in the handling of a message costs that message alone (`gate`). But while reports that tell who has the vehicle
+    cannot be taken in, the vehicle counts as silent, and gets no command. `firmware`, one of the `firmwares`, is
+    right after `found` returned.
     """
 
     def __init__(
@@ -315,7 +316,7 @@ class ObservedVehicle:
     async def answered(
         self, step: str, ask: Callable[[], None], answer: Callable[[], object], *, times: int
     ) -> bool:
-        """Whether the answer is there, or comes to a question that is repeated."""
+        """Asks up to `times` times, while `answer` is false; whether it is true in the end."""
         for _ in range(times):
             if answer():
                 return True
@@ -393,7 +394,7 @@ class ObservedVehicle:
             self._streams.begin(self.firmware, now_s)
 
     def _suspect_dead_man(self, now_s: float) -> None:
-        """A silent link loses the text by which the dead man says that it acts."""
+        """In a silence of the link the dead man's own text is lost."""
         if self.silent_s >= self.missed_after_s:
             why = f"its dead man, after {self.silent_s:.0f} s without a link"
             self.telemetry.suspect_dead_man(why, now_s)

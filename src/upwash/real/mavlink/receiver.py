@@ -105,8 +105,8 @@ class Peer:
 
     It is the address of the first heartbeat of the vehicle. After `moved_after_s` without a believed message, as
     when a router restarts, the vehicle's heartbeat from another port of the same host makes that port the peer;
-    where messages are signed, from any host. Without signatures the first sender is believed, and so is every
-    sender that uses the peer's address.
+    where messages are signed, from any host. Without signatures the first sender is believed, and every sender
+    that uses the peer's address.
     """
 
     def __init__(self, receiver: MessageReceiver, *, moved_after_s: float, signed: bool) -> None:

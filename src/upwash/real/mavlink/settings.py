@@ -32,7 +32,7 @@ class FlightSettings:
     ready_timeout_s: float = 120.0  # for the checks before arming
     arm_again_s: float = 2.0
     ask_again_s: float = 5.0  # for the reasons why it cannot be armed
-    words_s: float = 0.5  # in which it tells the reasons, in separate messages
+    words_s: float = 0.5  # for its reasons, which come in separate messages
     margin_s: float = 60.0  # of a flight, on top of its distance at the slowest speeds below
     slowest_share: float = 1 / 3  # of the ground speed, against the wind
     slowest_vertical_m_s: float = 0.4

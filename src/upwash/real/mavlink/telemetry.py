@@ -277,7 +277,7 @@ class FirmwareProfile:
 
     `mode_name` names a custom mode; the program steers in `own_mode`. `failsafe` says why a fail-safe may have
     chosen the mode of that name, or nothing. `streams_hz` are the reports that the driver needs, by message; the
-    vehicle sends those in `sent_at_times` only when there is something to report. All versions have the parameter
+    vehicle sends those in `sent_at_times` only on occasion. All versions have the parameter
     `always_has`. `oldest` is the oldest version that can be flown: older ones lack what upwash `needs`. `take`
     has the telemetry remember what only this firmware reports, at that time.
     """

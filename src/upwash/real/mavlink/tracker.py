@@ -35,7 +35,7 @@ class PositionTracker:
         self._telemetry = vehicle.telemetry
         self._frame = frame
         self._ground_m: float | None = None  # below the take-off, above the sea
-        self._home: Position | None = None  # the vehicle's, as it was last reported
+        self._home: Position | None = None  # the vehicle's last reported one
         self._continuity = Continuity()
         self._last_jump: tuple[float, float] | None = None
         self._jumped_s: deque[float] = deque(maxlen=_MANY_JUMPS)  # by this computer's clock

@@ -16,7 +16,7 @@ from upwash.mavlink.version import Version
 from upwash.real.mavlink.observed import ObservedVehicle
 from upwash.real.mavlink.receiver import Message
 
-_FRESH_WITHIN_S = 0.5  # then a heartbeat is asked for again
+_FRESH_WITHIN_S = 0.5  # until the request for a heartbeat is repeated
 _LATE_TEXT_S = 0.5
 _CHUNK_BYTES, _MOST_TEXTS = 50, 0xFFFF
 _WILL_BE_DONE = (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
