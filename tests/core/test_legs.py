@@ -6,8 +6,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from upwash.core.geo import Circle, Position, ground_distance_m
-from upwash.core.planning.legs import Leg, acceleration_m_s2, entered_m, left_m
+from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
+from upwash.core.operation import Operation
+from upwash.core.planning.legs import Leg, Pace, acceleration_m_s2, entered_m, left_m
+from upwash.core.planning.mission_model import ExpectedCall, MissionBeliefs, MissionModel, StopCall
 from upwash.vehicle.body.kinematics import Motion, braking, duration_s, leg
 
 lengths_m = st.floats(0.5, 500.0)
@@ -111,3 +113,145 @@ def test_a_range_is_left_where_it_would_be_entered_on_the_way_back(
         assert ground_distance_m(between(start, end, way_m / ground_distance_m(start, end)), centre) == (
             pytest.approx(radius_m, abs=1e-6)
         )
+
+
+HEAVY = Operation("detector", "process_photo", "heavy")
+DIRT = Operation("dirt", "measure")
+PLACES = [Position(20.0 * number, 0.0, 20.0) for number in range(5)]
+AREAS = {"near": Circle(Position(0.0, 0.0), 25.0), "far": Circle(Position(70.0, 0.0), 40.0)}
+LEG_S, PHOTO_S = 9.0, 1.0  # 20 m at 4 m/s and 1 m/s²
+
+
+def mission_model(*, speeds_m_s: dict[int, float] | None = None) -> MissionModel:
+    plan = [Waypoint(number, place, (speeds_m_s or {}).get(number)) for number, place in enumerate(PLACES)]
+    return MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [StopCall(HEAVY, PHOTO_S)]), AREAS)
+
+
+def gaps_s(calls: list[ExpectedCall]) -> list[float]:
+    return [round(call.gap_s, 9) for call in calls]
+
+
+def at_first(*, now_s: float = 0.0) -> MissionModel:
+    """Snapshot at the first waypoint since that time."""
+    expected = mission_model()
+    expected.leg_begun(PLACES[0], PLACES[0], None, now_s=now_s)
+    expected.arrived(now_s=now_s)
+    return expected
+
+
+def test_nothing_is_expected_before_the_first_leg_nor_when_the_course_is_lost() -> None:
+    expected = mission_model()
+    assert expected.coming(PLACES[0], now_s=0.0, count=20) == []
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=0.0)
+    expected.lost()
+    assert expected.coming(PLACES[0], now_s=1.0, count=20) == []
+
+
+def test_every_waypoint_to_come_has_a_call_after_its_leg_and_photo() -> None:
+    calls = at_first().coming(PLACES[0], now_s=0.0, count=20)
+    assert gaps_s(calls) == [PHOTO_S, *[LEG_S + PHOTO_S] * 4]
+    assert {call.operation for call in calls} == {HEAVY}
+    assert len(at_first().coming(PLACES[0], now_s=0.0, count=3)) == 3
+
+
+def test_a_range_counts_from_where_it_is_entered_on_the_way() -> None:
+    calls = at_first().coming(PLACES[0], now_s=0.0, count=20)
+    assert [sorted(call.in_range_s) for call in calls] == [["near"], ["near"], ["far"], ["far"], ["far"]]
+    assert calls[1].in_range_s["near"] == calls[1].gap_s
+    # The range begins at 30 m: half of the leg from 20 to 40 m takes 4.5 s, and the photo 1 s.
+    assert calls[2].in_range_s["far"] == pytest.approx(4.5 + PHOTO_S)
+    assert calls[3].in_range_s["far"] == calls[3].gap_s
+
+
+def test_holds_of_the_plan_count_before_the_calls_of_their_stops() -> None:
+    hold_s = 5.0
+    plan = [Waypoint(number, place, hold_s=hold_s) for number, place in enumerate(PLACES)]
+    expected = MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [StopCall(HEAVY, PHOTO_S)]), AREAS)
+    expected.leg_begun(PLACES[0], PLACES[0], None, now_s=0.0)
+    held_s = hold_s + PHOTO_S
+    assert gaps_s(expected.coming(PLACES[0], now_s=0.0, count=2)) == [held_s, LEG_S + held_s]
+    expected.arrived(now_s=0.0)
+    calls = expected.coming(PLACES[0], now_s=2.0, count=3)
+    assert gaps_s(calls) == [held_s - 2.0, LEG_S + held_s, LEG_S + held_s]
+    assert calls[2].in_range_s["far"] == pytest.approx(4.5 + held_s)
+    expected.call_begun(HEAVY, now_s=held_s)
+    expected.call_ends(held_s + 10.0)
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=held_s + 10.0)
+    half_way = Position(10.0, 0.0, 20.0)
+    in_flight = gaps_s(expected.coming(half_way, now_s=held_s + 14.5, count=2))
+    assert in_flight == [
+        4.5 + held_s,
+        LEG_S + held_s,
+    ]  # the hold is no part of what a stop is expected to be like
+
+
+def test_in_flight_what_is_left_of_the_leg_counts() -> None:
+    expected = at_first()
+    expected.call_begun(HEAVY, now_s=1.0)
+    expected.call_ends(11.0)
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=11.0)
+    half_way = Position(10.0, 0.0, 20.0)
+    assert gaps_s(expected.coming(half_way, now_s=15.5, count=2)) == [4.5 + PHOTO_S, LEG_S + PHOTO_S]
+
+
+def test_a_call_under_way_delays_the_next_one_by_what_is_left_of_it() -> None:
+    expected = at_first()
+    expected.call_begun(HEAVY, now_s=1.0)
+    expected.call_ends(11.0)
+    assert gaps_s(expected.coming(PLACES[0], now_s=5.0, count=2)) == [6.0 + LEG_S + PHOTO_S, LEG_S + PHOTO_S]
+
+
+def test_a_stop_is_expected_to_be_like_the_last_one() -> None:
+    expected = at_first()
+    for operation, begun_s, ends_s in ((HEAVY, 2.0, 12.0), (DIRT, 12.5, 20.0)):
+        expected.call_begun(operation, now_s=begun_s)
+        expected.call_ends(ends_s)
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=23.0)
+    expected.arrived(now_s=32.0)
+    calls = expected.coming(PLACES[1], now_s=32.0, count=4)
+    assert [call.operation for call in calls] == [HEAVY, DIRT, HEAVY, DIRT]
+    assert gaps_s(calls) == [2.0, 0.5, 3.0 + LEG_S + 2.0, 0.5]
+
+
+def test_after_a_stop_without_a_call_nothing_is_expected_of_the_others() -> None:
+    expected = at_first()
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=5.0)
+    assert expected.coming(PLACES[0], now_s=5.0, count=20) == []
+
+
+def test_the_acceleration_is_learnt_from_the_legs() -> None:
+    expected = at_first()
+    expected.call_begun(HEAVY, now_s=1.0)
+    expected.call_ends(2.0)
+    for number in (1, 2, 3):
+        begun_s = 20.0 * number
+        expected.leg_begun(PLACES[number - 1], PLACES[number], None, now_s=begun_s)
+        expected.arrived(now_s=begun_s + 7.0)  # 2 s to speed up and to brake: 2 m/s²
+        expected.call_begun(HEAVY, now_s=begun_s + 8.0)
+        expected.call_ends(begun_s + 20.0)
+    assert gaps_s(expected.coming(PLACES[3], now_s=80.0, count=1)) == [7.0 + PHOTO_S]
+
+
+def test_the_speed_of_a_leg_may_be_its_own() -> None:
+    expected = mission_model(speeds_m_s={2: 2.0})
+    expected.leg_begun(PLACES[0], PLACES[1], 4.0, now_s=0.0)
+    calls = expected.coming(PLACES[0], now_s=0.0, count=3)
+    assert gaps_s(calls) == [LEG_S + PHOTO_S, 12.0 + PHOTO_S, 12.0 + PHOTO_S]
+
+
+def test_off_the_plan_calls_are_expected_to_go_on_around_there() -> None:
+    expected = mission_model()
+    expected.leg_begun(PLACES[0], Position(0.0, 20.0, 20.0), None, now_s=0.0)
+    calls = expected.coming(PLACES[0], now_s=0.0, count=4)
+    assert gaps_s(calls) == [LEG_S + PHOTO_S] * 4
+    assert [list(call.in_range_s) for call in calls] == [["near"]] * 4
+
+
+def test_a_plan_that_is_left_and_taken_up_again_goes_on_from_there() -> None:
+    expected = mission_model()
+    expected.leg_begun(PLACES[0], Position(0.0, 20.0, 20.0), None, now_s=0.0)
+    expected.arrived(now_s=9.0)
+    expected.call_begun(HEAVY, now_s=10.0)
+    expected.call_ends(11.0)
+    expected.leg_begun(Position(0.0, 20.0, 20.0), PLACES[3], None, now_s=11.0)
+    assert len(expected.coming(Position(0.0, 20.0, 20.0), now_s=11.0, count=20)) == 2
