@@ -4,9 +4,9 @@ The laws: if the configuration names a thing that this machine lacks, a UsageErr
 What was opened is closed in reverse order, however the program ends. Optional libraries are imported where a
 configuration needs them.
 
-`flight` starts a drone's flight from `drone` (vehicle, networks, servers, own services) and `cameras`. `readiness` and
-`survey` find beforehand what would prevent it. `daemon` starts the edge daemon from `daemon_keys`, `daemon_services`,
-`confinement` and `containers`. `daemon_changes` reloads it and hands it over.
+`flight` starts a drone's flight from `drone` (vehicle, networks, servers, own services) and `cameras`. `readiness`
+and `survey` find beforehand what would prevent it. `daemon` starts the edge daemon from `daemon_keys`,
+`daemon_services`, `confinement` and `containers`. `daemon_changes` reloads it and hands it over.
 
 What is ugly: `daemon.serve` is one long function, because its subject is the order in which parts start and end.
 """

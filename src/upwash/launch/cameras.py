@@ -51,7 +51,7 @@ def needs_camera(config: DroneConfig) -> bool:
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     program = mission.func if isinstance(mission, functools.partial) else mission
     module = sys.modules.get(program.__module__)
-    return module is None or any(_TAKES_ONE in _source(each) for each in _with_imported(module))
+    return module is None or any(_TAKES_ONE in _source(imported) for imported in _with_imported(module))
 
 
 def _with_imported(module: ModuleType) -> Iterator[ModuleType]:

@@ -21,7 +21,7 @@ _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
     "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
 )
-_NAMES = tuple(each.name for each in fields(Limits))
+_NAMES = tuple(limit.name for limit in fields(Limits))
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,8 @@ class Confinement:
     def limits(self, config: DaemonConfig) -> dict[str, Limits]:
         """The limits of each service; raises UsageError for a limit of the configuration that would not hold."""
         return {
-            each.name: Limits(**{name: self._limit(name, each, config.runtime) for name in _NAMES})
-            for each in config.images
+            service.name: Limits(**{name: self._limit(name, service, config.runtime) for name in _NAMES})
+            for service in config.images
         }
 
     def _limit(self, name: str, service: ImageConfig, runtime: RuntimeConfig) -> int | None:

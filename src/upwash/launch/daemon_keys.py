@@ -77,19 +77,23 @@ def _revoked(config: DaemonConfig) -> frozenset[str]:
 async def watch_expiry(keys: DaemonKeys) -> NoReturn:
     """Warns of certificates that end soon, every day."""
     while True:
-        for each in keys.certificates:
+        for certificate in keys.certificates:
             now = datetime.now(UTC)
-            left = each.expires - now
+            left = certificate.expires - now
             if left < timedelta():
                 _log.error(
                     "the certificate of %s ended on %s, and this computer's clock says %s: drones do not believe it",
-                    each.holder,
-                    each.expires,
+                    certificate.holder,
+                    certificate.expires,
                     at_second(now),
                 )
                 continue
             level = logging.WARNING if left < _EXPIRY_WARNING else logging.INFO
             _log.log(
-                level, "the certificate of %s ends in %d days, on %s", each.holder, left.days, each.expires
+                level,
+                "the certificate of %s ends in %d days, on %s",
+                certificate.holder,
+                left.days,
+                certificate.expires,
             )
         await asyncio.sleep(_EXPIRY_LOOK_S)

@@ -46,13 +46,13 @@ class DaemonServices:
         self._confinement = confinement
         limits = confinement.limits(config)
         self._lanes: Mapping[str, int] = {}
-        self._named = {each.name: _named(each) for each in config.images}
+        self._named = {service.name: _named(service) for service in config.images}
         self.images: dict[str, Image] = {}
-        for index, each in enumerate(config.images):
+        for index, service in enumerate(config.images):
             found = _look_at(config, index)
             if isinstance(found, str):
                 raise UsageError(found)
-            self.images[each.name] = replace(found, limits=limits[each.name])
+            self.images[service.name] = replace(found, limits=limits[service.name])
 
     def know_lanes(self, lanes: Mapping[str, int]) -> None:
         """Takes in the lanes of those services whose programs only their runtime knows."""
@@ -71,18 +71,18 @@ class DaemonServices:
             _log.info("images of containers are looked at when the daemon starts: restart it to use others")
         is_upgraded = is_loaded and await asyncio.to_thread(version_of_upwash) != self._upwash
         images = {}
-        for index, each in enumerate(config.images):
+        for index, service in enumerate(config.images):
             found: Looked = _UPGRADED
             if not is_upgraded:
                 found = await _looked_at_elsewhere(config, index) if is_loaded else _look_at(config, index)
             if isinstance(found, Image):
-                images[each.name] = replace(found, limits=limits[each.name])
+                images[service.name] = replace(found, limits=limits[service.name])
                 continue
-            if self._named.get(each.name) != _named(each):
+            if self._named.get(service.name) != _named(service):
                 raise UsageError(found)
-            images[each.name] = self.images[each.name]
+            images[service.name] = self.images[service.name]
             if not is_upgraded:
-                _log.error("%s stays in its former version: %s", each.name, found)
+                _log.error("%s stays in its former version: %s", service.name, found)
         if is_upgraded:
             _log.error(_UPGRADED)
         return self._with_lanes(images)
@@ -90,7 +90,7 @@ class DaemonServices:
     def take(self, config: DaemonConfig, images: Mapping[str, Image]) -> list[str]:
         """From now on these are the services of this configuration; returns the names of those that changed."""
         changed = [name for name, image in images.items() if self.images.get(name) != image]
-        self._named = {each.name: _named(each) for each in config.images}
+        self._named = {service.name: _named(service) for service in config.images}
         self.images = dict(images)
         return changed
 
@@ -132,20 +132,20 @@ def _look_at(config: DaemonConfig, index: int) -> Looked:
         return str(error)
 
 
-def _image(config: DaemonConfig, each: ImageConfig, key: str) -> Image:
+def _image(config: DaemonConfig, service: ImageConfig, key: str) -> Image:
     """What the service is; in a container its program is the image's, and checks its settings there."""
     if config.runtime.kind != "process":
-        known = Image(Program("", each.settings.values if each.settings else {}))
+        known = Image(Program("", service.settings.values if service.settings else {}))
     else:
-        service = load_configured(each, key)
-        spec = spec_of(service.cls)
+        loaded = load_configured(service, key)
+        spec = spec_of(loaded.cls)
         known = Image(
-            service.program,
+            loaded.program,
             methods=frozenset(spec.methods),
             lanes=spec.concurrency,
-            version=version_of(service.program, config.runtime.readable),
+            version=version_of(loaded.program, config.runtime.readable),
         )
-    return replace(known, pace_s=each.pace_s, start_pace_s=each.start_pace_s)
+    return replace(known, pace_s=service.pace_s, start_pace_s=service.start_pace_s)
 
 
 def main() -> None:

@@ -35,7 +35,7 @@ async def connect_vehicle(
 ) -> MavlinkAutopilot:
     """The configured vehicle. See `connect_autopilot`.
 
-    Raises UsageError if the configuration lacks home or connection, AutopilotError if the vehicle is silent or unknown.
+    Raises UsageError if home or connection is missing, AutopilotError if the vehicle is silent or unknown.
     """
     return await connect_autopilot(
         connection_of(config),
@@ -164,7 +164,7 @@ async def network_on_the_ground(
 def _per_radio(config: DroneConfig) -> list[tuple[str, ...]]:
     """The interfaces of each radio: a single radio may use all, and each of several has one of its own."""
     interfaces = config.network.interfaces
-    return [interfaces] if config.network.radios == 1 else [(each,) for each in interfaces]
+    return [interfaces] if config.network.radios == 1 else [(interface,) for interface in interfaces]
 
 
 async def _managed_network(

@@ -164,8 +164,8 @@ async def _photos(config: DroneConfig) -> tuple[Look, list[SurveyFinding]]:
     except UpwashError as error:
         return Look({}), [SurveyFinding("camera", "gives no photo", str(error))]
     return seen, [
-        SurveyFinding("camera", f"gives {', '.join(seen.photos) or 'nothing'}", each)
-        for each in seen.troubles
+        SurveyFinding("camera", f"gives {', '.join(seen.photos) or 'nothing'}", trouble)
+        for trouble in seen.troubles
     ]
 
 
@@ -270,7 +270,7 @@ def trials(spec: ServiceSpec, estimates: Estimates, photos: Mapping[str, bytes])
         found = samples(spec, photos)
     except UsageError:
         return []
-    return [each for each in found if estimates.local_s(each.operation) is not None]
+    return [sample for sample in found if estimates.local_s(sample.operation) is not None]
 
 
 def call_limit_s(local_s: float | None) -> float:
@@ -281,7 +281,7 @@ def call_limit_s(local_s: float | None) -> float:
 async def services_in_trouble(config: DroneConfig, photos: Mapping[str, bytes]) -> list[UpwashError]:
     """Why some of the drone's own services cannot be used: each is started, called with the photos, and ended."""
     services = load_services(config.services)
-    estimates = make_estimates(config, {name: spec_of(each.cls) for name, each in services.items()})
+    estimates = make_estimates(config, {name: spec_of(service.cls) for name, service in services.items()})
     own, failed = onboard(config.name, max_message_bytes=config.max_message_bytes), list[UpwashError]()
     for name, service in services.items():
         spec = InstanceSpec(config.name, name, service.program)

@@ -97,5 +97,5 @@ class DroneMetrics:
             self._wait_s.labels(call.wait.replace(" ", "_")).observe(call.waited_s)
 
     def _be_in(self, server: str, state: State) -> None:
-        for each in State:
-            self._states.labels(server, each).set(each is state)
+        for other in State:
+            self._states.labels(server, other).set(other is state)

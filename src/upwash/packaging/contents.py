@@ -85,12 +85,12 @@ def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
     for requirement in (*_OF_EVERY_INSTANCE, *requirements):
         _close(requirement, found)
     found.pop("upwash", None)
-    for each in found.values():
-        for file, source in _files_of(each):
+    for installed in found.values():
+        for file, source in _files_of(installed):
             target = library / file
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
-    return sorted({f"{each.name} {each.version}" for each in found.values()})
+    return sorted({f"{installed.name} {installed.version}" for installed in found.values()})
 
 
 def _files_of(installed: Distribution) -> Iterator[tuple[PurePath, Path]]:
@@ -136,11 +136,11 @@ def extra_of(service: str, engine: str) -> list[str]:
         from packaging.requirements import Requirement
     own = map(Requirement, distribution("upwash").requires or ())
     return [
-        _without_marker(each)
-        for each in own
-        if each.marker is not None
-        and each.marker.evaluate({"extra": service})
-        and not each.marker.evaluate({"extra": ""})
+        _without_marker(required)
+        for required in own
+        if required.marker is not None
+        and required.marker.evaluate({"extra": service})
+        and not required.marker.evaluate({"extra": ""})
     ]
 
 
@@ -242,8 +242,17 @@ def require_neighbours(program: Path, beside: Iterable[Path]) -> None:
 def _imported_by(file: Path) -> set[str]:
     """The top names of the modules that a file imports anywhere in it."""
     statements = list(ast.walk(ast.parse(file.read_bytes(), file)))
-    named = [alias.name for each in statements if isinstance(each, ast.Import) for alias in each.names]
-    named += [each.module for each in statements if isinstance(each, ast.ImportFrom) and each.module]
+    named = [
+        alias.name
+        for statement in statements
+        if isinstance(statement, ast.Import)
+        for alias in statement.names
+    ]
+    named += [
+        statement.module
+        for statement in statements
+        if isinstance(statement, ast.ImportFrom) and statement.module
+    ]
     return {name.partition(".")[0] for name in named}
 
 

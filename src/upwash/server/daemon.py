@@ -180,7 +180,7 @@ class EdgeServer:
 
     async def emptied(self) -> None:
         """Return once no drone has a slot any more."""
-        while any(self._host.leases(each.name) for each in self.standing().servers):  # noqa: ASYNC110 - they end by time
+        while any(self._host.leases(server.name) for server in self.standing().servers):  # noqa: ASYNC110 - they end by time
             await asyncio.sleep(_LEAST_LOOK_S)
 
     def standing(self) -> Snapshot:
