@@ -23,7 +23,6 @@ from upwash.ports import Autopilot
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
-from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.server import VehicleServer, serve_vehicle
 
 FRAME = LocalFrame(HOME)
@@ -40,15 +39,15 @@ def connection(vehicle: VehicleServer) -> str:
 
 @asynccontextmanager
 async def connected(
-    listen: str = "udp:127.0.0.1:0",
-    vehicle_settings: VehicleSettings = AGILE,
-    settings: FlightSettings = HASTY,
-    ground_speed_m_s: float = 60.0,
+    listen: str, settings: FlightSettings = HASTY
 ) -> AsyncIterator[tuple[VehicleServer, MavlinkAutopilot]]:
-    vehicle = await serve_vehicle(listen, vehicle_settings)
+    vehicle = await serve_vehicle(listen, AGILE)
     try:
         autopilot = await connect_autopilot(
-            connection(vehicle), frame=FRAME, ground_speed_m_s=ground_speed_m_s, settings=settings
+            connection(vehicle),
+            frame=FRAME,
+            ground_speed_m_s=15.0,  # on a busy machine, reports of a faster vehicle look like jumps
+            settings=settings,
         )
         try:
             yield vehicle, autopilot
