@@ -84,7 +84,7 @@ _usage = msgspec.json.Decoder(dict[str, Used])
 
 
 def handed_over(environment: MutableMapping[str, str]) -> HandedOver | None:
-    """What the daemon before gave to this one; None where there was none."""
+    """What the daemon before handed over; None where there was none."""
     given = environment.pop(_VARIABLE, "")
     return msgspec.json.decode(given, type=HandedOver) if given else None
 

@@ -63,7 +63,7 @@ class ConnectionLimits:
         return len(self._groups)
 
     def add(self, connection: asyncio.Task[Any], group: str) -> None:
-        """Counts the connection; cancels another one that must go for it."""
+        """Counts the connection; cancels the connection that must go for it."""
         self._groups[connection] = group
         self._sizes[group] += 1
         if self._sizes[group] > self._per_group:

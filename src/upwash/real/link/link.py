@@ -214,7 +214,8 @@ class GrpcLink:
                 self._looked_for = True
                 if not await self._way.measure() or self._closed:
                     raise
-                self._dial_again()
+                self._hang_up()
+                self._dial()
             except DeadlineExceeded as late:
                 if large:
                     self._way.suspect()
@@ -239,7 +240,8 @@ class GrpcLink:
         for learn in (self._way.measure, self._way.look):
             await learn()
             if self._way.attempt_s > _LONGER * self._attempt_s and not self._closed:
-                self._dial_again()
+                self._hang_up()
+                self._dial()
                 return True
         return False
 
@@ -247,10 +249,6 @@ class GrpcLink:
         self._attempt_s = self._way.attempt_s
         self._channel = self._connect()
         self._methods: dict[str, Any] = {}
-
-    def _dial_again(self) -> None:
-        self._hang_up()
-        self._dial()
 
     def _hang_up(self) -> None:
         thread(self._channel.close, name="a link that closes", failed=only_logged).start()
