@@ -54,7 +54,7 @@ class Signing:
         link: int = 0,
     ) -> None:
         if len(key) != KEY_BYTES:
-            raise ValueError(f"a key for signing has {KEY_BYTES} bytes, this one {len(key)}")
+            raise ValueError(f"a key for signing has {KEY_BYTES} bytes, not {len(key)}")
         self._key = key
         self._link = link
         self._unix_s = unix_s

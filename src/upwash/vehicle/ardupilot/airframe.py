@@ -221,7 +221,7 @@ def _turning(samples: list[PursuitSample]) -> list[PursuitSample]:
     """The samples of a straight way, at rest where it turns back: a phase leads one way only."""
     for number, (before, after) in enumerate(itertools.pairwise(samples)):
         if before.velocity_m_s.real * after.velocity_m_s.real < 0:
-            turns = min((number, number + 1), key=lambda each: abs(samples[each].velocity_m_s))
+            turns = min((number, number + 1), key=lambda index: abs(samples[index].velocity_m_s))
             samples[turns] = PursuitSample(samples[turns].elapsed_s, samples[turns].place_m, 0j)
     return samples
 

@@ -21,7 +21,7 @@ GLITCH_M, GLITCH_CLEARED_S = 55.66, _GLITCH_OVER_S  # to the north; the text com
 
 @dataclass(frozen=True, slots=True)
 class FailsafeTrigger:
-    """Texts for now, the mode to change to, and the metres north by which the vehicle's place seems to jump."""
+    """Texts for now, the mode to change to, and the apparent jump of its place to the north."""
 
     texts: tuple[Text, ...] = ()
     mode: int | None = None

@@ -8,6 +8,6 @@
 
 A mode is intended by a command and chosen by the fail-safe: `intended` and `mode` differ while one acts.
 
-Ugly: summaries of the checks are recorded bit patterns, of which only two states are known. `inputs` has GPS in it,
+Ugly: summaries of the checks are recorded bit patterns; only two states are known. `inputs` has GPS in it,
 since both are sources that may be lost.
 """

@@ -139,7 +139,7 @@ class Failsafe:
         if not acting:
             self.action, self._announced = None, None
             return
-        cause = max(acting, key=lambda each: acting[each].action)
+        cause = max(acting, key=lambda cause: acting[cause].action)
         danger = acting[cause]
         if self.action is None:
             waits = Action.HOLD < danger.action < Action.DISARM and not danger.at_once
