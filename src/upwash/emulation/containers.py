@@ -71,7 +71,8 @@ class ContainerComputers:
         """Starts a container, and makes its network namespace known."""
         command("lxc", "launch", _IMAGE, name)
         command(*self.inside(name), *IS_UP)
-        command("ip", "netns", "attach", name, _first_process(name))
+        state = json.loads(command("lxc", "query", f"/1.0/instances/{name}/state"))
+        command("ip", "netns", "attach", name, str(state["pid"]))
         make_quiet(name)
 
     def inside(self, name: str) -> tuple[str, ...]:
@@ -134,10 +135,6 @@ def _lent_folders() -> Iterator[Path]:
     for folder in sorted(Path("/").iterdir()):
         if folder.is_dir() and not folder.is_symlink() and folder.name not in _OWN_FOLDERS:
             yield folder
-
-
-def _first_process(container: str) -> str:
-    return str(json.loads(command("lxc", "query", f"/1.0/instances/{container}/state"))["pid"])
 
 
 _FOLDERS = (

@@ -191,7 +191,7 @@ def remove_groups(is_gone: Callable[[str], bool]) -> list[Path]:
     """Removes the groups of owners that are gone; returns those that cannot be, as processes are in them yet."""
     gone = [group for group, owner in _owned_groups() if is_gone(owner)]
     for group in gone:
-        for each in (*sorted(_below(group), reverse=True), group):
+        for each in (*sorted(filter(Path.is_dir, group.rglob("*")), reverse=True), group):
             with contextlib.suppress(OSError):
                 each.rmdir()
     return [group for group in gone if group.exists()]
@@ -201,10 +201,6 @@ def _owned_groups() -> Iterator[tuple[Path, str]]:
     for hierarchy in _hierarchies():
         for group in hierarchy.glob(f"{_PREFIX}*"):
             yield group, group.name.removeprefix(_PREFIX)
-
-
-def _below(group: Path) -> Iterator[Path]:
-    return (each for each in group.rglob("*") if each.is_dir())
 
 
 def _hierarchies() -> Iterator[Path]:

@@ -77,11 +77,8 @@ class _ShapedLink:
             return
         self._rate_bit_s = rate_bit_s
         for end in (self._link.drone_end, self._link.server_end):
-            command(*_queue(end), *_discipline(rate_bit_s))
-
-
-def _queue(end: LinkEnd) -> tuple[str, ...]:
-    return ("tc", "-n", end.namespace, "qdisc", "replace", "dev", end.device, "root")
+            queue = ("tc", "-n", end.namespace, "qdisc", "replace", "dev", end.device, "root")
+            command(*queue, *_discipline(rate_bit_s))
 
 
 def _discipline(rate_bit_s: float) -> tuple[str, ...]:

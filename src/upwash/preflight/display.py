@@ -17,7 +17,7 @@ from upwash.eventlog.narration import counted, spans
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.figures import FigureFiles
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
-from upwash.preflight.placement import SuggestedPlace, missions_to_place, place
+from upwash.preflight.placement import missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
 from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
@@ -101,7 +101,11 @@ def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, cons
     if config.mission.reserve_s is not None:
         say(_farthest_line(found.farthest, config), console)
     for each in found.places:
-        say(_place_line(each), console)
+        say(
+            f"one more server helps most at {each.east_m:.0f} m east, {each.north_m:.0f} m north "
+            f"({each.server}): {each.mission_time_s / 60:.2f} min",
+            console,
+        )
     if len(found.places) < servers_to_place:
         console.print("one more server would gain nothing, wherever it stands")
     console.print()
@@ -196,11 +200,4 @@ def _farthest_line(far: Farthest, config: DroneConfig) -> str:
     return (
         f"from waypoint {far.waypoint}, {far.away_m:.0f} m from home, it takes longest to the ground {down}: "
         f"{far.home_s:.0f} s{needs}, without wind"
-    )
-
-
-def _place_line(place: SuggestedPlace) -> str:
-    return (
-        f"one more server helps most at {place.east_m:.0f} m east, {place.north_m:.0f} m north "
-        f"({place.server}): {place.mission_time_s / 60:.2f} min"
     )

@@ -207,7 +207,11 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
         if each.order:
             say(Text(f"order of {each.drone}'s waypoints: {each.order}"), console)
     for server in found.servers:
-        say(_asked_line(server, len(found.drones)), console)
+        say(
+            f"{server.server}: in range of {server.in_range_of} of {counted(len(found.drones), 'drone')}, "
+            f"asked for a slot by {server.asked_by}",
+            console,
+        )
     print_findings(found.notices, found.warnings, console)
 
 
@@ -235,10 +239,3 @@ def _time(prediction: Prediction | None) -> str:
     if prediction.mission_time_s is None:
         return "not completed" if prediction.failures else "vanishes"
     return minutes(prediction.mission_time_s, prediction.margin_s)
-
-
-def _asked_line(server: AskedServer, drones: int) -> str:
-    return (
-        f"{server.server}: in range of {server.in_range_of} of {counted(drones, 'drone')}, asked for a slot by "
-        f"{server.asked_by}"
-    )

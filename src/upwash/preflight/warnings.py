@@ -209,27 +209,23 @@ def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
         if each.mission_time_s is not None and each.mission_time_s > by_s + _LATE_S
     ]
     if late:
+        given = config.mission.finish_by_s is not None
+        limit = "mission.finish_by_s =" if given else "what the battery allows,"
         yield PreflightWarning(
             "late",
-            f"{_by_when(config)} {by_s:.0f} s is not kept, as lighter calls do not save enough: "
-            f"{', '.join(late)}",
+            f"{limit} {by_s:.0f} s is not kept, as lighter calls do not save enough: {', '.join(late)}",
         )
-
-
-def _by_when(config: DroneConfig) -> str:
-    return "what the battery allows," if config.mission.finish_by_s is None else "mission.finish_by_s ="
 
 
 def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
     lasts_s = usable_s(config)
-    if lasts_s is None:
-        return
-    needed_s = {
-        each.case: each.mission_time_s + each.certain_margin_s
+    too_long = [
+        f"{each.case} ({time_s:.0f} s)"
         for each in predictions
         if each.mission_time_s is not None
-    }
-    too_long = [f"{case} ({seconds:.0f} s)" for case, seconds in needed_s.items() if seconds > lasts_s]
+        and lasts_s is not None
+        and (time_s := each.mission_time_s + each.certain_margin_s) > lasts_s
+    ]
     if too_long:
         yield PreflightWarning(
             "battery",
@@ -240,17 +236,14 @@ def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) ->
 
 def _energy_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
     given_wh = usable_wh(config)
-    if given_wh is None or config.energy is None:
-        return
-    needed_wh = {
-        each.case: each.energy_wh + (each.energy_margin_wh or 0.0)
+    too_much = [
+        f"{each.case} ({energy_wh:.1f} Wh)"
         for each in predictions
         if each.energy_wh is not None
-    }
-    too_much = [
-        f"{case} ({energy_wh:.1f} Wh)" for case, energy_wh in needed_wh.items() if energy_wh > given_wh
+        and given_wh is not None
+        and (energy_wh := each.energy_wh + (each.energy_margin_wh or 0.0)) > given_wh
     ]
-    if too_much:
+    if too_much and config.energy is not None:
         yield PreflightWarning(
             "battery",
             f"the battery gives {given_wh:.1f} Wh down to {_level_percent(config, config.energy):g} %, where the "

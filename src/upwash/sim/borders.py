@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.geo import Circle, ground_distance_m
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.vehicle.body.kinematics import Motion, Phase, elapsed_s
 
@@ -99,7 +99,12 @@ class Borders:
             return
         way_m = sum(phase.travelled_m(phase.duration_s) for phase in phases) + _ROUNDING_M
         near = (asked.circles[number] for number in asked.index.near(phases[0].start, way_m))
-        within_reach = [each for each in near if _is_near(phases[0].start, each, way_m)]
+        start = phases[0].start
+        within_reach = [
+            circle
+            for circle in near
+            if abs(ground_distance_m(start, circle.centre) - circle.radius_m) <= way_m
+        ]
         for phase in phases:
             for circle in within_reach:
                 for crossing_s in _crossings_s(phase, circle):
@@ -112,10 +117,6 @@ class Borders:
             asked = _Asked(circles, AreaIndex(circles))
             self._asked.append(asked)
         return asked
-
-
-def _is_near(place: Position, circle: Circle, within_m: float) -> bool:
-    return abs(ground_distance_m(place, circle.centre) - circle.radius_m) <= within_m
 
 
 def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:

@@ -199,15 +199,11 @@ def _with_noise(config: DroneConfig) -> DroneConfig:
 def _fly(flight: ComparedFlight) -> FlightOutcome:
     config = msgspec.structs.replace(flight.entrant.enters(flight.scenario.config), seed=flight.seed)
     outcome = fly(config)
-    if not outcome.completed and not _has_battery(config):
+    if not outcome.completed and (config.energy is None or config.energy.battery_wh is None):
         raise UpwashError(
             f"{flight.scenario.name}, {flight.entrant.name}, seed {flight.seed}: {outcome.failure}"
         )
     return outcome
-
-
-def _has_battery(config: DroneConfig) -> bool:
-    return config.energy is not None and config.energy.battery_wh is not None
 
 
 def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:

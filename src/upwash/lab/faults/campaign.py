@@ -101,14 +101,10 @@ def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> FlownWor
     runs = simulate_fleet(fleet, computing=True, seen=seen)
     broken: list[Broken] = []
     for config, run, by_itself in zip(fleet, runs, alone, strict=True):
-        history = History(config, run, seen, None if _is_delayed(config) else by_itself)
+        delayed = any(fault.target == "autopilot" for fault in config.faults)
+        history = History(config, run, seen, None if delayed else by_itself)
         broken += broken_promises(history, seed=seed)
     return FlownWorld(documents, runs, seen, broken)
-
-
-def _is_delayed(config: DroneConfig) -> bool:
-    """Whether its autopilot is at fault, which makes the mission longer."""
-    return any(fault.target == "autopilot" for fault in config.faults)
 
 
 def _differences(seed: int, first: FlownWorld) -> list[Broken]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from upwash.config import FaultConfig, ProbeConfig, ServerConfig, server_truth, true_areas
+from upwash.config import ProbeConfig, ServerConfig, server_truth, true_areas
 from upwash.core.geo import Position
 from upwash.core.knowledge.servers import SELECTED, TRANSITIONS, State, Trigger
 from upwash.core.selection.recovery import REST_S
@@ -223,7 +223,11 @@ def _left_unused(history: History) -> Iterator[Breach]:
                     and each.server == server.name
                     and each.t <= spell.until_s
                 ),
-                *(each.to_s for each in _faults_of(history, server.name) if each.from_s < spell.until_s),
+                *(
+                    fault.to_s
+                    for fault in history.config.faults
+                    if fault.target in (server.name, f"link:{server.name}") and fault.from_s < spell.until_s
+                ),
                 0.0,
             )
             unused_s = min(spell.until_s, end_s) - since_s
@@ -244,7 +248,3 @@ def _joinable(history: History) -> Iterator[ServerConfig]:
         longest_s = max(_CHECK_LEAST_S, _CHECK_FACTOR * server.check_running_s)
         if not shared and wanted <= set(truth.images) and truth.join_s <= longest_s:
             yield server
-
-
-def _faults_of(history: History, server: str) -> Iterator[FaultConfig]:
-    return (each for each in history.config.faults if each.target in (server, f"link:{server}"))

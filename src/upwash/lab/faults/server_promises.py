@@ -106,13 +106,13 @@ def turns(history: History) -> Iterator[Breach]:
         if isinstance(event, (schema.CheckFailed, schema.CallFailedInRange)) and _FULL in event.why:
             yield event, f"{event.server} is blacklisted because it has no free slot"
     for server in history.config.servers:
-        asked = [fact for fact in history.seen if fact.server == server.name and _is_question(fact)]
+        asked = [
+            fact
+            for fact in history.seen
+            if fact.server == server.name and fact.event == "answered" and fact.path in (AVAILABILITY, START)
+        ]
         for refusal, until_s in _waits(history, server.name):
             yield from _too_long(history, server, asked, refusal, until_s)
-
-
-def _is_question(fact: Seen) -> bool:
-    return fact.event == "answered" and fact.path in (AVAILABILITY, START)
 
 
 def _waits(history: History, server: str) -> Iterator[tuple[schema.NoSlot, float]]:

@@ -101,7 +101,7 @@ class World:
 
 def configs(documents: Sequence[Document]) -> list[DroneConfig]:
     """The scenarios that the documents say."""
-    return [_config(document) for document in documents]
+    return [drone_config(document, Path("world.toml")) for document in documents]
 
 
 def as_toml(document: Document) -> str:
@@ -446,10 +446,6 @@ def _spell(chance: random.Random, from_s: float) -> dict[str, float]:
 
 def _number(chance: random.Random, least: float, most: float) -> float:
     return round(chance.uniform(least, most), 2)
-
-
-def _config(document: Document) -> DroneConfig:
-    return drone_config(document, Path("world.toml"))
 
 
 def _is_table(value: object) -> bool:

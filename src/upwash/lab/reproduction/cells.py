@@ -17,7 +17,6 @@ import msgspec
 from upwash.config import DroneConfig, ServerConfig, read_drone_config
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
-from upwash.eventlog.results import CallResult
 from upwash.lab import processes
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
@@ -161,7 +160,7 @@ def _flown(flight: CellFlight) -> CellResult:
     run = _fly(flight, config)
     result, bound = run.result, bound_of(run, config)
     assert bound is not None  # noqa: S101 - _fly() saw it completed
-    on_s2_s = [_net_s(call) for call in result.calls if call.server == _LOADED]
+    on_s2_s = [call.delay_s - call.waited_s for call in result.calls if call.server == _LOADED]
     return CellResult(
         mission_min=result.mission_time_s / 60,
         bound_min=bound.free_s / 60,
@@ -176,7 +175,3 @@ def _flown(flight: CellFlight) -> CellResult:
         s2_calls=len(on_s2_s),
         s2_call_s=fmean(on_s2_s) if on_s2_s else 0.0,
     )
-
-
-def _net_s(call: CallResult) -> float:
-    return call.delay_s - call.waited_s
