@@ -23,7 +23,7 @@ from upwash.real.trust.authority import make_keys
 async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOutcome:
     """Flies every drone of the request at once; `stop` has them end their missions and land."""
     drones = request.read()
-    field = Field([each.config for each in drones])
+    field = Field([drone.config for drone in drones])
     with contextlib.ExitStack() as stack:
         computers = _make_computers(request.computers, request.folder)
         radio = stack.enter_context(_field_set_up(field, computers, request))
@@ -34,7 +34,7 @@ async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOu
             vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, computers, request))
             programs[drone.name] = flight_program(drone, field, computers, request.folder, vehicle=vehicle)
         mover = Mover(radio, positions)
-        departs_s = {each.config.name: each.departs_s for each in drones}
+        departs_s = {drone.config.name: drone.departs_s for drone in drones}
         exit_codes = await _fly(programs, departs_s, mover, stop)
         return EmulationOutcome(
             radio=request.radio,

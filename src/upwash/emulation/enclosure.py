@@ -191,9 +191,9 @@ def remove_groups(is_gone: Callable[[str], bool]) -> list[Path]:
     """Removes the groups of owners that are gone; returns those that cannot be, as processes are in them yet."""
     gone = [group for group, owner in _owned_groups() if is_gone(owner)]
     for group in gone:
-        for each in (*sorted(filter(Path.is_dir, group.rglob("*")), reverse=True), group):
+        for folder in (*sorted(filter(Path.is_dir, group.rglob("*")), reverse=True), group):
             with contextlib.suppress(OSError):
-                each.rmdir()
+                folder.rmdir()
     return [group for group in gone if group.exists()]
 
 
@@ -208,7 +208,7 @@ def _hierarchies() -> Iterator[Path]:
         yield _ROOT
     elif _ROOT.exists():
         yield from (
-            each
-            for each in sorted(_ROOT.iterdir())
-            if not each.is_symlink() and (each / "cgroup.procs").exists()
+            hierarchy
+            for hierarchy in sorted(_ROOT.iterdir())
+            if not hierarchy.is_symlink() and (hierarchy / "cgroup.procs").exists()
         )

@@ -68,7 +68,7 @@ class EmulationRequest(msgspec.Struct, frozen=True, kw_only=True):
             for config, presence in _fleet(file)
             for _ in range(self.drones)
         ]
-        require_same_servers([each.config for each in drones])
+        require_same_servers([drone.config for drone in drones])
         if len(drones) > _MOST_STATIONS:
             raise UsageError(f"{len(drones)} drones are more than an emulation has addresses for")
         if self.autopilots and len(self.autopilots) != len(drones):
@@ -146,11 +146,11 @@ def _at_servers(config: DroneConfig) -> list[ServiceConfig]:
 
 
 def _named_apart(drones: Sequence[EmulatedDrone]) -> list[EmulatedDrone]:
-    if len({each.config.name for each in drones}) == len(drones):
+    if len({drone.config.name for drone in drones}) == len(drones):
         return list(drones)
     return [
-        replace(each, config=msgspec.structs.replace(each.config, name=f"{each.config.name}-{number}"))
-        for number, each in enumerate(drones, start=1)
+        replace(drone, config=msgspec.structs.replace(drone.config, name=f"{drone.config.name}-{number}"))
+        for number, drone in enumerate(drones, start=1)
     ]
 
 

@@ -111,14 +111,14 @@ def bounds_of(
         truths = _truths(config)
         mission = _mission(run, config, truths)
         own.append(found := mission.bound(truths))
-        local_s = mission.other_s + sum(each.least_local_wait_s for each in mission.calls)
+        local_s = mission.other_s + sum(call.least_local_wait_s for call in mission.calls)
         missions.append(SharedMission(_begun_s(run), local_s, found.free_s))
         for instance, rate in _rates(mission.calls, truths):
             rates[instance] = max(rates.get(instance, 0.0), rate)
     if not missions:
         return own, None
     saved_per_s = sum(rate * _lanes(instance, fleet[0]) for instance, rate in rates.items())
-    bounds = [each for each in own if each is not None]
+    bounds = [least for least in own if least is not None]
     return own, FleetBound(
         free_s=fmean(each.free_s for each in bounds),
         with_joins_s=fmean(each.with_joins_s for each in bounds),
@@ -153,12 +153,12 @@ def _rates(
     made: Sequence[_Made], truths: Mapping[str, ServerTruth]
 ) -> Iterator[tuple[tuple[str, str], float]]:
     """By server and service, the seconds that each call saves there for each second of a busy lane."""
-    for each in made:
-        for offer in each.offers:
-            gain_s = each.call.local_s - offer.call_s
+    for call in made:
+        for offer in call.offers:
+            gain_s = call.call.local_s - offer.call_s
             if gain_s > 0:
-                busy_s = occupying_s(each.operation, truths[offer.server])
-                yield (offer.server, each.operation.service), gain_s / busy_s if busy_s > 0 else math.inf
+                busy_s = occupying_s(call.operation, truths[offer.server])
+                yield (offer.server, call.operation.service), gain_s / busy_s if busy_s > 0 else math.inf
 
 
 def _lanes(instance: tuple[str, str], config: DroneConfig) -> int:

@@ -103,7 +103,7 @@ def _first(kind: type[Kind], events: Iterable[Event]) -> Kind | None:
 def _drone_of(events: Iterable[Event], config: DroneConfig, scenario: Path, drone: str | None) -> str:
     started = _first(schema.MissionStarted, events)
     name = drone or (started.drone if started else "")
-    names = [each.name for each in config.drones]
+    names = [drone.name for drone in config.drones]
     if name not in names:
         raise UsageError(
             f"{scenario} has several drones: name one with --drone; {unknown('drone', name, names)}"

@@ -85,7 +85,7 @@ def _fly_fleet(config: DroneConfig) -> FlightOutcome:
     failure = _failure(runs)
     drawn = [run.result.energy for run in runs.values() if run.result.completed and run.result.energy]
     return FlightOutcome(
-        policy=" ".join(dict.fromkeys(each.policy.name for each in fleet)),
+        policy=" ".join(dict.fromkeys(drone.policy.name for drone in fleet)),
         completed=bound is not None and not failure,
         failure=failure,
         mission_time_s=found.mean_s,
@@ -107,11 +107,11 @@ def _failure(runs: Mapping[str, Run]) -> str:
 
 def _sums(totals: Sequence[Totals]) -> Totals:
     remote: dict[str, int] = {}
-    for each in totals:
-        for server, count in each.remote.items():
+    for total in totals:
+        for server, count in total.remote.items():
             remote[server] = remote.get(server, 0) + count
     counts = {
-        field.name: sum(getattr(each, field.name) for each in totals)
+        field.name: sum(getattr(total, field.name) for total in totals)
         for field in dataclasses.fields(Totals)
         if field.name != "remote"
     }
@@ -124,7 +124,7 @@ def _means(drawn: Sequence[EnergyTotals]) -> EnergyTotals | None:
     names = [field.name for field in dataclasses.fields(EnergyTotals) if field.name != "battery_wh"]
     return EnergyTotals(
         battery_wh=drawn[0].battery_wh,
-        **{name: fmean(getattr(each, name) for each in drawn) for name in names},
+        **{name: fmean(getattr(energy, name) for energy in drawn) for name in names},
     )
 
 

@@ -95,7 +95,7 @@ def simulate_drones(config: DroneConfig) -> dict[str, Run]:
     """Flies the missions of all drones of the scenario at the same time; each run by its drone's name."""
     fleet = fleet_of(config)
     runs = simulate_fleet(fleet, there=presences(config))
-    return {each.name: run for each, run in zip(fleet, runs, strict=True)}
+    return {drone.name: run for drone, run in zip(fleet, runs, strict=True)}
 
 
 def simulate_fleet(
@@ -279,7 +279,7 @@ def _radios(
     """The networks in the drone's reach, for each of its radios, and what opens links to their servers."""
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     known = coverage_of(config)
-    limited = {each.name for each in config.servers if true_range_m(each) is not None}
+    limited = {server.name for server in config.servers if true_range_m(server) is not None}
 
     def is_reached(server: str, position: Position) -> bool:
         """Whether a server without a range answers there, by what earlier flights measured."""

@@ -67,7 +67,7 @@ def _set(table: Any, key: str, value: object, *, file: Path, walked: str) -> Non
 
 def _first_step(table: object, key: str) -> tuple[str, str]:
     """The first step of a key and the rest of it; the name of a table in an array may contain dots."""
-    names = [each for each in _names(table) if f"{key}.".startswith(f"{each}.")]
+    names = [name for name in _names(table) if f"{key}.".startswith(f"{name}.")]
     step = max(names, key=len) if names else key.partition(".")[0]
     return step, key[len(step) + 1 :]
 
@@ -75,7 +75,7 @@ def _first_step(table: object, key: str) -> tuple[str, str]:
 def _names(table: object) -> list[str]:
     if not isinstance(table, list):
         return []
-    return [str(each["name"]) for each in table if isinstance(each, dict) and "name" in each]
+    return [str(item["name"]) for item in table if isinstance(item, dict) and "name" in item]
 
 
 def _element(tables: list[Any], step: str, file: Path, walked: str) -> Any:

@@ -103,7 +103,7 @@ class FleetSimulation:
     def failures(self) -> dict[str, str]:
         """By drone, why a mission was not completed, except of drones that the scenario had vanish."""
         return {
-            name: each.failure for name, each in self.drones.items() if each.failure and not each.vanished
+            name: drone.failure for name, drone in self.drones.items() if drone.failure and not drone.vanished
         }
 
 
@@ -124,8 +124,8 @@ def simulate_fleet(
     outcome = fleet_outcome(runs, config, of_all)
     return FleetSimulation(
         drones={
-            each.name: simulation_of(runs[each.name], each, bound, scenario=name_of(scenario))
-            for each, bound in zip(fleet, bounds, strict=True)
+            drone.name: simulation_of(runs[drone.name], drone, bound, scenario=name_of(scenario))
+            for drone, bound in zip(fleet, bounds, strict=True)
         },
         scenario=name_of(scenario),
         seed=config.seed,

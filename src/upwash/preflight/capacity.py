@@ -63,7 +63,7 @@ def capacity_of(config: DroneConfig, name: str, flown: Callable[[Load], None] = 
     for load in _loads(config, local_only_s):
         loads.append(load)
         flown(load)
-    carried = max((each.drones for each in loads if each.mean_s <= SLOWER * loads[0].mean_s), default=1)
+    carried = max((load.drones for load in loads if load.mean_s <= SLOWER * loads[0].mean_s), default=1)
     return Capacity(config=name, local_only_s=local_only_s, loads=tuple(loads), carried=carried)
 
 

@@ -134,20 +134,22 @@ def _coverage_table(servers: tuple[ServerCoverage, ...], waypoints: int) -> Tabl
     table.add_column("covers", justify="right", no_wrap=True)
     table.add_column("waypoints", overflow="fold")
     table.add_column("longest in range", justify="right", no_wrap=True)
-    for each in servers:
+    for server in servers:
         table.add_row(
-            Text(each.server),
-            f"{len(each.waypoints)} of {waypoints}",
-            spans(each.waypoints),
-            f"{each.longest_stay_s:.0f} s"
-            if each.range_m is not None
-            else f"no range: measured at {len(each.measured)} of {waypoints}",
+            Text(server.server),
+            f"{len(server.waypoints)} of {waypoints}",
+            spans(server.waypoints),
+            f"{server.longest_stay_s:.0f} s"
+            if server.range_m is not None
+            else f"no range: measured at {len(server.measured)} of {waypoints}",
         )
     return table
 
 
 def _prediction_table(found: MissionCheck) -> Table:
-    local_only_s = next((each.mission_time_s for each in found.predictions if each.case == LOCAL_ONLY), None)
+    local_only_s = next(
+        (prediction.mission_time_s for prediction in found.predictions if prediction.case == LOCAL_ONLY), None
+    )
     table = Table(box=None, padding=(0, 2))
     table.add_column("predicted", overflow="fold")
     for title in (
@@ -157,8 +159,8 @@ def _prediction_table(found: MissionCheck) -> Table:
         *(["battery left"] if found.usable_s or found.usable_wh else []),
     ):
         table.add_column(title, justify="right", no_wrap=True)
-    for each in found.predictions:
-        table.add_row(*_prediction_cells(each, local_only_s, found))
+    for prediction in found.predictions:
+        table.add_row(*_prediction_cells(prediction, local_only_s, found))
     return table
 
 
@@ -180,7 +182,7 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
 
 
 def _are_lighter(found: MissionCheck) -> bool:
-    return any(each.lighter is not None for each in found.predictions)
+    return any(prediction.lighter is not None for prediction in found.predictions)
 
 
 def _how_sure(found: MissionCheck, config: DroneConfig) -> str:

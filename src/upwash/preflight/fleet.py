@@ -81,9 +81,9 @@ class FleetCheck(Struct, frozen=True, kw_only=True):
     def warnings(self) -> tuple[PreflightWarning, ...]:
         """The warnings of all drones; equal warnings are one, with the names of their drones."""
         names: dict[PreflightWarning, list[str]] = {}
-        for each in self.drones:
-            for warning in each.warnings:
-                names.setdefault(warning, []).append(each.drone)
+        for drone in self.drones:
+            for warning in drone.warnings:
+                names.setdefault(warning, []).append(drone.drone)
         return tuple(
             PreflightWarning(warning.kind, f"{', '.join(of)}: {warning.text}")
             for warning, of in names.items()
@@ -131,7 +131,7 @@ def _fly(flight: _Flight) -> Runs:
 
 def _forecast(config: DroneConfig, flown: Mapping[str, Sequence[Runs]]) -> DroneForecast:
     cases = (LOCAL_ONLY,) if config.policy.name == LOCAL_ONLY else (LOCAL_ONLY, AS_CONFIGURED)
-    runs = {case: [each[config.name] for each in flown[case]] for case in cases}
+    runs = {case: [by_drone[config.name] for by_drone in flown[case]] for case in cases}
     alone = runs[LOCAL_ONLY][0]
     places = [waypoint.position for waypoint in waypoints(config.mission)]
     covered = coverage(
@@ -203,9 +203,9 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
     if share := told_share(config):
         say(share, console)
     console.print()
-    for each in found.drones:
-        if each.order:
-            say(Text(f"order of {each.drone}'s waypoints: {each.order}"), console)
+    for drone in found.drones:
+        if drone.order:
+            say(Text(f"order of {drone.drone}'s waypoints: {drone.order}"), console)
     for server in found.servers:
         say(
             f"{server.server}: in range of {server.in_range_of} of {counted(len(found.drones), 'drone')}, "
@@ -221,14 +221,14 @@ def _forecast_table(drones: tuple[DroneForecast, ...]) -> Table:
     for title in ("waypoints", LOCAL_ONLY, AS_CONFIGURED):
         table.add_column(title, justify="right", no_wrap=True)
     table.add_column("out of range", overflow="fold", min_width=8)
-    for each in drones:
-        by_case = {prediction.case: prediction for prediction in each.predictions}
+    for drone in drones:
+        by_case = {prediction.case: prediction for prediction in drone.predictions}
         table.add_row(
-            Text(each.drone),
-            str(each.waypoints),
+            Text(drone.drone),
+            str(drone.waypoints),
             _time(by_case[LOCAL_ONLY]),
             _time(by_case.get(AS_CONFIGURED)),
-            spans(each.uncovered),
+            spans(drone.uncovered),
         )
     return table
 

@@ -55,9 +55,13 @@ def place(
         trials = {str(index): _with_server(document, name, at) for index, at in enumerate(field)}
         documents = {AS_CONFIGURED: document, **trials}
         found = predict(
-            {case: _silent(each) for case, each in documents.items()}, file, seeds=1, fly=fly, flown=flown
+            {case: _silent(document) for case, document in documents.items()},
+            file,
+            seeds=1,
+            fly=fly,
+            flown=flown,
         )
-        times_s = {each.case: each.mission_time_s for each in found if each.mission_time_s is not None}
+        times_s = {one.case: one.mission_time_s for one in found if one.mission_time_s is not None}
         if not times_s:
             raise UsageError(f"no place can be compared: no mission is completed: {found[0].failures[0]}")
         best = min(times_s, key=times_s.__getitem__)  # as it is where no place is better: that comes first

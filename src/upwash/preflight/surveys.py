@@ -47,17 +47,17 @@ def _print(findings: Sequence[SurveyFinding], console: Console) -> bool:
     table.add_column("needed")
     table.add_column("found")
     table.add_column("ready")
-    for each in findings:
+    for finding in findings:
         table.add_row(
-            Text(each.subject),
-            Text(each.found),
-            Text("no", style="red") if each.trouble else Text("yes", style="green"),
+            Text(finding.subject),
+            Text(finding.found),
+            Text("no", style="red") if finding.trouble else Text("yes", style="green"),
         )
     console.print(table)
     for each in findings:
         if each.trouble:
             console.print(Text(f"{each.subject}: {each.trouble}"), soft_wrap=True)
-    return not any(each.trouble for each in findings)
+    return not any(finding.trouble for finding in findings)
 
 
 def check_vehicle(config: DroneConfig, console: Console, *, install_dead_man: bool = False) -> bool:

@@ -141,12 +141,12 @@ def _wait_concerns(
     """Warn of a faster server that saves too little on every operation for any wait."""
     rule = WaitRule(gain_wait=policy.gain_wait)
     faster = [
-        (1 - remote_s / each.local_s, each)
-        for each in beliefs
-        if (remote_s := each.remote_s.get(server)) is not None and remote_s < each.local_s
+        (1 - remote_s / belief.local_s, belief)
+        for belief in beliefs
+        if (remote_s := belief.remote_s.get(server)) is not None and remote_s < belief.local_s
     ]
     if not faster or any(
-        rule.longest_s(local_s=each.local_s, remote_s=each.remote_s[server]) > 0 for _, each in faster
+        rule.longest_s(local_s=belief.local_s, remote_s=belief.remote_s[server]) > 0 for _, belief in faster
     ):
         return
     saved, best = max(faster, key=lambda pair: pair[0])
@@ -158,7 +158,7 @@ def _wait_concerns(
 
 
 def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
-    by_case = {each.case: each for each in predictions}
+    by_case = {prediction.case: prediction for prediction in predictions}
     configured = by_case.get(AS_CONFIGURED)
     if configured is None or configured.mission_time_s is None:
         return
@@ -189,10 +189,10 @@ def _is_slower(this: Prediction, than: Prediction) -> bool:
 
 def _failure_concerns(predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
     cases: dict[str, list[str]] = {}  # by reason
-    for each in predictions:
-        if each.failures:
-            case = f"{each.case} ({len(each.failures)} of {each.missions})"
-            cases.setdefault(each.failures[0], []).append(case)
+    for prediction in predictions:
+        if prediction.failures:
+            case = f"{prediction.case} ({len(prediction.failures)} of {prediction.missions})"
+            cases.setdefault(prediction.failures[0], []).append(case)
     for reason, failed in cases.items():
         yield PreflightWarning(
             "not-completed", f"simulated missions were not completed, {', '.join(failed)}: {reason}"
@@ -204,9 +204,9 @@ def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
     if by_s is None:
         return
     late = [
-        f"{each.case} ({each.mission_time_s:.0f} s)"
-        for each in predictions
-        if each.mission_time_s is not None and each.mission_time_s > by_s + _LATE_S
+        f"{prediction.case} ({prediction.mission_time_s:.0f} s)"
+        for prediction in predictions
+        if prediction.mission_time_s is not None and prediction.mission_time_s > by_s + _LATE_S
     ]
     if late:
         given = config.mission.finish_by_s is not None
@@ -220,11 +220,11 @@ def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
 def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
     lasts_s = usable_s(config)
     too_long = [
-        f"{each.case} ({time_s:.0f} s)"
-        for each in predictions
-        if each.mission_time_s is not None
+        f"{prediction.case} ({time_s:.0f} s)"
+        for prediction in predictions
+        if prediction.mission_time_s is not None
         and lasts_s is not None
-        and (time_s := each.mission_time_s + each.certain_margin_s) > lasts_s
+        and (time_s := prediction.mission_time_s + prediction.certain_margin_s) > lasts_s
     ]
     if too_long:
         yield PreflightWarning(
@@ -237,11 +237,11 @@ def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) ->
 def _energy_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
     given_wh = usable_wh(config)
     too_much = [
-        f"{each.case} ({energy_wh:.1f} Wh)"
-        for each in predictions
-        if each.energy_wh is not None
+        f"{prediction.case} ({energy_wh:.1f} Wh)"
+        for prediction in predictions
+        if prediction.energy_wh is not None
         and given_wh is not None
-        and (energy_wh := each.energy_wh + (each.energy_margin_wh or 0.0)) > given_wh
+        and (energy_wh := prediction.energy_wh + (prediction.energy_margin_wh or 0.0)) > given_wh
     ]
     if too_much and config.energy is not None:
         yield PreflightWarning(

@@ -45,7 +45,7 @@ def coverage(
             server=name,
             **_reach(name, area, places, known),
             longest_stay_s=max(
-                (min(each.to_s, ended_s) - each.from_s for each in intervals if each.server == name),
+                (min(stay.to_s, ended_s) - stay.from_s for stay in intervals if stay.server == name),
                 default=0.0,
             ),
         )
@@ -68,14 +68,14 @@ def _reach(
     return {
         "range_m": None,
         "nearest_m": None,
-        "waypoints": tuple(index for index, each in enumerate(found) if each is None or each.reached),
-        "measured": tuple(index for index, each in enumerate(found) if each is not None),
+        "waypoints": tuple(index for index, place in enumerate(found) if place is None or place.reached),
+        "measured": tuple(index for index, place in enumerate(found) if place is not None),
     }
 
 
 def uncovered(waypoints: int, covered: Sequence[ServerCoverage]) -> tuple[int, ...]:
     """The waypoints out of every server's range."""
-    return tuple(sorted(set(range(waypoints)).difference(*(each.waypoints for each in covered))))
+    return tuple(sorted(set(range(waypoints)).difference(*(server.waypoints for server in covered))))
 
 
 _HOME = Position(0.0, 0.0)
@@ -100,7 +100,7 @@ def farthest(config: DroneConfig) -> Farthest:
     """Of all waypoints of the plan."""
     way = believed_way_home(config)
     _, found = max(
-        ((_down_s(each.position, config, way), each) for each in waypoints(config.mission)),
+        ((_down_s(waypoint.position, config, way), waypoint) for waypoint in waypoints(config.mission)),
         key=lambda pair: pair[0],
     )
     home_s, endurance_s = _down_s(found.position, config, way), config.vehicle.endurance_s

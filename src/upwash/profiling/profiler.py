@@ -70,7 +70,7 @@ class OnboardProfile:
     @property
     def mean_s(self) -> float:
         """What one call of each operation takes together."""
-        return sum(each.mean_s for each in self.calls)
+        return sum(call.mean_s for call in self.calls)
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,9 @@ async def profile_server(
         await session.end(in_range=True)
     return ServerProfile(
         tuple(profiles),
-        processing_s={each.sample.operation: max(0.0, each.mean_s - transfer_s) for each in profiles},
+        processing_s={
+            profile.sample.operation: max(0.0, profile.mean_s - transfer_s) for profile in profiles
+        },
         check_s=check_s,
         check_running_s=check_running_s,
         goodput_bit_s=goodput_bit_s,

@@ -22,12 +22,17 @@ def call_table(profiles: Sequence[CallProfile]) -> Table:
     table.add_column("operation", overflow="fold")
     for title in ("first call", "mean", "median", "longest"):
         table.add_column(title, justify="right", no_wrap=True)
-    for each in profiles:
+    for profile in profiles:
         table.add_row(
-            Text(str(each.sample.operation)),
+            Text(str(profile.sample.operation)),
             *(
                 f"{delay_s:.3f} s"
-                for delay_s in (each.first_s, each.mean_s, statistics.median(each.call_s), max(each.call_s))
+                for delay_s in (
+                    profile.first_s,
+                    profile.mean_s,
+                    statistics.median(profile.call_s),
+                    max(profile.call_s),
+                )
             ),
         )
     return table
@@ -36,7 +41,7 @@ def call_table(profiles: Sequence[CallProfile]) -> Table:
 def service_table(profile: OnboardProfile, *, program: str | None, computer: str, settings: str = "") -> str:
     """The [[service]] table of a configuration; comments name the computer and the settings."""
     calls = profile.calls
-    first_extra_s = max(0.0, *(each.first_s - each.mean_s for each in calls))
+    first_extra_s = max(0.0, *(call.first_s - call.mean_s for call in calls))
     lines = [
         f"# Measured on {computer}: {len(calls[0].call_s)} calls of each operation.",
         f"# Ready {statistics.median(profile.start_s):.2f} s after its start; "
@@ -49,9 +54,9 @@ def service_table(profile: OnboardProfile, *, program: str | None, computer: str
     if program is not None:
         lines.append(f"program = {_text(program)}")
     lines += [
-        f"request_bytes = {max(each.sample.request_bytes for each in calls)}",
-        f"reply_bytes = {max(each.reply_bytes for each in calls)}",
-        f"local_call_s = {_delays({_key(each): each.mean_s for each in calls})}",
+        f"request_bytes = {max(call.sample.request_bytes for call in calls)}",
+        f"reply_bytes = {max(call.reply_bytes for call in calls)}",
+        f"local_call_s = {_delays({_key(call): call.mean_s for call in calls})}",
         f"local_first_extra_s = {first_extra_s:.3f}",
     ]
     return "\n".join(lines) + "\n"
@@ -61,7 +66,7 @@ def chosen_setting(setting: str, profiles: Mapping[str, OnboardProfile]) -> str:
     """The [service.settings] table with the value whose calls took the least; comments say what each of them took."""
     lines = ["", "[service.settings]"]
     for value, profile in profiles.items():
-        calls = ", ".join(f"{_key(each)} {each.mean_s:.3f} s" for each in profile.calls)
+        calls = ", ".join(f"{_key(call)} {call.mean_s:.3f} s" for call in profile.calls)
         lines.append(f"# {value}: {calls}")
     lines.append(f"{_quoted_key(setting)} = {_text(fastest(profiles))}")
     return "\n".join(lines) + "\n"
@@ -75,7 +80,7 @@ def fastest(profiles: Mapping[str, OnboardProfile]) -> str:
 def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
     """What was measured of a server, as keys for its [[server]] table."""
     service = profile.calls[0].sample.operation.service
-    calls_s = _delays({_key(each): each.mean_s for each in profile.calls})
+    calls_s = _delays({_key(call): call.mean_s for call in profile.calls})
     lines = [
         f"# Measured from {computer}: {len(profile.calls[0].call_s)} calls of each operation.",
         f"# For the [[server]] table of {server}:",
@@ -91,7 +96,7 @@ def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
         )
         lines.append(f"remote_call_s = {{ {_quoted_key(service)} = {calls_s} }}")
     else:
-        processing_s = {_key(each): profile.processing_s[each.sample.operation] for each in profile.calls}
+        processing_s = {_key(call): profile.processing_s[call.sample.operation] for call in profile.calls}
         lines += [
             f"bandwidth_bit_s = {profile.goodput_bit_s:.0f}",
             f"processing_s = {{ {_quoted_key(service)} = {_delays(processing_s)} }}",

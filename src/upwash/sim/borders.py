@@ -112,7 +112,7 @@ class Borders:
             begun_s += phase.duration_s
 
     def _asked_for(self, circles: Sequence[Circle]) -> _Asked:
-        asked = next((each for each in self._asked if each.circles is circles), None)
+        asked = next((asked for asked in self._asked if asked.circles is circles), None)
         if asked is None:
             asked = _Asked(circles, AreaIndex(circles))
             self._asked.append(asked)

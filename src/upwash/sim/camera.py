@@ -75,9 +75,9 @@ def eventful(event: EventConfig | None, waypoints: Sequence[Waypoint], chance: C
     if event is None:
         return []
     if event.every is not None:
-        return [each for each in waypoints if each.index % event.every == event.offset]
+        return [waypoint for waypoint in waypoints if waypoint.index % event.every == event.offset]
     return [
-        each
-        for each in waypoints
-        if chance.stream(f"event/{each.index}").random() < (event.probability or 0.0)
+        waypoint
+        for waypoint in waypoints
+        if chance.stream(f"event/{waypoint.index}").random() < (event.probability or 0.0)
     ]

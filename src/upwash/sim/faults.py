@@ -153,7 +153,7 @@ class Faults:
         """Returns as soon as the target suffers from that kind of fault."""
         loop = asyncio.get_running_loop()
         while (fault := self.now(target)) is None or fault.kind != kind:
-            changes = [_next_change_s(each, loop.time()) for each in self._faults if each.target == target]
+            changes = [_next_change_s(fault, loop.time()) for fault in self._faults if fault.target == target]
             next_s = max(min(changes, default=math.inf), loop.time() + _LEAST_STEP_S)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout_at(next_s if next_s < math.inf else None):

@@ -212,7 +212,7 @@ class VirtualLoop(base_events.BaseEventLoop):
             return
         self._cancelled += 1
         if self._cancelled > _FEW_TIMERS and 2 * self._cancelled > len(self._timers):
-            self._timers = [each for each in self._timers if not each[2]._cancelled]
+            self._timers = [timer for timer in self._timers if not timer[2]._cancelled]
             heapq.heapify(self._timers)
             self._cancelled = 0
 

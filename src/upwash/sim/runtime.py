@@ -288,7 +288,7 @@ def _filled(found: types.Type) -> Any:
             return EVENT
         case types.UnionType(options):
             return _filled(
-                next((each for each in options if not isinstance(each, types.NoneType)), options[0])
+                next((option for option in options if not isinstance(option, types.NoneType)), options[0])
             )
     return _empty(found)
 
@@ -310,7 +310,9 @@ def _empty(found: types.Type) -> Any:
         case types.BytesType() | types.ByteArrayType() | types.MemoryViewType():
             return b""
         case types.UnionType(options):
-            return None if any(isinstance(each, types.NoneType) for each in options) else _empty(options[0])
+            return (
+                None if any(isinstance(option, types.NoneType) for option in options) else _empty(options[0])
+            )
         case types.EnumType(cls):
             return next(iter(cls)).value
         case types.LiteralType(values):

@@ -214,7 +214,9 @@ def _chunks(sweep: ParameterSweep, done: Iterable[CampaignRow], runs: int) -> It
 
 
 def _summaries(sweep: ParameterSweep, rows: Sequence[CampaignRow]) -> list[CombinationSummary]:
-    by_values: dict[tuple[str, ...], list[CampaignRow]] = {each.values: [] for each in sweep.combinations}
+    by_values: dict[tuple[str, ...], list[CampaignRow]] = {
+        combination.values: [] for combination in sweep.combinations
+    }
     for row in rows:
         by_values[row.values].append(row)
     return [_summary(combination, by_values[combination.values]) for combination in sweep.combinations]

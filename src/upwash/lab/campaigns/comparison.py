@@ -140,7 +140,7 @@ def compare(
     named = [*(thesis_scenarios() if thesis else []), *read_scenarios(scenarios, overrides=overrides)]
     if seeds < 1:
         raise UsageError(f"{seeds} seeds are none: give a number from 1 on")
-    flights = [ComparedFlight(*each) for each in product(named, entrants, range(1, seeds + 1))]
+    flights = [ComparedFlight(*flight) for flight in product(named, entrants, range(1, seeds + 1))]
     flown = itertools.count(1)
 
     def done() -> None:
@@ -229,7 +229,7 @@ def _rows(scenario: NamedScenario, entrants: Sequence[Entrant], results: Results
         flown = [outcome for flight, outcome in own if flight.entrant is entrant]
         saved = None if entrant is entrants[0] else mean_saving(first_s, _times_s(own, entrant))
         completed = [outcome for outcome in flown if outcome.completed]
-        times_s = [each.mission_time_s for each in completed if each.mission_time_s is not None]
+        times_s = [flight.mission_time_s for flight in completed if flight.mission_time_s is not None]
         time_s = _mean(times_s)
         drawn_wh = [outcome.energy.total_wh for outcome in completed if outcome.energy is not None]
         metered = any(outcome.energy is not None for outcome in flown)
@@ -248,8 +248,8 @@ def _rows(scenario: NamedScenario, entrants: Sequence[Entrant], results: Results
             energy_half_width_wh=energy_wh.margin if energy_wh else None,
             worst_s=fmean(fleet.worst_s or 0.0 for fleet in fleets) if fleets else None,
             jain=fmean(fleet.fairness for fleet in fleets) if fleets else None,
-            turned_back=fmean(each.totals.turned_back for each in completed) if went_on else None,
-            hidden_s=fmean(each.totals.hidden_s for each in completed) if went_on else None,
+            turned_back=fmean(flight.totals.turned_back for flight in completed) if went_on else None,
+            hidden_s=fmean(flight.totals.hidden_s for flight in completed) if went_on else None,
             saved_s=saved.value if saved else None,
             saved_half_width_s=saved.margin if saved else None,
         )

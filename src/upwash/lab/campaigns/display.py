@@ -87,7 +87,7 @@ def _duration(seconds: float) -> str:
 
 
 def _verdict(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> str:
-    flown = [(mean.value, each) for each in summaries if (mean := each.mission_time_s) is not None]
+    flown = [(mean.value, summary) for summary in summaries if (mean := summary.mission_time_s) is not None]
     if not flown:
         return "no mission was completed"
     mean_s, best = min(flown, key=lambda each: each[0])
@@ -98,7 +98,7 @@ def _verdict(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> 
     above = (
         f", {_above(mean_s, bound_s)} above the theoretical minimum of {bound_s / 60:.2f}" if bound_s else ""
     )
-    failed = sum(len(each.failures) for each in summaries)
+    failed = sum(len(summary.failures) for summary in summaries)
     failures = f"; {counted(failed, 'mission')} failed" if failed else "; no mission failed"
     return f"{which}{mean_s / 60:.2f} min{above}{failures}"
 
@@ -118,7 +118,9 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
     if together:
         caption += "; fairness: Jain's index of what each drone saved, 1 where all saved the same"
     table = Table(box=None, padding=(0, 1), caption=caption, caption_justify="left")
-    for key, values in zip(sweep.keys, zip(*(each.values for each in summaries), strict=True), strict=True):
+    for key, values in zip(
+        sweep.keys, zip(*(summary.values for summary in summaries), strict=True), strict=True
+    ):
         parts = key.replace(".", ".\n")
         longest = max(map(len, (*parts.splitlines(), *values)))
         table.add_column(Text(parts), overflow="fold", min_width=min(longest, _LONGEST_SETTING))
@@ -180,7 +182,7 @@ def draw_campaign(
     """
     from upwash.lab.figures.means import DrawnMean, draw_means, draw_sweep
 
-    flown = [each for each in summaries if each.mission_time_s is not None]
+    flown = [summary for summary in summaries if summary.mission_time_s is not None]
     if not flown:
         return
     first_s = _times_s(rows, summaries[0])

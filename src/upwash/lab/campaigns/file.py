@@ -81,11 +81,11 @@ class CampaignFile:
         self._csv_file = csv_file
         self._parquet_file = parquet_file
         self.sweep = sweep
-        documents = [each.document for each in sweep.combinations]
-        metered = ENERGY if any("energy" in each for each in documents) else ()
-        together = _FLEET if any("drone" in each for each in documents) else ()
-        timed = _LIGHTER if any("lighter" in each["mission"] for each in documents) else ()
-        goes = _GOING if any(_may_go(each) for each in documents) else ()
+        documents = [combination.document for combination in sweep.combinations]
+        metered = ENERGY if any("energy" in document for document in documents) else ()
+        together = _FLEET if any("drone" in document for document in documents) else ()
+        timed = _LIGHTER if any("lighter" in document["mission"] for document in documents) else ()
+        goes = _GOING if any(_may_go(document) for document in documents) else ()
         self._columns = (*_COLUMNS, *metered, *together, *timed, *goes)
 
     @classmethod
@@ -128,7 +128,7 @@ class CampaignFile:
 
     def finish(self) -> None:
         """Sorts the rows by combination and seed, and writes the Parquet file where one is wanted."""
-        order = {each.values: number for number, each in enumerate(self.sweep.combinations)}
+        order = {combination.values: number for number, combination in enumerate(self.sweep.combinations)}
         self.rows.sort(key=lambda row: (order[row.values], row.seed))
         write_file(self._csv_file, _as_csv([self._header(), *(self._cells(row) for row in self.rows)]))
         if self._parquet_file is not None:
@@ -144,7 +144,9 @@ class CampaignFile:
         """Raise UsageError if the note beside the file names another campaign; else write the note."""
         sweep = self.sweep
         note_file = self._csv_file.with_suffix(".campaign.json")
-        note = Note(sweep.file.name, {each.key: each.values for each in sweep.settings}, sweep.fingerprint)
+        note = Note(
+            sweep.file.name, {setting.key: setting.values for setting in sweep.settings}, sweep.fingerprint
+        )
         if self._csv_file.exists():
             found = None
             with contextlib.suppress(OSError, msgspec.MsgspecError):

@@ -52,7 +52,7 @@ class ParameterSweep:
     @property
     def fingerprint(self) -> str:
         """Changes with every setting and scenario value, but not with the number of seeds."""
-        flown = [(each.values, each.document) for each in self.combinations]
+        flown = [(combination.values, combination.document) for combination in self.combinations]
         return hashlib.sha256(msgspec.json.encode([self.keys, flown], order="sorted")).hexdigest()[:16]
 
 

@@ -145,19 +145,21 @@ def _answers_open(history: History) -> int:
 
 
 def _unbelievable(call: FlownCall) -> Iterator[Breach]:
-    ended, alone = call.ended, [each for each in call.tried if not each.raced]
+    ended, alone = call.ended, [decision for decision in call.tried if not decision.raced]
     if len(alone) > 1 or (alone and alone[0] is not call.tried[0]):
         yield alone[-1], "a second server was tried for one call, and the drone's own service was not at it"
     if ended.server is None:
         return
-    answering = [each for each in call.tried if each.server == ended.server]
+    answering = [decision for decision in call.tried if decision.server == ended.server]
     if not answering:
         yield ended, f"was answered by {ended.server}, where it was not sent"
         return
     hedged = call.hedged
     late_s = [
-        ended.t - each.t - (hedged.deadline_s if hedged and each is call.sent else deadline_of(each))
-        for each in answering
+        ended.t
+        - decision.t
+        - (hedged.deadline_s if hedged and decision is call.sent else deadline_of(decision))
+        for decision in answering
     ]
     if min(late_s) > SLACK_S:
         yield ended, f"was answered {min(late_s):.3f} s after the deadline"
@@ -222,7 +224,7 @@ def answers(history: History) -> Iterator[Breach]:
     """Judge by what a `look_later` mission told its user; other missions never fly on before an answer."""
     if not history.config.mission.program.endswith(":look_later"):
         return
-    places = [each.position for each in waypoints(history.config.mission)]
+    places = [waypoint.position for waypoint in waypoints(history.config.mission)]
     yield from _done_twice(history.run.events)
     if not position_jumps(history.config):
         yield from _done_elsewhere(history.run.events, places)
@@ -232,7 +234,7 @@ def answers(history: History) -> Iterator[Breach]:
         if isinstance(event, schema.StayOrGo) and event.goes and event.waypoint == len(places) - 1:
             yield event, "it flew on from the last waypoint"
     if history.run.result.completed:
-        done = sorted(each.done for _, each in _done(history.run.events))
+        done = sorted(action.done for _, action in _done(history.run.events))
         wanted = [number for number in range(len(places)) if demands_something(number)]
         if done != wanted:
             yield None, f"actions {wanted} were demanded, and {done} done"

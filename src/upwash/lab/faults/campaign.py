@@ -69,7 +69,7 @@ def fly_world(seed: int) -> FlownWorld:
     calm = _fly_calm((seed - 1) // SEEDS_PER_SCENARIO)
     if calm.broken:
         return dataclasses.replace(
-            calm, broken=[dataclasses.replace(each, seed=seed) for each in calm.broken]
+            calm, broken=[dataclasses.replace(breach, seed=seed) for breach in calm.broken]
         )
     moments = [*map(moment_of, calm.seen), *(moment_of(event) for run in calm.runs for event in run.events)]
     documents = World(seed).faulty(seed, moments)

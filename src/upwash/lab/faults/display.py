@@ -142,26 +142,28 @@ def _write(flown: FlownWorld, log: Path) -> Iterator[Path]:
 
 
 def _show_broken(broken: Sequence[Broken], console: Console, *, shown: int, hint: bool = True) -> None:
-    for each in broken[: max(0, _FAILURES_SHOWN - shown)]:
+    for breach in broken[: max(0, _FAILURES_SHOWN - shown)]:
         console.print(
-            f"{each.promise} broken by seed {each.seed}: {each.why}",
+            f"{breach.promise} broken by seed {breach.seed}: {breach.why}",
             style="red",
             markup=False,
             soft_wrap=True,
         )
-        if each.event is not None:
+        if breach.event is not None:
             console.print(
-                f"  first bad event: {msgspec.json.encode(each.event).decode()}", markup=False, soft_wrap=True
+                f"  first bad event: {msgspec.json.encode(breach.event).decode()}",
+                markup=False,
+                soft_wrap=True,
             )
         if hint:
             console.print(
-                f"  see it again: upwash chaos --seed {each.seed} --log chaos-{each.seed}.jsonl",
+                f"  see it again: upwash chaos --seed {breach.seed} --log chaos-{breach.seed}.jsonl",
                 soft_wrap=True,
             )
 
 
 def _show_summary(summary: Summary, console: Console) -> None:
-    worlds = {each.seed for each in summary.broken}
+    worlds = {breach.seed for breach in summary.broken}
     console.print(
         f"{summary.worlds:,} worlds with {summary.flights:,} flights and {summary.calls:,} calls "
         f"in {summary.took_s / 60:.1f} min; {summary.replayed:,} worlds flown again",

@@ -40,7 +40,7 @@ def autonomy(history: History) -> Iterator[Breach]:
         yield None, f"arrived at {len(arrived)} of {len(planned)} waypoints"
     if history.alone is not None:
         made, wanted = (
-            [(call.waypoint, call.operation) for call in each.result.calls] for each in (run, history.alone)
+            [(call.waypoint, call.operation) for call in flown.result.calls] for flown in (run, history.alone)
         )
         if made != wanted:
             yield None, f"{len(made)} calls had a result, the drone alone has {len(wanted)}: {made}"

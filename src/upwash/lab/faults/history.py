@@ -53,7 +53,7 @@ class FlownCall:
         A hedged call counts until the drone's own service started; from then on that service's time counts, as in a
         call that is raced.
         """
-        waits_s = sum((each.at_most_s or 0.0 for each in self.decisions), self.queued_s)
+        waits_s = sum((decision.at_most_s or 0.0 for decision in self.decisions), self.queued_s)
         if self.hedged is not None:
             return waits_s + self.hedged.after_s
         return waits_s + (deadline_of(self.sent) if self.sent is not None else 0.0)
@@ -61,12 +61,12 @@ class FlownCall:
     @property
     def tried(self) -> list[schema.Decided]:
         """The decisions for servers."""
-        return [each for each in self.decisions if each.decision == "remote"]
+        return [decision for decision in self.decisions if decision.decision == "remote"]
 
     @property
     def sent(self) -> schema.Decided | None:
         """The decision for a server without the drone's own service beside it, or None."""
-        return next((each for each in self.tried if not each.raced), None)
+        return next((decision for decision in self.tried if not decision.raced), None)
 
     @property
     def queued_s(self) -> float:
@@ -76,7 +76,7 @@ class FlownCall:
     @property
     def computed(self) -> bool:
         """Whether the drone's own service was at it."""
-        raced = any(each.raced for each in self.tried) and self.ended.onboard_s > 0
+        raced = any(decision.raced for decision in self.tried) and self.ended.onboard_s > 0
         return self.hedged is not None or self.ended.server is None or raced
 
     @property

@@ -35,7 +35,7 @@ def one_selection(history: History) -> Iterator[Breach]:
         if TRANSITIONS.get((before, Trigger(event.kind))) is not after:
             yield event, f"{event.kind} does not lead from {before} to {after}"
         states[name] = after
-        selected = [each for each, state in states.items() if state in SELECTED]
+        selected = [server for server, state in states.items() if state in SELECTED]
         if len(selected) > radios:
             yield event, f"{' and '.join(selected)} are selected at the same time"
     yield from _used_out_of_turn(history)
@@ -65,9 +65,11 @@ def in_range(history: History) -> Iterator[Breach]:
     """No call is sent from outside the server's range."""
     areas = true_areas(history.config)
     remote = (
-        each for each in history.run.events if isinstance(each, schema.Decided) and each.decision == "remote"
+        event
+        for event in history.run.events
+        if isinstance(event, schema.Decided) and event.decision == "remote"
     )
-    sent = (each for each in history.own("sent") if each.path.startswith(_SERVICE_PATH))
+    sent = (call for call in history.own("sent") if call.path.startswith(_SERVICE_PATH))
     calls: list[schema.Decided | Seen] = [*remote, *sent]
     for call in calls:
         if call.server and call.position and not areas[call.server].contains(call.position):
@@ -109,7 +111,7 @@ def _probed_too_much(history: History) -> Iterator[Breach]:
     for fact in history.own("sent"):
         server, now_s = fact.server, fact.t
         spell = next(
-            (each for each in spells.get(server, []) if each.from_s + ROUNDING_S < now_s < each.until_s),
+            (spell for spell in spells.get(server, []) if spell.from_s + ROUNDING_S < now_s < spell.until_s),
             None,
         )
         if spell is None or fact.path in (LEAVE, DENY):
@@ -201,27 +203,27 @@ def _left_unused(history: History) -> Iterator[Breach]:
     if position_jumps(history.config):
         return
     events, spells = history.run.events, spells_of(history)
-    ends = (each.t for each in events if isinstance(each, (schema.MissionEnded, schema.MissionCompleted)))
+    ends = (event.t for event in events if isinstance(event, (schema.MissionEnded, schema.MissionCompleted)))
     end_s = next(ends, events[-1].t)
     areas = true_areas(history.config)
     for server in _joinable(history):
         area = areas[server.name]
         outside_s = [
-            each.t
-            for each in events
-            if isinstance(each, schema.PositionReport)
-            and not area.contains(Position(each.east_m, each.north_m, each.altitude_m))
+            event.t
+            for event in events
+            if isinstance(event, schema.PositionReport)
+            and not area.contains(Position(event.east_m, event.north_m, event.altitude_m))
         ]
         for spell in spells.get(server.name, []):
             since_s = max(
                 spell.probed_s,
                 *(t for t in outside_s if t < spell.until_s),
                 *(
-                    each.t + each.pause_s
-                    for each in events
-                    if isinstance(each, schema.LeftOut)
-                    and each.server == server.name
-                    and each.t <= spell.until_s
+                    event.t + event.pause_s
+                    for event in events
+                    if isinstance(event, schema.LeftOut)
+                    and event.server == server.name
+                    and event.t <= spell.until_s
                 ),
                 *(
                     fault.to_s

@@ -163,12 +163,12 @@ _IDLE_S = AdmissionSettings().idle_stop_s
 def replaced(history: History) -> Iterator[Breach]:
     """A hung instance ends in time, no other ends; starts that fail are rare, and drones respect the pauses."""
     yield from _asked_in_a_pause(history)
-    flights_over_s = max((each.t for each in history.seen if each.event == "flight_over"), default=0.0)
+    flights_over_s = max((fact.t for fact in history.seen if fact.event == "flight_over"), default=0.0)
     for server in history.config.servers:
-        faults = [each for each in history.config.faults if each.target == server.name]
-        of_server = [each for each in history.seen if each.server == server.name and each.service]
-        for service in sorted({each.service for each in of_server}):
-            facts = [each for each in of_server if each.service == service and each.t < flights_over_s]
+        faults = [fault for fault in history.config.faults if fault.target == server.name]
+        of_server = [fact for fact in history.seen if fact.server == server.name and fact.service]
+        for service in sorted({fact.service for fact in of_server}):
+            facts = [fact for fact in of_server if fact.service == service and fact.t < flights_over_s]
             yield from _still_hung(facts, faults, end_s=flights_over_s)
             yield from _ended_without_cause(facts, faults)
             yield from _started_too_soon(facts)
@@ -193,7 +193,7 @@ def _ended_without_cause(facts: Sequence[Seen], faults: Sequence[FaultConfig]) -
         if fact.event in ("instance_started", "served"):
             used_s = fact.t
         elif fact.event == "instance_ended" and fact.t - used_s < _IDLE_S:
-            if any(each.kind in _FATAL and each.from_s <= fact.t for each in faults):
+            if any(fault.kind in _FATAL and fault.from_s <= fact.t for fault in faults):
                 continue
             yield fact, f"an instance of {fact.service} ended, and nothing was wrong with it"
 
@@ -220,7 +220,7 @@ def _started_too_soon(facts: Sequence[Seen]) -> Iterator[Breach]:
 
 
 def _asked_in_a_pause(history: History) -> Iterator[Breach]:
-    pauses = [each for each in history.run.events if isinstance(each, schema.LeftOut)]
+    pauses = [event for event in history.run.events if isinstance(event, schema.LeftOut)]
     for fact in history.own("sent") if pauses else ():
         for pause in pauses:
             until_s = pause.t + pause.pause_s
@@ -230,7 +230,7 @@ def _asked_in_a_pause(history: History) -> Iterator[Breach]:
 
 
 def _kind(faults: Sequence[FaultConfig], now_s: float) -> str:
-    return next((each.kind for each in faults if each.from_s <= now_s < each.to_s), "")
+    return next((fault.kind for fault in faults if fault.from_s <= now_s < fault.to_s), "")
 
 
 _MOST_ASKED = 10  # in a second, by a drone that renews a lease of 2 s and checks again and again

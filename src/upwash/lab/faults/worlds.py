@@ -112,7 +112,7 @@ def as_toml(document: Document) -> str:
             continue
         for table in value if isinstance(value, list) else [value]:
             lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
-            lines += [f"{name} = {_toml(each)}" for name, each in table.items()]
+            lines += [f"{name} = {_toml(item)}" for name, item in table.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -353,9 +353,9 @@ def _with_fleet(documents: list[Document], number: int) -> list[Document]:
         for server in document["server"]
         for slots in [chance.choice((1, 1, 2, "auto"))]
     ]
-    fleet = [{**each, "server": servers} for each in documents]
+    fleet = [{**document, "server": servers} for document in documents]
     more = range(len(fleet) + 1, len(fleet) + 1 + chance.randint(1, 5))
-    return fleet + [_companion(fleet[0], chance, each) for each in more]
+    return fleet + [_companion(fleet[0], chance, number) for number in more]
 
 
 def _fault(chance: random.Random, servers: Sequence[str], moments: Sequence[Moment]) -> dict[str, Any]:
@@ -417,8 +417,13 @@ def _lies(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[
         return []
     aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 3)))
     return [
-        {**each, "target": each["target"].removeprefix("link:"), "kind": "lying", "lie": chance.choice(_LIES)}
-        for each in aimed
+        {
+            **fault,
+            "target": fault["target"].removeprefix("link:"),
+            "kind": "lying",
+            "lie": chance.choice(_LIES),
+        }
+        for fault in aimed
     ]
 
 
@@ -429,8 +434,8 @@ def _useless_instances(seed: int, servers: Sequence[str], moments: Sequence[Mome
         return []
     aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 2)))
     return [
-        {**each, "target": each["target"].removeprefix("link:"), "kind": chance.choice(_USELESS_KINDS)}
-        for each in aimed
+        {**fault, "target": fault["target"].removeprefix("link:"), "kind": chance.choice(_USELESS_KINDS)}
+        for fault in aimed
     ]
 
 
@@ -450,7 +455,7 @@ def _number(chance: random.Random, least: float, most: float) -> float:
 
 def _is_table(value: object) -> bool:
     return isinstance(value, dict) or (
-        isinstance(value, list) and all(isinstance(each, dict) for each in value)
+        isinstance(value, list) and all(isinstance(item, dict) for item in value)
     )
 
 
@@ -461,8 +466,8 @@ def _toml(value: object) -> str:
         case str():
             return f'"{value}"'
         case dict():
-            inner = ", ".join(f'"{key}" = {_toml(each)}' for key, each in value.items())
+            inner = ", ".join(f'"{key}" = {_toml(item)}' for key, item in value.items())
             return f"{{ {inner} }}"
         case list():
-            return f"[{', '.join(_toml(each) for each in value)}]"
+            return f"[{', '.join(_toml(item) for item in value)}]"
     return repr(value)

@@ -16,4 +16,4 @@ class FigureFiles:
 
     def files(self, name: str) -> list[Path]:
         """Those of the figure of that name, in each format."""
-        return [self.folder / f"{name}.{each}" for each in self.formats]
+        return [self.folder / f"{name}.{suffix}" for suffix in self.formats]

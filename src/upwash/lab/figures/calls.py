@@ -140,7 +140,7 @@ def draw_call_delays(
     strips_in = _STRIP_IN * max(1, len(servers))
     figure = new_figure(PAGE_IN, _DELAYS_IN + strips_in + _REST_IN)
     delays, beneath = figure.subplots(2, 1, sharex=True, height_ratios=(_DELAYS_IN, strips_in))
-    _draw_spread(delays, [list(read_call_points(each)) for each in others])
+    _draw_spread(delays, [list(read_call_points(other)) for other in others])
     _draw_delays(delays, calls, alone, [strip.server for strip in servers])
     _draw_strips(beneath, servers)
     last = max((call.waypoint for call in calls + alone), default=0)
@@ -194,7 +194,7 @@ def _draw_spread(axes: Axes, missions: Sequence[Sequence[CallPoint]]) -> None:
     if not by_waypoint:
         return
     waypoints = sorted(by_waypoint)
-    low_s, high_s = np.array([np.percentile(by_waypoint[each], _BAND) for each in waypoints]).T
+    low_s, high_s = np.array([np.percentile(by_waypoint[waypoint], _BAND) for waypoint in waypoints]).T
     axes.fill_between(
         waypoints,
         low_s,

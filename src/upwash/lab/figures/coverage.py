@@ -22,7 +22,7 @@ _HEIGHT_IN = 3.8
 @in_style
 def draw_coverage(config: DroneConfig, files: Iterable[Path], *, title: str = "") -> None:
     """Draws the map of the mission as it is flown."""
-    places = [each.position for each in order_of(config, load_specs(config.services)).waypoints]
+    places = [waypoint.position for waypoint in order_of(config, load_specs(config.services)).waypoints]
     areas = {name: area for name, area in server_areas(config).items() if isinstance(area, Circle)}
     figure = new_figure(COLUMN_IN, _HEIGHT_IN)
     axes = figure.subplots()

@@ -69,7 +69,7 @@ def show_reproduction(
 
 def print_comparison(comparisons: Sequence[Comparison], console: Console) -> None:
     """Prints a table per set-up, ours beside the printed figures."""
-    seeds = max(len(each.values) for each in comparisons)
+    seeds = max(len(comparison.values) for comparison in comparisons)
     for setup, title in SETUPS.items():
         table = Table(
             title=f"{title}: means of {seeds} missions ± 95 %", title_justify="left", box=SIMPLE_HEAD
@@ -94,8 +94,8 @@ def print_sensitivity(moved: Sequence[Moved], console: Console) -> None:
         table.add_column("", no_wrap=True)
         for name in cell_names(setup):
             table.add_column(name, justify="right")
-        for each in moved:
-            table.add_row(each.label, *(f"{percent:+.1f}" for percent in each.percent[setup]))
+        for variation in moved:
+            table.add_row(variation.label, *(f"{percent:+.1f}" for percent in variation.percent[setup]))
         console.print(table)
 
 
@@ -131,9 +131,9 @@ def _rounded(value: object) -> object:
         case float():
             return round(value, 4)
         case list():
-            return [_rounded(each) for each in value]
+            return [_rounded(item) for item in value]
         case dict():
-            return {key: _rounded(each) for key, each in value.items()}
+            return {key: _rounded(item) for key, item in value.items()}
     return value
 
 
@@ -165,7 +165,7 @@ def draw_figures(figures: FigureFiles, *, seeds: int) -> list[Path]:
             reference=fly(local_only(setup, experiment), seed).events,
             files=files,
             title=f"Figure 4.{number}: {mode}, {speed} ({place}; seed {seed})",
-            others=[fly(cell, each).events for each in _SEEDS[:seeds]] if seeds > 1 else (),
+            others=[fly(cell, seed).events for seed in _SEEDS[:seeds]] if seeds > 1 else (),
         )
         drawn += files
     return drawn

@@ -128,19 +128,19 @@ def _quantities(
     aware = flown[ThesisCell(setup, experiment, "location-aware")]
     pairs = list(zip(local, aware, strict=True))
     if not experiment.slow_s2:
-        yield LOCAL_ONLY, [each.mission_min for each in local]
-    yield OFFLOADING, [each.mission_min for each in aware]
+        yield LOCAL_ONLY, [flight.mission_min for flight in local]
+    yield OFFLOADING, [flight.mission_min for flight in aware]
     yield _GAIN, [100 * (1 - its.mission_min / ours.mission_min) for ours, its in pairs]
-    yield _BOUND, [100 * (each.mission_min / each.bound_min - 1) for each in aware]
+    yield _BOUND, [100 * (flight.mission_min / flight.bound_min - 1) for flight in aware]
     yield _RATIO, [ours.service_delay_s / its.service_delay_s for ours, its in pairs]
-    yield _WAITS, [len(each.waited_calls_s) for each in aware]
-    yield _IN_VAIN, [each.waits_in_vain for each in aware]
-    waiting = [each for each in aware if each.waited_calls_s]
+    yield _WAITS, [len(flight.waited_calls_s) for flight in aware]
+    yield _IN_VAIN, [flight.waits_in_vain for flight in aware]
+    waiting = [flight for flight in aware if flight.waited_calls_s]
     if waiting:
-        yield _SAVED, [100 * each.saved_s / (each.service_delay_s + each.saved_s) for each in waiting]
+        yield _SAVED, [100 * flight.saved_s / (flight.service_delay_s + flight.saved_s) for flight in waiting]
         yield (
             _SAVED_THERE,
-            [100 * each.saved_s / (each.local_call_s * len(each.waited_calls_s)) for each in waiting],
+            [100 * flight.saved_s / (flight.local_call_s * len(flight.waited_calls_s)) for flight in waiting],
         )
     if experiment == NAIVE:
         equal = flown[ThesisCell(setup, Experiment(experiment.mode, slow_s2=False), "location-aware")]
@@ -195,27 +195,30 @@ class Printed(NamedTuple):
 
 def printed_figures() -> dict[tuple[str, str, str], float]:
     """The thesis's figures by experiment, set-up and quantity; of two for one, its table's."""
-    return {each.key: each.value for each in reversed(_printed())}
+    return {figure.key: figure.value for figure in reversed(_printed())}
 
 
 def contradictions() -> Iterator[str]:
     """Where the thesis prints two figures of one thing, or a gain that its own times do not make."""
-    figures, sources = printed_figures(), {each.key: each.source for each in reversed(_printed())}
-    for each in _printed():
-        where = f"{each.key.experiment}, {each.key.setup}"
-        ruling = figures[each.key]
-        if each.value != ruling:
-            what = each.key.quantity.replace("_", " ")
-            yield f"{where}: {what} is {ruling:g} {each.unit} in {sources[each.key]}, {each.value:g} in {each.source}"
-        elif each.key.quantity == _GAIN.name:
+    figures, sources = printed_figures(), {figure.key: figure.source for figure in reversed(_printed())}
+    for figure in _printed():
+        where = f"{figure.key.experiment}, {figure.key.setup}"
+        ruling = figures[figure.key]
+        if figure.value != ruling:
+            what = figure.key.quantity.replace("_", " ")
+            source = sources[figure.key]
+            yield (
+                f"{where}: {what} is {ruling:g} {figure.unit} in {source}, {figure.value:g} in {figure.source}"
+            )
+        elif figure.key.quantity == _GAIN.name:
             local, offloading = (
-                figures[each.key._replace(quantity=quantity)]
+                figures[figure.key._replace(quantity=quantity)]
                 for quantity in (LOCAL_ONLY.name, OFFLOADING.name)
             )
             own = 100 * (1 - offloading / local)
-            if abs(own - each.value) > _ROUNDED_AWAY:
+            if abs(own - figure.value) > _ROUNDED_AWAY:
                 yield (
-                    f"{where}: {each.source} prints a gain of {each.value:g} %; "
+                    f"{where}: {figure.source} prints a gain of {figure.value:g} %; "
                     f"its own times, {offloading:g} instead of {local:g} min, make {own:.1f} %"
                 )
 
