@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from upwash.core.admission.clients import Client
@@ -40,18 +40,25 @@ class Switchboard:
         self.handlers.pop(address, None)
 
 
+class Life:
+    """Whether one drone's computer is still there."""
+
+    def __init__(self) -> None:
+        self.is_over = False
+
+
+@dataclass(frozen=True, slots=True)
 class ModelDialer:
     """Opens links through the air to the handler of an address."""
 
-    def __init__(self, drone: str, switchboard: Switchboard, air: Air, *, life: Life | None = None) -> None:
-        self._drone = drone
-        self._switchboard = switchboard
-        self._air = air
-        self._life = life or Life()
+    drone: str
+    switchboard: Switchboard
+    air: Air
+    life: Life = field(default_factory=Life)
 
     def dial(self, address: str, *, server: str) -> ModelLink:
         """A link to the address."""
-        return ModelLink(self._drone, address, server, self._switchboard, self._air, life=self._life)
+        return ModelLink(self, address, server)
 
 
 class ModelLink:
@@ -59,17 +66,12 @@ class ModelLink:
 
     is_far = False
 
-    def __init__(
-        self, drone: str, address: str, server: str, switchboard: Switchboard, air: Air, *, life: Life
-    ) -> None:
-        self._drone = drone
+    def __init__(self, dialer: ModelDialer, address: str, server: str) -> None:
+        self._dialer = dialer
         self._address = address
         self._server = server
-        self._switchboard = switchboard
-        self._air = air
-        self._life = life
         self._requests: set[asyncio.Task[bytes]] = set()
-        self._heard: set[asyncio.Task[bytes]] = set()  # those of them that a server works at
+        self._received: set[asyncio.Task[bytes]] = set()  # those that a server works at
         self._closed = False
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
@@ -99,14 +101,14 @@ class ModelLink:
 
     def _give_up(self, exchange: asyncio.Task[bytes]) -> None:
         """End the request; after a drone has vanished, a server still finishes what it has received."""
-        if not (self._life.is_over and exchange in self._heard):
+        if not (self._dialer.life.is_over and exchange in self._received):
             exchange.cancel()
 
     async def _exchange(self, path: str, body: bytes) -> bytes:
         await self._get_through()
-        await self._air.send(self._server, path, reply=False)
+        await self._dialer.air.send(self._server, path, reply=False)
         await self._get_through()
-        handler = self._switchboard.handlers.get(self._address)
+        handler = self._dialer.switchboard.handlers.get(self._address)
         if handler is None:
             raise Unreachable(f"{self._server} at {self._address}: nobody answers")
         try:
@@ -116,31 +118,24 @@ class ModelLink:
         except Refused as refusal:
             known = NoLease if isinstance(refusal, NoLease) else Refused
             raise known(f"{self._server} at {self._address}: {printable(str(refusal))}") from refusal
-        if self._life.is_over:
+        if self._dialer.life.is_over:
             return reply  # to nobody
-        await self._air.send(self._server, path, reply=True)
+        await self._dialer.air.send(self._server, path, reply=True)
         await self._get_through()
         return reply
 
     async def _handled(self, handler: Handler, path: str, body: bytes) -> bytes:
         exchange = asyncio.current_task()
         assert exchange is not None  # noqa: S101 - a coroutine runs in a task
-        self._heard.add(exchange)
+        self._received.add(exchange)
         try:
-            return await handler(path, body, Client(self._drone))
+            return await handler(path, body, Client(self._dialer.drone))
         finally:
-            self._heard.discard(exchange)
+            self._received.discard(exchange)
 
     async def _get_through(self) -> None:
-        if self._life.is_over or not self._air.connected(self._server):
+        if self._dialer.life.is_over or not self._dialer.air.connected(self._server):
             await asyncio.get_running_loop().create_future()  # until the caller's deadline
-
-
-class Life:
-    """Whether one drone's computer is still there."""
-
-    def __init__(self) -> None:
-        self.is_over = False
 
 
 async def lived(program: Coroutine[object, object, None], life: Life, *, until_s: float | None) -> None:

@@ -66,11 +66,11 @@ class ModelRuntime:
         objects: Mapping[str, object] = MappingProxyType({}),
         lanes: int | None = None,
     ) -> None:
-        self._services = services
-        self._objects = objects
-        self._lanes = lanes
-        self._computer = computer
-        self._switchboard = switchboard
+        self.services = services
+        self.objects = objects
+        self.lanes = lanes
+        self.computer = computer
+        self.switchboard = switchboard
         self._ports = itertools.count(_FIRST_PORT)
         self._instances: list[ModelInstance] = []
 
@@ -78,19 +78,8 @@ class ModelRuntime:
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> ModelInstance:
         """Returns when the instance is ready to serve."""
-        await self._computer.start(spec)
-        service = self._services[spec.service]
-        instance = ModelInstance(
-            spec,
-            service,
-            f":{next(self._ports)}",
-            lanes=self._lanes or service.concurrency,
-            called=called,
-            answered=answered,
-            computer=self._computer,
-            switchboard=self._switchboard,
-            target=self._objects.get(spec.service),
-        )
+        await self.computer.start(spec)
+        instance = ModelInstance(spec, self, f":{next(self._ports)}", called=called, answered=answered)
         self._instances.append(instance)
         return instance
 
@@ -110,31 +99,28 @@ class ModelInstance:
     def __init__(
         self,
         spec: InstanceSpec,
-        service: ServiceSpec,
+        runtime: ModelRuntime,
         endpoint: str,
         *,
-        lanes: int,
         called: Callable[[str], None],
         answered: Answered,
-        computer: Computer,
-        switchboard: Plugboard,
-        target: object | None,
     ) -> None:
+        service = runtime.services[spec.service]
         self.endpoint = endpoint
         self._spec = spec
-        self._target = target
+        self._target = runtime.objects.get(spec.service)
         self._methods = {service_path(spec.service, name): method for name, method in service.methods.items()}
         self._called = called
         self._answered = answered
-        self._computer = computer
-        self._switchboard = switchboard
+        self._computer = runtime.computer
+        self._switchboard = runtime.switchboard
         self._gate = InstanceGate()
-        self._lanes = asyncio.Semaphore(lanes)  # first come, first served
+        self._lanes = asyncio.Semaphore(runtime.lanes or service.concurrency)  # first come, first served
         self._is_hung = False
         self._under_way = 0
         self._idle = asyncio.Event()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        switchboard.plug(endpoint, self._answer)
+        self._switchboard.plug(endpoint, self._answer)
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
         """Has only these drones get an answer, and what has arrived of those that are finishing."""
