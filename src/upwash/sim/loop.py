@@ -20,7 +20,7 @@ from contextvars import Context
 from typing import Any, NoReturn, TypeVar
 
 from upwash.errors import UpwashError
-from upwash.sim.turns import Interrupts, MissionTurn, OverstayedError, ThreadTurn, ThreadTurns
+from upwash.sim.turns import Interrupts, MissionTurn, OverstayedError, RunningTurn, ThreadTurns
 
 T = TypeVar("T")
 
@@ -153,14 +153,14 @@ class VirtualLoop(base_events.BaseEventLoop):
         except OverstayedError as error:
             raise LivelockError(f"{error}, and at {self._now_s:.3f} s everything else waits for it") from None
 
-    def _run_until(self, turn: ThreadTurn) -> None:
+    def _run_until(self, turn: RunningTurn) -> None:
         """Run rounds in this thread until it may go on with other code, or until the loop stops."""
         while not self._run_round(turn):
             if self._stopping:  # type: ignore[attr-defined]
                 self.turns.next = self.turns.own
                 return
 
-    def _run_round(self, turn: ThreadTurn) -> bool:
+    def _run_round(self, turn: RunningTurn) -> bool:
         """Run what is ready; return True, early, once a turn was given."""
         if not self._left:
             self._begin_round()

@@ -30,7 +30,7 @@ class OverstayedError(UpwashError):
     """A mission's code goes on for ever."""
 
 
-class ThreadTurn:
+class RunningTurn:
     """The turn of one thread."""
 
     __slots__ = ("come",)
@@ -44,8 +44,8 @@ class ThreadTurns:
     """Hands the turn from thread to thread; `next` is whose turn it is after the callback that runs now."""
 
     def __init__(self) -> None:
-        self.own = ThreadTurn()
-        self.next: ThreadTurn | None = None
+        self.own = RunningTurn()
+        self.next: RunningTurn | None = None
         self._holder = self.own
         self._runs_loop = True  # the holder does, rather than a mission's code
         self._begun = 0  # turns of missions' code
@@ -89,7 +89,7 @@ class ThreadTurns:
         self._runs_loop = False
         self._begun += 1
 
-    def end_code(self, turn: ThreadTurn) -> bool:
+    def end_code(self, turn: RunningTurn) -> bool:
         """In a mission's thread: the loop may run; False where the turn was taken from it."""
         with self._changing:
             if self._holder is not turn:
@@ -97,7 +97,7 @@ class ThreadTurns:
             self._runs_loop = True
             return True
 
-    def leave(self, turn: ThreadTurn) -> None:
+    def leave(self, turn: RunningTurn) -> None:
         """In a mission's thread that ran the loop: has the next one go on; returns when it is its own turn again."""
         if self.next is turn:
             self.next = None
@@ -173,13 +173,13 @@ class Interrupts:
             self._turns.interrupt()
 
 
-class MissionTurn(ThreadTurn):
+class MissionTurn(RunningTurn):
     """The turn of a mission's thread, which is outside the loop while its code runs."""
 
     __slots__ = ("_loop", "_run_until", "_turns")
 
     def __init__(
-        self, turns: ThreadTurns, loop: asyncio.BaseEventLoop, run_until: Callable[[ThreadTurn], None]
+        self, turns: ThreadTurns, loop: asyncio.BaseEventLoop, run_until: Callable[[RunningTurn], None]
     ) -> None:
         super().__init__()
         self._turns = turns

@@ -184,7 +184,7 @@ class Key(NamedTuple):
     quantity: str
 
 
-class Printed(NamedTuple):
+class PrintedFigure(NamedTuple):
     """One figure, and where it is printed."""
 
     key: Key
@@ -224,10 +224,10 @@ def contradictions() -> Iterator[str]:
 
 
 @lru_cache
-def _printed() -> tuple[Printed, ...]:
+def _printed() -> tuple[PrintedFigure, ...]:
     text = (files("upwash.lab.reproduction") / "thesis" / "printed.csv").read_text(encoding="utf-8")
     return tuple(
-        Printed(
+        PrintedFigure(
             Key(row["experiment"], row["setup"], row["quantity"]),
             float(row["value"]),
             row["unit"],
