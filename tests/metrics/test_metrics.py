@@ -180,6 +180,18 @@ def test_starts_are_timed_and_what_fails_is_counted() -> None:
     run_virtually(story())
 
 
+def test_a_start_that_the_daemon_breaks_off_is_no_failure() -> None:
+    async def story() -> None:
+        at = Edge(Runtime())
+        starting = asyncio.create_task(at.start("heron"))
+        await asyncio.sleep(COLD_START_S / 2)
+        await at.edge.close()
+        await starting
+        assert at.total("upwash_instance_failures_total") == 0
+
+    run_virtually(story())
+
+
 def test_what_services_take_is_told_by_instances() -> None:
     async def story() -> None:
         runtime = Runtime()

@@ -241,18 +241,9 @@ def require_neighbours(program: Path, beside: Iterable[Path]) -> None:
 
 def _imported_by(file: Path) -> set[str]:
     """The top names of the modules that a file imports anywhere in it."""
-    statements = list(ast.walk(ast.parse(file.read_bytes(), file)))
-    named = [
-        alias.name
-        for statement in statements
-        if isinstance(statement, ast.Import)
-        for alias in statement.names
-    ]
-    named += [
-        statement.module
-        for statement in statements
-        if isinstance(statement, ast.ImportFrom) and statement.module
-    ]
+    nodes = list(ast.walk(ast.parse(file.read_bytes(), file)))
+    named = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    named += [node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module]
     return {name.partition(".")[0] for name in named}
 
 
