@@ -217,7 +217,7 @@ class Engine:
                 _log.warning("%s", unreachable)
                 problem = problem or unreachable
                 continue
-            self._addresses.sort(key=lambda known: known != address)  # this one first from now on
+            self._addresses = sorted(self._addresses, key=lambda known: known != address)
             return answer
         assert problem is not None  # noqa: S101 - there is at least one address
         raise problem
