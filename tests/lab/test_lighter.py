@@ -62,7 +62,6 @@ def test_the_summary_and_the_explanation_are_as_on_the_page(
     assert main(["explain", str(log)]) == 0
     quoted = "detector.process_photo[heavy] was asked for: so the mission would have ended at 1480 s, 107.9 s later"
     assert quoted in capsys.readouterr().out
-    assert quoted in " ".join(PAGE.split())
     assert main(["report", str(log), "--out", str(tmp_path / "page.html")]) == 0
     page = (tmp_path / "page.html").read_text()
     assert page.count("detector.process_photo[light] instead of detector.process_photo[heavy]") == 16
