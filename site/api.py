@@ -23,10 +23,8 @@ _HEAD = """\
 
 <!-- written by site/api.py from the docstrings: change those, then run `make docs` -->
 
-What a mission, a service or a notebook imports is on this page: the names that the packages `upwash` and
-`upwash.services` list in their `__all__`. Every other module of upwash is private, whatever its name, and may change
-at any time. Not imported but written in a configuration are the names of what is bundled: the mission `survey` and
-the service `detector`.
+Missions, services and notebooks import these names of the packages `upwash` and `upwash.services`. All other modules
+are private and may change at any time. A configuration names the bundled mission `survey` and service `detector`.
 
 A number's name ends in its unit: `_s` for seconds, `_m` for metres. Positions count from the mission's home. Every
 error is an `UpwashError`.

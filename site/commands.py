@@ -17,12 +17,11 @@ _HEAD = """\
 
 <!-- written by site/commands.py from the commands' own help: change that, then run `make docs` -->
 
-`upwash COMMAND --help` prints the same. Every command ends with one of
-these [exit codes](flight-ends.md#how-a-command-ends):
+`upwash COMMAND --help` prints the same. The [exit codes](flight-ends.md#how-a-command-ends):
 
 CODES
 
-Every command takes `-v` (`--verbose`), which also prints where in the code an error arose, and `-h` (`--help`).
+Every command has `-h` (`--help`) and `-v` (`--verbose`: also print where in the code an error arose).
 """
 _EVERYWHERE = {"help", "verbose"}
 

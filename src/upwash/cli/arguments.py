@@ -75,7 +75,7 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--figures", type=Path, metavar="DIR", help=f"draw {what} there")
     parser.add_argument(
         "--format", type=_formats, default=("png",), dest="formats", metavar="F1,F2",
-        help="of the figures: png, pdf and svg, or several of them (default: png)",
+        help="formats of the figures: png, pdf, svg (default: png)",
     )  # fmt: skip
 
 

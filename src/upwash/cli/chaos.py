@@ -19,13 +19,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     which.add_argument("--seed", type=count, metavar="N", help="fly one world, as a failure was reported")
     parser.add_argument(
-        "--minutes", type=float, metavar="N", help="with --seeds: begin no more after so long"
+        "--minutes", type=float, metavar="N", help="with --seeds: begin no world after N minutes"
     )
     parser.add_argument(
         "--workers", type=count, metavar="N", help="with --seeds: processes (default: one per core)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="with --seeds: leave what they came to there, as JSON"
+        "--out", type=Path, metavar="FILE", help="with --seeds: write the results there, as JSON"
     )
     parser.add_argument(
         "--log", type=Path, metavar="FILE",

@@ -29,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--place", type=count, default=0, metavar="N", help="suggest where N more servers would help most"
     )
     add_figures(parser, "the coverage")
-    parser.add_argument("--json", action="store_true", help="print what was found as one JSON object")
+    parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
     only = parser.add_mutually_exclusive_group()
     only.add_argument(
         "--capacity", action="store_true",

@@ -36,7 +36,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="fly the files with that value of a key, such as policy.stay_or_go=go",
     )  # fmt: skip
     parser.add_argument(
-        "--markdown", action="store_true", help="tables in Markdown, as into a file or another program"
+        "--markdown",
+        action="store_true",
+        help="print tables in Markdown, the default into a file or another program",
     )
     parser.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
     add_figures(parser, "the mission times with their confidence, and the paired differences,")

@@ -20,7 +20,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=_drones,
         default=1,
         metavar="N",
-        help=f"fly it with so many at once, each a program of its own (default: 1; at most {_MOST_DRONES})",
+        help=f"fly N drones at once, each with its own program (default: 1; at most {_MOST_DRONES})",
     )
     add_folder(parser)
     parser.add_argument(

@@ -18,7 +18,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "scenarios", nargs="*", type=Path, metavar="SCENARIO", help="TOML files with the same servers"
     )
     parser.add_argument(
-        "--drones", type=count, default=1, metavar="N", help="fly each scenario with so many at once"
+        "--drones", type=count, default=1, metavar="N", help="fly each scenario with N drones at once"
     )
     parser.add_argument(
         "--radio", choices=("table", "ns3"), default="table",
@@ -34,9 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="fly this vehicle instead of a stand-in, such as an ArduPilot's SITL; one for each drone",
     )  # fmt: skip
     add_folder(parser)
-    parser.add_argument(
-        "--clean", action="store_true", help="only remove what emulations left whose command was killed"
-    )
+    parser.add_argument("--clean", action="store_true", help="only remove what a killed command left")
 
 
 def run(options: argparse.Namespace) -> bool:

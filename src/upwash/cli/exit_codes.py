@@ -19,12 +19,12 @@ class ExitCode(IntEnum):
 
 
 MEANINGS = {
-    ExitCode.DONE: "it did what it should",
-    ExitCode.FAILURE: "it failed, or a check warns, or a promise is broken",
+    ExitCode.DONE: "success",
+    ExitCode.FAILURE: "failure, a warning of a check, or a broken promise",
     ExitCode.USAGE: "what was typed or configured cannot work; nothing was started",
-    ExitCode.NOT_KEPT: "it did what it should, and not all of the event log or of the output could be written",
+    ExitCode.NOT_KEPT: "success, but a part of the event log or of the output could not be written",
     ExitCode.RESERVE: "the battery ended the mission, at the reserve",
     ExitCode.NOT_OURS: "the program does not have the vehicle: a person, a fail-safe or another program has it",
     ExitCode.NOT_HEARD: "the vehicle was never heard: the flight did not begin, and may be started again",
-    ExitCode.INTERRUPTED: "Ctrl-C or SIGTERM ended it",
+    ExitCode.INTERRUPTED: "ended by Ctrl-C or SIGTERM",
 }

@@ -14,15 +14,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="an event log, of `fly`, `demo` or `simulate`")
     parser.add_argument(
         "--scenario", type=Path, metavar="FILE",
-        help="the world in which other policies are flown to compare; its programs run (default: none)",
+        help="fly other policies in this world to compare; its programs run (default: none)",
     )  # fmt: skip
     parser.add_argument(
         "--drone", metavar="NAME",
-        help="of several drones in that world, the one that flies by other policies (default: the log's)",
+        help="the drone of that world whose policy changes (default: the log's)",
     )  # fmt: skip
     calls = parser.add_mutually_exclusive_group()
     calls.add_argument("--waypoint", type=int, metavar="N", help="the calls of that waypoint alone")
-    calls.add_argument("--worst", type=count, metavar="N", help="the calls that took longest alone, so many")
+    calls.add_argument("--worst", type=count, metavar="N", help="only the N longest calls")
 
 
 def run(options: argparse.Namespace) -> bool:

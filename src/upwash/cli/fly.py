@@ -66,7 +66,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="take up the mission that this event log is of, where it broke off",
     )  # fmt: skip
     shown = parser.add_mutually_exclusive_group()
-    shown.add_argument("--quiet", action="store_true", help="print nothing but what goes wrong")
+    shown.add_argument("--quiet", action="store_true", help="print only problems")
     shown.add_argument(
         "--json", action="store_true", help="print the result as one JSON object at the end, and nothing else"
     )

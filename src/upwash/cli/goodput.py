@@ -15,15 +15,15 @@ from upwash.emulation.native import WIFI
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.add_argument("radio", choices=("disc12", "disc54"), help="whose settings")
+    parser.add_argument("radio", choices=("disc12", "disc54"), help="the radio's settings")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the csv file to write")
     parser.add_argument(
         "--range", type=count, default=100, dest="range_m", metavar="M",
-        help="where the radio ends (default: 100)",
+        help="the radio's range (default: 100)",
     )  # fmt: skip
     parser.add_argument(
         "--request", type=count, default=430_000, dest="request_bytes", metavar="BYTES",
-        help="what is transferred (default: 430000)",
+        help="size of a transfer (default: 430000)",
     )  # fmt: skip
     add_seeds(parser, "measure a transfer at each distance", default=20)
 

@@ -51,7 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--revoke", action="append", default=[], metavar="NAME",
-        help="put the certificate of that name or SHA-256 fingerprint on the list of those that daemons refuse",
+        help="revoke the certificate with that name or SHA-256 fingerprint: daemons refuse it",
     )  # fmt: skip
     parser.add_argument(
         "--days", type=days, metavar="DAYS",
@@ -59,7 +59,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--signing", type=Path, metavar="FILE",
-        help="a key for MAVLink messages; prints the passphrase that gives an autopilot the same one",
+        help="make a key for MAVLink messages, and print the passphrase for the autopilot",
     )  # fmt: skip
     parser.add_argument(
         "--new-authority", action="store_true",

@@ -38,7 +38,7 @@ _COMMANDS = {
     "status": "ask an edge daemon for its leases, instances and refusals",
     "keys": "make an authority and certificates for servers and drones, or show them",
     "package": "make the image of a service, to run in containers",
-    "images": "list the services that a daemon can run, and what of",
+    "images": "list the services that a daemon can run, and what is missing",
     "profile": "measure what a service's calls cost, here or at a server, for a configuration",
     "vehicle": "run a stand-in vehicle that speaks MAVLink",
     "demo": "fly the demonstration: a survey over two edge servers, all here",

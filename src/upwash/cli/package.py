@@ -39,7 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="the system: the /usr of the machine that runs it (default), or a Debian of the image's own",
     )  # fmt: skip
     parser.add_argument(
-        "--import", dest="imports", action="store_true", help="take it into the container engine, too"
+        "--import", dest="imports", action="store_true", help="import it into the container engine, too"
     )
 
 

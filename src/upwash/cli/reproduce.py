@@ -14,7 +14,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_seeds(parser, "fly each cell", default=30)
     add_figures(parser, "the figures 4.4 to 4.12")
     parser.add_argument(
-        "--sensitivity", action="store_true", help="say how far each parameter moves the mission times, too"
+        "--sensitivity", action="store_true", help="also print the effect of each parameter on mission times"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of each mission there")
 

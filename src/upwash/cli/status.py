@@ -39,7 +39,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument("address", metavar="ADDRESS", help="of the daemon: host:port, or unix:path")
     parser.add_argument("--server", metavar="NAME", default="", help="a server that the daemon acts as")
-    parser.add_argument("--operator", metavar="NAME", default="operator", help="whose certificate to show")
+    parser.add_argument(
+        "--operator",
+        metavar="NAME",
+        default="operator",
+        help="the operator whose certificate is used (default: operator)",
+    )
     parser.add_argument(
         "--keys", type=Path, metavar="DIR",
         help="where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only",

@@ -22,7 +22,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.add_argument(
         "--autopilot", choices=("arducopter", "px4"), default="arducopter",
-        help="what it flies, answers and speaks like (default: arducopter)",
+        help="the autopilot to imitate (default: arducopter)",
     )  # fmt: skip
     parser.add_argument("--listen", default="udp:127.0.0.1:14550", help="udp:HOST:PORT or tcp:HOST:PORT")
     parser.add_argument(
@@ -33,11 +33,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     _add_flight(parser)
     parser.add_argument(
         "--one-peer", action="store_true",
-        help="px4, UDP: answer nobody but the first who spoke to it, until it is restarted, as a real one",
+        help="px4, UDP: answer only the first sender until a restart, as a real one",
     )  # fmt: skip
     parser.add_argument(
         "--signing-key", type=Path, metavar="FILE",
-        help="sign all messages with its key, and obey none that is not signed with it",
+        help="sign all messages with its key, and obey only messages signed with it",
     )  # fmt: skip
 
 
@@ -65,7 +65,7 @@ def _add_start(parser: argparse.ArgumentParser) -> None:
 def _add_flight(parser: argparse.ArgumentParser) -> None:
     """Add how the vehicle flies, how its time passes, and what goes wrong."""
     parser.add_argument(
-        "--speedup", type=float, default=1.0, metavar="N", help="let its clock run so many times as fast"
+        "--speedup", type=float, default=1.0, metavar="N", help="run its clock N times as fast"
     )
     parser.add_argument(
         "--acceleration", type=float, metavar="M_S2",
@@ -82,7 +82,7 @@ def _add_flight(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--clock-offset", type=float, default=0.0, metavar="S",
-        help="arducopter: of the time of day that its GPS tells, against this machine's clock",
+        help="arducopter: difference of its GPS's time of day from this machine's clock",
     )  # fmt: skip
 
 

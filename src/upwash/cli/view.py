@@ -31,7 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
     )
-    parser.add_argument("--credit", default="", metavar="TEXT", help="what to say of who made the tiles")
+    parser.add_argument("--credit", default="", metavar="TEXT", help="the credit to show for the tiles")
 
 
 def run(options: argparse.Namespace) -> bool:
