@@ -262,7 +262,7 @@ class Racing:
             return await self._answer_onboard(call)
         if decision.raced:
             return await self._answer_onboard(call, instead_of=self._begin_at_server(call, decision))
-        is_busy = any(not each.task.done() for each in self._losers)
+        is_busy = any(not loser.task.done() for loser in self._losers)
         if (hedge := self._hedging.plan(decision, call.operation, is_busy=is_busy)) is not None:
             return await self._answer_hedged(decision, hedge, call)
         attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
@@ -274,13 +274,13 @@ class Racing:
     async def queue(self, service: str) -> float:
         """Waits until the drone's own service is done with calls that servers answered; returns for how long."""
         began_s = now_s()
-        for loser in [each for each in self._losers if each.service == service and not each.task.done()]:
+        for loser in [loser for loser in self._losers if loser.service == service and not loser.task.done()]:
             await asyncio.shield(loser.task)
         return now_s() - began_s
 
     async def stop_losers(self) -> None:
         """Ends what still runs of calls that are answered."""
-        await end(*(each.task for each in self._losers))
+        await end(*(loser.task for loser in self._losers))
 
     # --- hedging --------------------------------------------------------------------------------------------
 
@@ -413,10 +413,10 @@ class Racing:
         self._journal.record(schema.Dropped(operation=str(operation), place=ON_DRONE))
 
     def _keep(self, loser: _Loser) -> None:
-        for each in self._losers:
-            if each.task.done() and not each.task.cancelled():
-                each.task.result()  # which raises a defect, and so ends offloading
-        self._losers = [each for each in (*self._losers, loser) if not each.task.done()]
+        for earlier in self._losers:
+            if earlier.task.done() and not earlier.task.cancelled():
+                earlier.task.result()  # which raises a defect, and so ends offloading
+        self._losers = [kept for kept in (*self._losers, loser) if not kept.task.done()]
 
 
 async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any] | None:

@@ -98,7 +98,9 @@ class Flight:
         specs = {name: spec_of(cls) for name, cls in services.items()}
         self._order = order or order_of(config, specs)
         self._done = done
-        self._plan = tuple(each for each in self._order.waypoints if each.index not in (done or ()))
+        self._plan = tuple(
+            waypoint for waypoint in self._order.waypoints if waypoint.index not in (done or ())
+        )
         self._stopped: MissionStopped | None = None  # why, once it is
         self._stopped_s = 0.0
         self._follows = False  # a vehicle that is not the program's, to the ground
@@ -167,8 +169,8 @@ class Flight:
     def _planned(self) -> schema.Planned:
         mission = self._config.mission
         home = mission.home
-        order = [each.index for each in self._order.waypoints]
-        places = {each.index: each.position for each in self._order.waypoints}
+        order = [waypoint.index for waypoint in self._order.waypoints]
+        places = {waypoint.index: waypoint.position for waypoint in self._order.waypoints}
         return schema.Planned(
             home=home.place if home else None,
             waypoints_m=[(places[index].east_m, places[index].north_m) for index in sorted(order)],

@@ -98,7 +98,7 @@ def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
     if file is None or above is None:
         return config
     _require_same_home(file, above, home_above_sea_m)
-    waypoints = tuple(_above_home(each, home_above_sea_m) for each in file.plan.waypoints)
+    waypoints = tuple(_above_home(waypoint, home_above_sea_m) for waypoint in file.plan.waypoints)
     takeoff_m = config.mission.altitude_m
     if above.takeoff_m is not None:
         takeoff_m = above.takeoff_m - home_above_sea_m

@@ -134,6 +134,6 @@ class Payload:
             schema.PayloadCommanded(
                 number=number,
                 name=name,
-                parameters=[each if math.isfinite(each) else None for each in parameters],
+                parameters=[value if math.isfinite(value) else None for value in parameters],
             )
         )

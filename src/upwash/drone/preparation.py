@@ -180,9 +180,9 @@ def mission_beliefs(
     """
     mission, told = config.mission, told_pace(config.vehicle)
     operations = [
-        each
-        for each in estimates.operations
-        if each.key in ("", mission.mode) and not specs[each.service].methods[each.method].once
+        operation
+        for operation in estimates.operations
+        if operation.key in ("", mission.mode) and not specs[operation.service].methods[operation.method].once
     ]
     pauses_s = (config.camera.photo_s, *(0.0 for _ in operations[1:]))
     return MissionBeliefs(
@@ -267,7 +267,7 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
     allowed = [
         sweep
         for sweep in sweeps
-        if breached_by_way(fences, [_HOME, *(each.position for each in sweep.waypoints)]) is None
+        if breached_by_way(fences, [_HOME, *(waypoint.position for waypoint in sweep.waypoints)]) is None
     ]
     best = best_order(given, allowed, forecaster.mission_s)
     if len(allowed) < len(sweeps):

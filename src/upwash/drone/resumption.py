@@ -23,7 +23,7 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     drone left. If the drone left none, it needs as many results as there are services. A waypoint is not done while
     its answer, or what that demands, is still due.
     """
-    plan = {each.index: each for each in waypoints(config.mission)}
+    plan = {waypoint.index: waypoint for waypoint in waypoints(config.mission)}
     results: dict[int, int] = {}  # of the last visit to each waypoint
     left: set[int] = set()
     owed = OpenDemands()
@@ -53,7 +53,7 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
                 results[waypoint] += 1
     if completed:
         raise UsageError("the mission in this log was completed: there is nothing to take up")
-    wanted = max(1, max((results[each] for each in left), default=len(config.services)))
+    wanted = max(1, max((results[index] for index in left), default=len(config.services)))
     return frozenset((left | {index for index, count in results.items() if count >= wanted}) - owed.waypoints)
 
 
@@ -70,7 +70,7 @@ def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:
         return None
     if not planned.order:
         return Order(waypoints(config.mission))
-    by_index = {each.index: each for each in movable_waypoints(config.mission)}
+    by_index = {waypoint.index: waypoint for waypoint in movable_waypoints(config.mission)}
     if sorted(planned.order) != sorted(by_index):
         raise UsageError("this log is of another plan: its order is of other waypoints than there are now")
     return Order(tuple(by_index[index] for index in planned.order), planned.order_why)

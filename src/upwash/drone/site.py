@@ -129,7 +129,7 @@ class Site(Struct, frozen=True):
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
         """Places within the vehicle's margin of the fence, where it may overshoot."""
         names, margin_m = limits.names, limits.margin_m
-        spots = [(f"waypoint {each.index}", each.position.altitude_m) for each in self.waypoints]
+        spots = [(f"waypoint {waypoint.index}", waypoint.position.altitude_m) for waypoint in self.waypoints]
         for what, altitude_m in [("the take-off", self.takeoff_m), *spots]:
             if limits.highest_m is not None and limits.highest_m - altitude_m < margin_m:
                 yield (

@@ -190,8 +190,8 @@ class Instances:
         """Has those stopped that had the place, and whose time is over."""
         over = [
             (service, number)
-            for service, each in self._instances.items()
-            for number, until_s in each.former_s.items()
+            for service, instance in self._instances.items()
+            for number, until_s in instance.former_s.items()
             if until_s <= now_s
         ]
         for service, number in over:
@@ -207,7 +207,7 @@ class Instances:
 
     def stop_idle(self, idle_s: float, *, now_s: float) -> list[StopInstance]:
         """Stop instances that were not called for that long."""
-        idle = [service for service, each in self._running() if now_s - each.used_s >= idle_s]
+        idle = [service for service, instance in self._running() if now_s - instance.used_s >= idle_s]
         return [command for service in idle for command in self.stop(service)]
 
     @property
@@ -217,34 +217,34 @@ class Instances:
 
     def former_until_s(self) -> list[float]:
         """Until when each instance serves that had a place."""
-        return [until_s for each in self._instances.values() for until_s in each.former_s.values()]
+        return [until_s for instance in self._instances.values() for until_s in instance.former_s.values()]
 
     def used_s(self) -> list[float]:
         """When each instance that runs became ready or was last called."""
-        return [each.used_s for _, each in self._running()]
+        return [instance.used_s for _, instance in self._running()]
 
     def status(self, offered: Collection[str], *, now_s: float) -> list[InstanceStatus]:
         """The status of the offered services, and of others whose instance has not ended yet."""
         return [
             InstanceStatus(
                 service,
-                each.state.value,
-                each.endpoint,
-                now_s - each.used_s if each.state is InstanceState.RUNNING else 0.0,
-                replaced=each.replaced,
-                failures=each.failures.count,
-                last_failure=each.failures.why,
-                paused_s=each.failures.left_s(now_s=now_s),
-                renewed=each.renewed,
-                not_renewed=each.not_renewed,
+                instance.state.value,
+                instance.endpoint,
+                now_s - instance.used_s if instance.state is InstanceState.RUNNING else 0.0,
+                replaced=instance.replaced,
+                failures=instance.failures.count,
+                last_failure=instance.failures.why,
+                paused_s=instance.failures.left_s(now_s=now_s),
+                renewed=instance.renewed,
+                not_renewed=instance.not_renewed,
             )
-            for service, each in sorted(self._instances.items())
-            if service in offered or each.state is not InstanceState.ABSENT
+            for service, instance in sorted(self._instances.items())
+            if service in offered or instance.state is not InstanceState.ABSENT
         ]
 
     def _running(self) -> list[tuple[str, InstancePlace]]:
         return [
-            (service, each)
-            for service, each in self._instances.items()
-            if each.state is InstanceState.RUNNING
+            (service, instance)
+            for service, instance in self._instances.items()
+            if instance.state is InstanceState.RUNNING
         ]

@@ -62,7 +62,7 @@ class Leases:
     @property
     def keys(self) -> frozenset[str]:
         """The same drones, by `Client.key`."""
-        return frozenset(each.drone.key for each in self._leases.values())
+        return frozenset(lease.drone.key for lease in self._leases.values())
 
     def of(self, drone: str) -> Lease | None:
         """The lease of the drone of that name; None without one."""
@@ -71,16 +71,17 @@ class Leases:
     def by_key(self, key: str, *, now_s: float) -> Lease | None:
         """The lease of the drone with that `Client.key`, unless its time is over."""
         return next(
-            (each for each in self._leases.values() if each.drone.key == key and each.until_s > now_s), None
+            (lease for lease in self._leases.values() if lease.drone.key == key and lease.until_s > now_s),
+            None,
         )
 
     def held_by(self, peer: str, *, except_for: str) -> int:
         """How many slots the peer has held for other drones."""
-        return sum(each.held_by == peer for name, each in self._leases.items() if name != except_for)
+        return sum(lease.held_by == peer for name, lease in self._leases.items() if name != except_for)
 
     def until_s(self) -> list[float]:
         """When each lease ends, and the time for the last calls of a turn."""
-        return [*(each.until_s for each in self._leases.values()), *self._finishing.values()]
+        return [*(lease.until_s for lease in self._leases.values()), *self._finishing.values()]
 
     def renew(self, drone: Client, until_s: float, *, now_s: float) -> list[Admit]:
         """The drone itself is here, and has a lease until then."""
@@ -96,12 +97,12 @@ class Leases:
 
     def over(self, now_s: float) -> list[Lease]:
         """The leases whose time is over."""
-        return [each for each in self._leases.values() if each.until_s <= now_s]
+        return [lease for lease in self._leases.values() if lease.until_s <= now_s]
 
     def end(self, which: Callable[[Lease], bool], *, now_s: float) -> list[Admit | LeaseEnded]:
         """End these leases, and finished grace periods after turns."""
         ended = []
-        for name, lease in [each for each in self._leases.items() if which(each[1])]:
+        for name, lease in [item for item in self._leases.items() if which(item[1])]:
             del self._leases[name]
             self._turns.gave_back(name, now_s=now_s)
             ended.append(self._usage.gave_back(name, held_by=lease.held_by, now_s=now_s))
@@ -130,8 +131,8 @@ class Leases:
     def status(self, *, now_s: float) -> list[LeaseStatus]:
         """The leases for the status page."""
         return [
-            LeaseStatus(name, each.drone.certificate, each.until_s - now_s, each.held_by)
-            for name, each in sorted(self._leases.items())
+            LeaseStatus(name, lease.drone.certificate, lease.until_s - now_s, lease.held_by)
+            for name, lease in sorted(self._leases.items())
         ]
 
     def _put(self, lease: Lease, now_s: float) -> list[Admit]:

@@ -87,4 +87,6 @@ class Peers:
 
     def forget(self, *, now_s: float) -> None:
         """Forget holds whose time is over."""
-        self._sent_ahead = {drone: each for drone, each in self._sent_ahead.items() if each.until_s > now_s}
+        self._sent_ahead = {
+            drone: ahead for drone, ahead in self._sent_ahead.items() if ahead.until_s > now_s
+        }

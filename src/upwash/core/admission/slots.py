@@ -88,5 +88,7 @@ class MeasuredSlots:
         return max(lanes, int(lanes / (_SHARE if share is None else share)))
 
     def _share_of(self, service: str) -> float | None:
-        shares = [each.share for each in self._calls.get(service, {}).values() if each.count >= _LEAST_CALLS]
+        shares = [
+            calls.share for calls in self._calls.get(service, {}).values() if calls.count >= _LEAST_CALLS
+        ]
         return max(sum(shares) / len(shares), 1e-3) if shares else None

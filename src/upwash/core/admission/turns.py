@@ -87,12 +87,12 @@ class Turns:
     def waiting(self, *, now_s: float) -> list[Account]:
         """The waiting drones, in the order in which they get free slots."""
         self._dismiss(now_s)
-        waiting = [each for each in self._accounts.values() if each.waits_since_s is not None]
-        return sorted(waiting, key=lambda each: (each.had_s, each.waits_since_s, each.drone))
+        waiting = [account for account in self._accounts.values() if account.waits_since_s is not None]
+        return sorted(waiting, key=lambda account: (account.had_s, account.waits_since_s, account.drone))
 
     def rank(self, drone: str, *, now_s: float) -> int:
         """How many of those that wait come before the drone, which waits too."""
-        return [each.drone for each in self.waiting(now_s=now_s)].index(drone)
+        return [account.drone for account in self.waiting(now_s=now_s)].index(drone)
 
     def over(self, to: str, *, now_s: float) -> list[str]:
         """The holders whose turn is over for that waiting drone, by slot time, most first."""
@@ -100,26 +100,29 @@ class Turns:
         if waiting.asks < 2:
             return []
         over = [
-            each
-            for each in self._accounts.values()
-            if each.holds_since_s is not None
-            and now_s - each.holds_since_s >= self.turn_s
-            and each.had_until_s(now_s) - waiting.had_s > self.turn_s / 2
+            account
+            for account in self._accounts.values()
+            if account.holds_since_s is not None
+            and now_s - account.holds_since_s >= self.turn_s
+            and account.had_until_s(now_s) - waiting.had_s > self.turn_s / 2
         ]
-        return [each.drone for each in sorted(over, key=lambda each: (-each.had_until_s(now_s), each.drone))]
+        return [
+            account.drone
+            for account in sorted(over, key=lambda account: (-account.had_until_s(now_s), account.drone))
+        ]
 
     def status(self, *, now_s: float) -> list[AccountStatus]:
         """The accounts of present drones by name, for the status page."""
         self._dismiss(now_s)
         return [
             AccountStatus(
-                each.drone,
-                each.had_until_s(now_s),
-                None if each.holds_since_s is None else now_s - each.holds_since_s,
-                None if each.waits_since_s is None else now_s - each.waits_since_s,
+                account.drone,
+                account.had_until_s(now_s),
+                None if account.holds_since_s is None else now_s - account.holds_since_s,
+                None if account.waits_since_s is None else now_s - account.waits_since_s,
             )
-            for _, each in sorted(self._accounts.items())
-            if each.is_present
+            for _, account in sorted(self._accounts.items())
+            if account.is_present
         ]
 
     def _arrived(self, drone: str, now_s: float) -> Account:
@@ -127,7 +130,9 @@ class Turns:
         if account is None:
             account = self._accounts[drone] = Account(drone)
         if not account.is_present and now_s > account.expected_until_s:
-            present = [each.had_until_s(now_s) for each in self._accounts.values() if each.is_present]
+            present = [
+                account.had_until_s(now_s) for account in self._accounts.values() if account.is_present
+            ]
             account.had_s = max(account.had_s, min(present, default=0.0))
         return account
 
@@ -140,7 +145,7 @@ class Turns:
 
     def _forget(self) -> None:
         """Without drones all accounts are worth the same; of absent drones the longest absent are forgotten."""
-        absent = [name for name, each in self._accounts.items() if not each.is_present]
+        absent = [name for name, account in self._accounts.items() if not account.is_present]
         if len(absent) == len(self._accounts):
             self._accounts.clear()
         for name in absent[: max(0, len(absent) - _MOST_ABSENT)]:

@@ -91,8 +91,8 @@ class Usage:
         use, team = self._seen(drone)
         slot = self._slots.pop(drone)
         slot_s = now_s - slot.since_s
-        for each in (use, team):
-            each.slot_s += slot_s
+        for total in (use, team):
+            total.slot_s += slot_s
         ended = LeaseEnded(
             self._server, drone, slot_s, use.calls - slot.calls, use.computed_s - slot.computed_s, held_by
         )
@@ -101,7 +101,7 @@ class Usage:
 
     def take_up(self, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float) -> None:
         """Goes on from what the daemon before counted; a slot that a drone has here too began there."""
-        held_s = dict.fromkeys((team_of(each.drone) for each in drones), 0.0)
+        held_s = dict.fromkeys((team_of(usage.drone) for usage in drones), 0.0)
         for drone in drones:
             holds_s = drone.holds_s or 0.0
             held_s[team_of(drone.drone)] += holds_s

@@ -84,16 +84,18 @@ def _rows(given: Sequence[Waypoint]) -> _Lines:
         return []
     # In a full grid the waypoint nearest to any other one is its neighbour in a row or in a column.
     first = given[0].position
-    near = min((each.position for each in given[1:]), key=lambda place: ground_distance_m(first, place))
+    near = min(
+        (waypoint.position for waypoint in given[1:]), key=lambda place: ground_distance_m(first, place)
+    )
     same_m = _SAME_LINE * ground_distance_m(first, near)
     if same_m == 0:
         return []
     turned = math.remainder(math.atan2(near.north_m - first.north_m, near.east_m - first.east_m), math.pi / 2)
     east, north = math.cos(turned), math.sin(turned)
-    places = [each.position for each in given]
+    places = [waypoint.position for waypoint in given]
     columns = _lines([place.east_m * east + place.north_m * north for place in places], same_m)
     rows = _lines([place.north_m * east - place.east_m * north for place in places], same_m)
-    cells = {(row, column): each for row, column, each in zip(rows, columns, given, strict=True)}
+    cells = {(row, column): waypoint for row, column, waypoint in zip(rows, columns, given, strict=True)}
     width, height = 1 + max(columns), 1 + max(rows)
     if not len(cells) == len(given) == width * height:
         return []
@@ -104,8 +106,8 @@ def _lines(across_m: Sequence[float], same_m: float) -> list[int]:
     """The number of the line that each place lies on, counted across the lines."""
     numbers = [0] * len(across_m)
     in_order = sorted(range(len(across_m)), key=across_m.__getitem__)
-    for before, each in itertools.pairwise(in_order):
-        numbers[each] = numbers[before] + (across_m[each] - across_m[before] > same_m)
+    for before, number in itertools.pairwise(in_order):
+        numbers[number] = numbers[before] + (across_m[number] - across_m[before] > same_m)
     return numbers
 
 

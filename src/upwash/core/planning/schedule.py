@@ -310,7 +310,7 @@ def _unbeaten(served: list[_Served]) -> list[_Served]:
             if its_rest_s <= rest_s and not started & ~its_started:
                 break
         else:
-            if len(best) < _MOST_STARTED or len({started, *(each[3] for each in best)}) <= _MOST_STARTED:
+            if len(best) < _MOST_STARTED or len({started, *(other[3] for other in best)}) <= _MOST_STARTED:
                 best.append(one)
     return best
 

@@ -75,12 +75,15 @@ class Radios:
 
     def selected_by(self, check: int, states: Collection[State] = SELECTED) -> Server | None:
         """The server selected by that check, if it is in one of the states."""
-        return next((each for each in self.selected if each.check == check and each.state in states), None)
+        return next(
+            (server for server in self.selected if server.check == check and server.state in states), None
+        )
 
     def probed_by(self, check: int) -> Server | None:
         """The server probed by that number that has not answered yet."""
         return next(
-            (each for each in self.probed if each.check == check and each.state is State.BLACKLISTED), None
+            (server for server in self.probed if server.check == check and server.state is State.BLACKLISTED),
+            None,
         )
 
     def use(self, server: Server, why: str, now_s: float, *, keep: bool) -> list[Effect]:
@@ -91,7 +94,7 @@ class Radios:
         is_ready = server in self.selected and server.state is State.READY
         if keep and self.has_spare and not is_ready:
             return self.prepare(server, why, now_s)
-        effects = self._replace([each for each in self.selected if each is not server], server, why, now_s)
+        effects = self._replace([other for other in self.selected if other is not server], server, why, now_s)
         return effects if self.selected else effects + self._check(server, why, now_s)
 
     def prepare(self, server: Server, why: str, now_s: float) -> list[Effect]:
@@ -152,9 +155,11 @@ class Radios:
         if self._recovery is None:
             return []
         failed = [
-            each
-            for each in self._table.in_range
-            if each.state is State.BLACKLISTED and each not in self.probed and each.left_out_until_s <= now_s
+            server
+            for server in self._table.in_range
+            if server.state is State.BLACKLISTED
+            and server not in self.probed
+            and server.left_out_until_s <= now_s
         ]
         recovery = self._recovery
         return [self._probe(server, recovery, now_s) for server in failed[: max(0, self._free)]]

@@ -155,13 +155,17 @@ class Selection:
             return self._begin(event, now_s, position)
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
-        effects += radios.end_probes([each for each in radios.probed if self._unneeded or not each.in_range])
+        effects += radios.end_probes(
+            [server for server in radios.probed if self._unneeded or not server.in_range]
+        )
         effects += table.expire(now_s, probed=radios.probed)
         if not effects:  # else the policy decides anyway
             planning.forget_slow_calls(now_s)
         if effects or planning.is_due(now_s):
             effects += self._select(now_s, position)
-        effects += radios.end_probes([each for each in radios.probed if each.state is not State.BLACKLISTED])
+        effects += radios.end_probes(
+            [server for server in radios.probed if server.state is not State.BLACKLISTED]
+        )
         if not self._unneeded:
             effects += radios.probe(now_s)
         return effects
@@ -458,7 +462,7 @@ class Selection:
         planning.changed = False
         choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
         effects: list[Effect] = []
-        for server in [each for each in radios.selected if not each.in_range]:
+        for server in [server for server in radios.selected if not server.in_range]:
             effects += radios.leave(server, "out of range", now_s)
         if choice.server is None:
             for server in list(radios.selected):

@@ -211,7 +211,7 @@ class Wind:
             return self._most_m_s()
         east, north = (end.east_m - start.east_m) / length_m, (end.north_m - start.north_m) / length_m
         slow_m_s = max(
-            (each.short_m_s * (each.east * east + each.north * north) for each in self._slow), default=0.0
+            (leg.short_m_s * (leg.east * east + leg.north * north) for leg in self._slow), default=0.0
         )
         return max(0.0, slow_m_s, self._reported_against_m_s(east, north, speed_m_s))
 
@@ -219,7 +219,7 @@ class Wind:
         reported_m_s = (
             math.hypot(self._reported.east_m_s, self._reported.north_m_s) if self._reported else 0.0
         )
-        return max(reported_m_s, *(each.short_m_s for each in self._slow), 0.0)
+        return max(reported_m_s, *(leg.short_m_s for leg in self._slow), 0.0)
 
     def _reported_against_m_s(self, east: float, north: float, speed_m_s: float) -> float:
         if self._reported is None:

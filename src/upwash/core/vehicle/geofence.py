@@ -92,7 +92,7 @@ class Fence(Struct, frozen=True):
             case Circle() as circle if self.inclusion:
                 return circle.contains(start) and circle.contains(end)
             case area:
-                return not any(_meets_leg(each, start, end) for each in _single(area))
+                return not any(_meets_leg(single, start, end) for single in _single(area))
 
     def clearance_m(self, position: Position) -> float:
         """How far a place that the fence allows is from what it forbids; a lower bound in joined areas."""
