@@ -11,23 +11,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
-
-from cryptography import x509
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
-from cryptography.hazmat.primitives.serialization import load_pem_private_key
-from cryptography.x509 import Certificate
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from typing import TYPE_CHECKING, Literal
 
 from upwash.core.admission.clients import Client, DoorReason, Role
 from upwash.errors import CredentialsError
 from upwash.real.trust.secrets import load_secret, read_public, read_secret
 from upwash.support.text import printable
 
+if TYPE_CHECKING:  # cryptography takes 7 MB: a flight without certificates does not load it
+    from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
+    from cryptography.x509 import Certificate
+
 UNITS = {Role.OPERATOR: "operator", Role.SERVER: "server"}  # the organizational unit in the subject
 _LONGEST_NAME = 255
-_PURPOSES = {"serving": ExtendedKeyUsageOID.SERVER_AUTH, "calling": ExtendedKeyUsageOID.CLIENT_AUTH}
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +58,15 @@ class Credentials:
 
     @functools.cached_property
     def _certificate(self) -> Certificate:
+        from cryptography import x509
+
         return x509.load_pem_x509_certificate(self.certificate)
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names that the certificate is good for."""
+        from cryptography import x509
+
         try:
             names = self._certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         except x509.ExtensionNotFound:
@@ -75,15 +75,21 @@ class Credentials:
 
     def is_for(self, purpose: Literal["serving", "calling"]) -> bool:
         """Whether the certificate may be shown by a server, or by a client."""
+        from cryptography import x509
+        from cryptography.x509.oid import ExtendedKeyUsageOID
+
         try:
             usage = self._certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
         except x509.ExtensionNotFound:
             return True
-        return _PURPOSES[purpose] in usage
+        wanted = ExtendedKeyUsageOID.SERVER_AUTH if purpose == "serving" else ExtendedKeyUsageOID.CLIENT_AUTH
+        return wanted in usage
 
     @property
     def lifetimes(self) -> tuple[Lifetime, ...]:
         """Of the certificate, by its first name, and of the authority that issued it."""
+        from cryptography import x509
+
         authorities = x509.load_pem_x509_certificates(self.authority)
         issuer = _issuer_among(authorities, self._certificate) or authorities[0]
         return _lifetime(self.names[0], self._certificate), _lifetime("authority", issuer)
@@ -158,6 +164,9 @@ def read_revoked(file: Path) -> frozenset[str]:
 
 def parsed_certificates(file: Path, pem: bytes) -> list[Certificate]:
     """The certificates of a PEM text from that file, the holder's first; raises CredentialsError."""
+    from cryptography import x509
+    from cryptography.exceptions import UnsupportedAlgorithm
+
     try:
         certificates = x509.load_pem_x509_certificates(pem)
         for certificate in certificates:
@@ -171,6 +180,9 @@ def parsed_certificates(file: Path, pem: bytes) -> list[Certificate]:
 
 def parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
     """The private key of a PEM text from that file; raises CredentialsError."""
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
     try:
         return load_pem_private_key(pem, password=None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
@@ -196,11 +208,15 @@ def _lifetime(holder: str, certificate: Certificate) -> Lifetime:
 
 
 def _common_names(certificate: Certificate) -> list[str]:
+    from cryptography.x509.oid import NameOID
+
     return [str(name.value) for name in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
 
 
 def _issuer_among(authorities: Sequence[Certificate], holder: Certificate) -> Certificate | None:
     """The authority that issued the holder's certificate; of several the last to expire."""
+    from cryptography.exceptions import InvalidSignature
+
     found = []
     for authority in authorities:
         with contextlib.suppress(InvalidSignature, ValueError, TypeError):
@@ -267,6 +283,8 @@ def server_context(credentials: Credentials) -> ssl.SSLContext:
 @functools.lru_cache(maxsize=256)
 def holder_of(certificate: bytes) -> Holder:
     """What a DER certificate says of its holder."""
+    from cryptography import x509
+
     parsed = x509.load_der_x509_certificate(certificate)
     name = next((printable(name, _LONGEST_NAME) for name in _common_names(parsed)), "")
     role = role_of(parsed.subject.rfc4514_string())
@@ -275,5 +293,7 @@ def holder_of(certificate: bytes) -> Holder:
 
 @functools.lru_cache(maxsize=256)
 def _is_issued_by(certificate: bytes, authority: bytes) -> bool:
+    from cryptography import x509
+
     authorities = x509.load_pem_x509_certificates(authority)
     return _issuer_among(authorities, x509.load_der_x509_certificate(certificate)) is not None
