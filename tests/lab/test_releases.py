@@ -86,13 +86,9 @@ class FormerLink:
 class Dialer(ModelDialer):
     """Has FormerLinks for drones with such names."""
 
-    def __init__(self, drone: str, *others: Any, **more: Any) -> None:
-        super().__init__(drone, *others, **more)
-        self._is_former = drone.startswith("former")
-
     def dial(self, address: str, *, server: str) -> Any:
-        link = super().dial(address, server=server)
-        return FormerLink(link) if self._is_former else link
+        link = ModelDialer.dial(self, address, server=server)
+        return FormerLink(link) if self.drone.startswith("former") else link
 
 
 @pytest.fixture(autouse=True)

@@ -30,7 +30,7 @@ from upwash.config.reading import (
     repeated,
     unknown,
 )
-from upwash.config.truth import server_truth
+from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import MDNS, is_address
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.geofence import breached_by_leg, breached_by_position, breached_by_way
@@ -356,20 +356,30 @@ def _belief_problems(server: ServerConfig, services: Sequence[ServiceConfig]) ->
     offered = [service for service in services if service.name in named]
     if not offered:
         yield "remote_call_s", "missing: give remote_call_s, or processing_s and bandwidth_bit_s (eq. 3.1)"
+    truth = server_truth(server, services)
+    images = set(truth.images)
     for service in offered:
         for key in service.local_call_s:
-            yield from _operation_problems(server, service, key)
+            operation = f"{service.name}[{key}]" if key else service.name
+            yield from _believed_call_problems(server, service, key, operation)
+            if service.name in images:
+                yield from _true_call_problems(server, truth, service, key, operation)
 
 
-def _operation_problems(server: ServerConfig, service: ServiceConfig, key: str) -> Iterator[Problem]:
-    operation = f"{service.name}[{key}]" if key else service.name
+def _believed_call_problems(
+    server: ServerConfig, service: ServiceConfig, key: str, operation: str
+) -> Iterator[Problem]:
     if key not in server.remote_call_s.get(service.name, {}):
         if key not in server.processing_s.get(service.name, {}):
             yield "remote_call_s", f"nothing for {operation}: add it, or its processing_s"
         elif server.bandwidth_bit_s is None:
             yield "bandwidth_bit_s", f"missing, and {operation} has no remote_call_s: add one of them"
-    truth = server_truth(server, [service])
-    if service.name not in truth.images or key in truth.remote_call_s.get(service.name, {}):
+
+
+def _true_call_problems(
+    server: ServerConfig, truth: ServerTruth, service: ServiceConfig, key: str, operation: str
+) -> Iterator[Problem]:
+    if key in truth.remote_call_s.get(service.name, {}):
         return
     if key not in truth.processing_s.get(service.name, {}):
         yield "truth.processing_s", f'nothing for {operation}, as radio = "{truth.radio}" needs it: add it'
