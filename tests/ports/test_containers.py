@@ -14,6 +14,7 @@ from upwash.core.admission.limits import Limits
 from upwash.errors import EngineError, UsageError
 from upwash.ports import Program
 from upwash.real.instances.containers import HeldImage, ServiceImage, newest_images
+from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
 from upwash.real.instances.lxd.container import (
     LxdContainer,
     LxdSettings,
@@ -23,7 +24,6 @@ from upwash.real.instances.lxd.container import (
     known_container,
     new_container,
 )
-from upwash.real.instances.lxd.credentials import ControlCredentials, new_control_credentials
 from upwash.real.instances.lxd.engine import Engine, EngineAddress, EngineInstance
 
 SUBNET = IPv4Network("10.9.0.0/29")  # of six addresses

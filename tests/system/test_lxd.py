@@ -9,7 +9,7 @@ from tests.system.container_site import Host, Site
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
-from upwash.real.instances.lxd.credentials import SERVICE_PORT
+from upwash.real.instances.control_credentials import SERVICE_PORT
 from upwash.real.instances.lxd.instance import LxdInstance
 
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd")]

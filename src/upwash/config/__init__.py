@@ -81,15 +81,8 @@ from upwash.config.places import (
     true_range_m,
     waypoints,
 )
-from upwash.config.reading import (
-    Document,
-    convert,
-    impossible_values,
-    read_document,
-    refuse_first,
-    repeated,
-    unknown,
-)
+from upwash.config.problems import impossible_values, repeated, unknown
+from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine

@@ -21,15 +21,7 @@ from upwash.config.drone import (
 )
 from upwash.config.flight_times import finish_by_s
 from upwash.config.places import geofence, is_planned_home, measured_servers, sweeps_of, waypoints
-from upwash.config.reading import (
-    Problem,
-    below,
-    listed,
-    metrics_problems,
-    name_problems,
-    repeated,
-    unknown,
-)
+from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import MDNS, is_address
 from upwash.core.geo import Position, ground_distance_m

@@ -9,16 +9,8 @@ from typing import Annotated
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from upwash.config.reading import (
-    Document,
-    Problem,
-    convert,
-    metrics_problems,
-    name_problems,
-    read_document,
-    refuse_first,
-    unknown,
-)
+from upwash.config.problems import Problem, metrics_problems, name_problems, unknown
+from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import (
     Cpus,
     DiskBytes,

@@ -12,7 +12,8 @@ from msgspec.structs import replace
 from upwash.config.checks import order_problems, plan_problems, problems
 from upwash.config.drone import DroneConfig, FleetDroneConfig, MissionConfig
 from upwash.config.places import as_planned
-from upwash.config.reading import Document, Problem, convert, read_document, refuse_first
+from upwash.config.problems import Problem
+from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.shorthand import written_out
 from upwash.core.planning.order import SWEEPS
 from upwash.errors import ConfigError

@@ -14,7 +14,7 @@ from typing import Any
 
 from msgspec import ValidationError, inspect
 
-from upwash.config.reading import Problem, listed, unknown
+from upwash.config.problems import Problem, listed, unknown
 from upwash.support.camera_source import shown_source
 
 _WORDS = {

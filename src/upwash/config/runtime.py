@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from upwash.config.reading import Problem
+from upwash.config.problems import Problem
 from upwash.config.values import FilePath, Name, Names, Text
 
 # A Python interpreter with gRPC needs this much.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from upwash.config import DroneConfig
-from upwash.config.reading import unknown
+from upwash.config.problems import unknown
 from upwash.core.policies.names import POLICIES
 from upwash.errors import UsageError
 from upwash.eventlog import schema

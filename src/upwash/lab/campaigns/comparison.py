@@ -14,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 
 from upwash.config import DroneConfig, NoiseConfig, ServerConfig
-from upwash.config.reading import repeated, unknown
+from upwash.config.problems import repeated, unknown
 from upwash.core.policies.names import POLICIES
 from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes

@@ -12,7 +12,7 @@ from typing import cast
 import msgspec
 
 from upwash.config import Document, drone_config, impossible_values, read_document
-from upwash.config.reading import repeated
+from upwash.config.problems import repeated
 from upwash.errors import ConfigError, UsageError
 from upwash.lab.scenario import with_value, written
 from upwash.missions.bundled import load_mission, load_services

@@ -27,9 +27,9 @@ from upwash.core.admission.instance_gate import InstanceGate
 from upwash.core.admission.limits import Allowance
 from upwash.errors import Refused, UsageError
 from upwash.real.instances import control
+from upwash.real.instances.control_credentials import ControlCredentials
 from upwash.real.instances.foreign import ForeignProgram
 from upwash.real.instances.limits import apply_limits
-from upwash.real.instances.lxd.credentials import ControlCredentials
 from upwash.real.link.direct import DirectListener
 from upwash.real.link.listener import HealthCheck, Listener
 from upwash.real.link.proxy import GrpcSocket, open_proxy

@@ -10,7 +10,7 @@ from ipaddress import IPv4Network
 from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError
 from upwash.real.instances.containers import ServiceImage, container_name
-from upwash.real.instances.lxd.credentials import ControlCredentials, new_control_credentials
+from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
 from upwash.real.instances.lxd.engine import EngineInstance
 from upwash.real.instances.lxd.init import CREDENTIALS, SCRATCH_BYTES
 

@@ -16,7 +16,7 @@ import subprocess
 
 from upwash.core.admission.limits import Allowance
 from upwash.real.instances.control import Failed, Printed, ServiceEnded, line
-from upwash.real.instances.lxd.credentials import (
+from upwash.real.instances.control_credentials import (
     CONTROL_PORT,
     SERVICE_PORT,
     ControlCredentials,

@@ -13,14 +13,14 @@ from upwash.core.admission.clients import Client
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import InstanceSpec
 from upwash.real.instances.control import Begin
-from upwash.real.instances.instance_control import LONGEST_LINE_BYTES, ControlledInstance, InstanceCallbacks
-from upwash.real.instances.lxd.container import LxdContainer
-from upwash.real.instances.lxd.credentials import (
+from upwash.real.instances.control_credentials import (
     CONTROL_PORT,
     SERVICE_PORT,
     new_control_credentials,
     notice_silence,
 )
+from upwash.real.instances.instance_control import LONGEST_LINE_BYTES, ControlledInstance, InstanceCallbacks
+from upwash.real.instances.lxd.container import LxdContainer
 from upwash.real.instances.lxd.engine import Engine
 from upwash.real.link.proxy import announcement
 from upwash.real.link.streams import StreamEnd

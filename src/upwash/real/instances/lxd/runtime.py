@@ -9,6 +9,7 @@ from upwash.errors import EngineError
 from upwash.ports import InstanceSpec
 from upwash.real.instances.containers import ContainerRuntime, ServiceImage, newest_images, packaging
 from upwash.real.instances.control import begin_of
+from upwash.real.instances.control_credentials import SERVICE_PORT
 from upwash.real.instances.instance_control import ControlledInstance, InstanceCallbacks, starting
 from upwash.real.instances.lxd.container import (
     LxdContainer,
@@ -19,7 +20,6 @@ from upwash.real.instances.lxd.container import (
     known_container,
     new_container,
 )
-from upwash.real.instances.lxd.credentials import SERVICE_PORT
 from upwash.real.instances.lxd.engine import NO_CLUSTER, Engine
 from upwash.real.instances.lxd.instance import LxdInstance
 from upwash.real.link.door import Lead
