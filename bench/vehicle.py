@@ -132,7 +132,7 @@ class Client:
 
 
 async def fly_grid_over_udp(targets: list[Position], *, speedup: float) -> Times:
-    """Fly them with a stand-in whose clock runs `speedup` times as fast."""
+    """Fly them with a stand-in that runs its clock `speedup` times as fast."""
     settings = VehicleSettings(home=HOME, armable_after_s=0.0, speedup=speedup)
     vehicle, client = await serve_vehicle("udp:127.0.0.1:0", settings), Client()
     link = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), client.hear)

@@ -89,8 +89,8 @@ class Available(Struct, frozen=True):
 class Denied(Struct, frozen=True):
     """The server cannot serve the drone, and why.
 
-    If the server is full, `waiting` drones queue, this one included; retry after `ask_again_s`. A service that keeps
-    failing is left alone for another `pause_s`. `is_news` is False if the drone was refused for the same reason
+    If the server is full, `waiting` drones queue, this drone included; retry after `ask_again_s`. A service that
+    keeps failing is left alone for another `pause_s`. `is_news` is False if the drone was refused for the same reason
     before.
     """
 
@@ -450,7 +450,7 @@ class AdmissionController:
         )
 
     def seen(self, server: str, drone: str, *, now_s: float) -> None:
-        """The daemon saw the drone with that `Client.key`: renew its lease, if it has one."""
+        """The daemon saw the drone with that `Client.key`: renew the drone's lease, if any."""
         lease = self._servers[server].leases.by_key(drone, now_s=now_s)
         if lease is not None:
             lease.until_s = max(lease.until_s, now_s + self.settings.lease_s)
