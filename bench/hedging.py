@@ -13,8 +13,17 @@ from statistics import fmean, quantiles
 import msgspec
 from bench.program import command_line
 
-from upwash.config import DroneConfig, GridConfig, MissionConfig, ServerConfig, ServiceConfig
-from upwash.config.drone import FaultConfig, HedgeConfig, NoiseConfig, PolicyConfig
+from upwash.config import (
+    DroneConfig,
+    FaultConfig,
+    GridConfig,
+    MissionConfig,
+    NoiseConfig,
+    PolicyConfig,
+    ServerConfig,
+    ServiceConfig,
+)
+from upwash.config.drone import HedgeConfig
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
 

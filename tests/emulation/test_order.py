@@ -7,8 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from upwash.config import DroneConfig, PeerConfig, read_daemon_config, read_drone_config
-from upwash.config.drone import TruthConfig
+from upwash.config import DroneConfig, PeerConfig, TruthConfig, read_daemon_config, read_drone_config
 from upwash.emulation.native import WIFI, wifi_of
 from upwash.emulation.programs import daemon_config, write_config
 from upwash.emulation.request import EmulationRequest, Paces, emulated, left_out, server_paces

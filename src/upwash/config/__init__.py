@@ -1,9 +1,9 @@
 """Configuration: TOML files become frozen values, or a ConfigError that names file, key and remedy.
 
 A file is read in this order: `reading` (TOML to plain values), `shorthand` (short forms written out), `convert` (the
-types, which `values`, `drone`, `daemon` and `runtime` declare), `checks` (what no type says). The first problem is
-raised. After that every value is possible, and `places`, `flight_times` and `truth` answer what follows from
-several keys.
+types, which `values`, `drone`, `world`, `daemon` and `runtime` declare), `checks` (what no type says). The first
+problem is raised. After that every value is possible, and `places`, `flight_times` and `truth` answer what follows
+from several keys.
 
 A docstring below a key is its line in docs/configuration-reference.md, and the description of a kind of value is what
 an error says was expected: both are for people who write files. Ugly is that msgspec names a wrong value by a path in
@@ -25,23 +25,16 @@ from upwash.config.drone import (
     AutopilotConfig,
     CameraConfig,
     DroneConfig,
-    EnergyConfig,
-    EventConfig,
-    FaultConfig,
     FleetDroneConfig,
     GridConfig,
-    HeatConfig,
     HomeConfig,
-    Lie,
     MissionConfig,
     NetworkConfig,
-    NoiseConfig,
     PolicyConfig,
     ProbeConfig,
     SafeEnd,
     ServerConfig,
     ServiceConfig,
-    TruthConfig,
     VehicleConfig,
     unsigned_port,
 )
@@ -86,3 +79,12 @@ from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine
+from upwash.config.world import (
+    EnergyConfig,
+    EventConfig,
+    FaultConfig,
+    HeatConfig,
+    Lie,
+    NoiseConfig,
+    TruthConfig,
+)

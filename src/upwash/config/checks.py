@@ -7,23 +7,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from upwash.config.drone import (
-    RADIOS,
     AutopilotConfig,
     CameraConfig,
     DroneConfig,
-    FaultConfig,
     FleetDroneConfig,
     MissionConfig,
     NetworkConfig,
     ServerConfig,
     ServiceConfig,
-    TruthConfig,
 )
 from upwash.config.flight_times import finish_by_s
 from upwash.config.places import geofence, is_planned_home, measured_servers, sweeps_of, waypoints
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import MDNS, is_address
+from upwash.config.world import RADIOS, FaultConfig, TruthConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.geofence import breached_by_leg, breached_by_position, breached_by_way
 from upwash.mavlink.connection import parse_connection

@@ -9,6 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
+from upwash.config import values
 from upwash.config.problems import Problem, metrics_problems, name_problems, unknown
 from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import (
@@ -20,26 +21,6 @@ from upwash.config.runtime import (
     runtime_problems,
 )
 from upwash.config.shorthand import each_table, image_written_out
-from upwash.config.values import (
-    START_TIMEOUT_S,
-    Command,
-    FilePath,
-    ImportPath,
-    KeysConfig,
-    MessageBytes,
-    Name,
-    Names,
-    NotNegative,
-    Positive,
-    SecondsByKey,
-    Settings,
-    Slots,
-    Text,
-    TurnSeconds,
-    is_address,
-    is_listening_address,
-    is_on_this_machine,
-)
 from upwash.errors import ConfigError
 
 _REVOKED = "revoked.txt"
@@ -48,31 +29,31 @@ _REVOKED = "revoked.txt"
 LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, in seconds")]
 
 
-class DaemonKeysConfig(KeysConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DaemonKeysConfig(values.KeysConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A daemon's certificates and key, and the list of the certificates that it refuses."""
 
-    revoked: FilePath | None = None
+    revoked: values.FilePath | None = None
     """The list of certificates that are refused; default: `revoked.txt` beside `authority`, if it is there."""
 
 
 class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A service that can be started here."""
 
-    name: Name
+    name: values.Name
     """As its class is declared."""
-    program: ImportPath | None = None
+    program: values.ImportPath | None = None
     """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
-    command: Command = ()
+    command: values.Command = ()
     """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
-    settings: Settings | None = None
+    settings: values.Settings | None = None
     """What the constructor of its class takes; in a container that of its image counts."""
-    image: Text | None = None
+    image: values.Text | None = None
     """The image of Docker or Podman that it runs from; default: `upwash-NAME`, which `upwash package` makes."""
-    pace_s: SecondsByKey = {}
+    pace_s: values.SecondsByKey = {}
     """The least time of a call, in seconds: stands in for a slower computer."""
-    start_pace_s: NotNegative = 0.0
+    start_pace_s: values.NotNegative = 0.0
     """The least time of a start, in seconds."""
-    call_limit_s: Positive | None = None
+    call_limit_s: values.Positive | None = None
     """The daemon replaces an instance that a call keeps busy for longer, in seconds; default: 60, or ten times the
     longest of `pace_s`. Once calls are answered, five times the longest answer is enough, from 20 s on."""
     memory_bytes: MemoryBytes | None = None
@@ -88,22 +69,22 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A server that the daemon acts as."""
 
-    name: Name
+    name: values.Name
     """As in its certificate."""
-    slots: Slots = "auto"
+    slots: values.Slots = "auto"
     """Drones that it serves at a time; `auto`: as many as it measures to be right."""
-    turn_s: TurnSeconds = 30.0
+    turn_s: values.TurnSeconds = 30.0
     """How long a drone keeps its slot at least while others wait, in seconds."""
-    images: Names
+    images: values.Names
     """The services that it runs; default: all of the file."""
 
 
 class PeerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A server that another daemon of the operator acts as, which drones go on to from here, or come from."""
 
-    name: Name
+    name: values.Name
     """As in its certificate."""
-    address: Text
+    address: values.Text
     """Of its daemon, over a wire."""
 
 
@@ -122,32 +103,32 @@ class DaemonConfig(
 ):
     """One edge daemon."""
 
-    listen: Text = "0.0.0.0:7070"
+    listen: values.Text = "0.0.0.0:7070"
     """`host:port`, or `unix:path`; no host, or `*`, is every address of the computer; port 0 takes any free one."""
     instance_ports: PortRange | None = None
     """The first and the last port at which drones reach services, at least one for each service of each server;
     default: any free ones."""
     outside_ports: PortRange | None = None
     """The numbers that drones see in place of `instance_ports` where a router or a container maps ports."""
-    max_message_bytes: MessageBytes = 16_777_216
+    max_message_bytes: values.MessageBytes = 16_777_216
     """The largest request and result of a call."""
     lease_s: LeaseSeconds = 30.0
     """A drone that is silent for so long loses its slot, in seconds."""
-    idle_stop_s: Positive = 600.0
+    idle_stop_s: values.Positive = 600.0
     """An instance that nobody called for so long, with no drone on the server, is stopped, in seconds."""
-    start_timeout_s: Positive = START_TIMEOUT_S
+    start_timeout_s: values.Positive = values.START_TIMEOUT_S
     """An instance that is not ready by then is given up, in seconds."""
-    drain_s: Positive = 10.0
+    drain_s: values.Positive = 10.0
     """Calls under way get so long to end when the daemon or their service stops, in seconds."""
-    hold_s: Positive = 60.0
+    hold_s: values.Positive = 60.0
     """A slot that a peer asks for is held for a drone for at most so long, in seconds."""
     announce: bool = False
     """Drones find the servers by multicast DNS: their configurations say `address = "mdns"`."""
     allow_without_certificates: bool = False
     """For trying things out, on loopback or a unix socket only."""
-    metrics: Text | None = None
+    metrics: values.Text | None = None
     """Where Prometheus finds the daemon's numbers, `host:port`: [metrics](metrics.md)."""
-    metrics_hosts: Names = ()
+    metrics_hosts: values.Names = ()
     """Further names of this computer that a Prometheus may use, such as `host.docker.internal`."""
     keys: DaemonKeysConfig | None = None
     runtime: RuntimeConfig = RuntimeConfig()
@@ -219,9 +200,9 @@ def _problems(config: DaemonConfig) -> Iterator[Problem]:
     for index, peer in enumerate(config.peers):
         if peer.name in [identity.name for identity in config.identities]:
             yield f"peer[{index}].name", f"{peer.name} is this daemon itself: name servers of other daemons"
-        if not is_address(peer.address):
+        if not values.is_address(peer.address):
             yield f"peer[{index}].address", f'expected "host:port" or "unix:path", found "{peer.address}"'
-        elif not is_reached and not is_on_this_machine(peer.address):
+        elif not is_reached and not values.is_on_this_machine(peer.address):
             problem = f'"{peer.address}" is another machine: give [keys], and a "host:port" to listen on'
             yield f"peer[{index}].address", problem
 
@@ -252,7 +233,7 @@ def _port_problems(config: DaemonConfig, *, is_reached: bool) -> Iterator[Proble
 
 def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
     key = "allow_without_certificates"
-    if not is_listening_address(config.listen):
+    if not values.is_listening_address(config.listen):
         yield "listen", f'expected "host:port" or "unix:path", found "{config.listen}"'
     elif config.keys is None and not config.allow_without_certificates:
         yield (
@@ -262,7 +243,7 @@ def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
         )
     elif config.keys is not None and config.allow_without_certificates:
         yield key, "contradicts [keys]: remove one of the two"
-    elif config.allow_without_certificates and not is_on_this_machine(config.listen):
+    elif config.allow_without_certificates and not values.is_on_this_machine(config.listen):
         yield (
             key,
             f'would let anyone in at "{config.listen}": listen on "127.0.0.1:7070" or "unix:path", or give [keys] '

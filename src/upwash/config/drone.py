@@ -2,60 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from upwash.config.values import (
-    START_TIMEOUT_S,
-    Bytes,
-    Command,
-    Count,
-    CountFromZero,
-    CoveragePath,
-    FilePath,
-    FlightOrder,
-    Fraction,
-    GridCount,
-    ImportPath,
-    InterfaceName,
-    KeysByKey,
-    KeysConfig,
-    Latitude,
-    Longitude,
-    MessageBytes,
-    Name,
-    Names,
-    NotNegative,
-    Percent,
-    PlanPath,
-    Positive,
-    Quantile,
-    Range,
-    SecondsByKey,
-    SecondsByService,
-    SecondsOfEachKey,
-    Settings,
-    Share,
-    SharesByKey,
-    Slots,
-    Text,
-    TurnSeconds,
-    VideoSource,
-    is_on_this_machine,
-)
+from upwash.config import values
+from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, HeatConfig, NoiseConfig, TruthConfig
 from upwash.core.geo import GeoPosition
 from upwash.core.policies.names import PolicyName
 
 Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
-Level = Annotated[float, Meta(ge=0, lt=100, description="a number from 0 to below 100, in percent")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
-ShiftInMetres = Annotated[
-    tuple[float, float, float], Meta(description="three numbers [east, north, up] in metres")
-]
 PlacesInMetres = Annotated[
     tuple[PairInMetres, ...],
     Meta(min_length=1, description="pairs [east, north] in metres, at least one"),
@@ -64,22 +23,15 @@ SecondOfADay = Annotated[float, Meta(ge=0, le=86_400, description="a number from
 SystemId = Annotated[int, Meta(ge=1, le=255, description="a whole number from 1 to 255")]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
 SafeEnd = Literal["return", "hold", "land"]
-Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
-FaultKind = Literal[
-    "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
-    "hung", "poisoned", "unstartable",
-    "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
-]  # fmt: skip
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
-RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
 
 
 class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The place on the Earth where east and north are 0."""
 
-    latitude_deg: Latitude
+    latitude_deg: values.Latitude
     """North of the equator."""
-    longitude_deg: Longitude
+    longitude_deg: values.Longitude
     """East of Greenwich."""
 
     @property
@@ -91,11 +43,11 @@ class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Waypoints in rows, the bottom-left one at home, flown row by row from one corner."""
 
-    columns: GridCount
+    columns: values.GridCount
     """Waypoints in a row."""
-    rows: GridCount
+    rows: values.GridCount
     """Rows, to the north."""
-    spacing_m: Positive
+    spacing_m: values.Positive
     """Between neighbours, in metres."""
     start: Corner = "top-left"
     """The corner at which the flight begins."""
@@ -106,13 +58,13 @@ class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is flown."""
 
-    program: Text = "survey"
+    program: values.Text = "survey"
     """The mission: the bundled `survey`, `path/to/file.py:function` or `package.module:function`."""
-    mode: Text = "heavy"
+    mode: values.Text = "heavy"
     """Passed to a mission that has a parameter of this name; the profile key of the bundled one."""
-    altitude_m: Positive = 20.0
+    altitude_m: values.Positive = 20.0
     """Above home, in metres."""
-    ground_speed_m_s: Positive = 4.0
+    ground_speed_m_s: values.Positive = 4.0
     """Of legs, in metres per second."""
     home: HomeConfig | None = None
     """The place where east and north are 0; needed to fly."""
@@ -120,20 +72,20 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The waypoints as a grid; one of `grid`, `waypoints_m` and `plan` is needed."""
     waypoints_m: PlacesInMetres | None = None
     """The waypoints as pairs of metres east and north of home."""
-    plan: PlanPath | None = None
+    plan: values.PlanPath | None = None
     """The waypoints and the geofence of a [plan](plans.md): QGroundControl's `.plan`, or `QGC WPL 110`."""
-    action_s: NotNegative = 0.0
+    action_s: values.NotNegative = 0.0
     """How long an action takes that an answer demands at its waypoint, in seconds."""
-    order: FlightOrder = "given"
+    order: values.FlightOrder = "given"
     """In which the waypoints are flown: [orders](missions.md#the-order-of-the-waypoints)."""
-    reserve_percent: Percent | None = None
+    reserve_percent: values.Percent | None = None
     """The mission ends early below this battery level."""
-    reserve_s: NotNegative | None = None
+    reserve_s: values.NotNegative | None = None
     """The mission ends early where the way home would leave fewer seconds of flight: [the
     reserve](flight-ends.md#the-reserve)."""
-    finish_by_s: Positive | None = None
+    finish_by_s: values.Positive | None = None
     """When the mission is to be over, in seconds from arming: [lighter calls](lighter.md)."""
-    lighter: KeysByKey = {}
+    lighter: values.KeysByKey = {}
     """The profile key under which calls run while the mission would be later than `finish_by_s`."""
 
 
@@ -145,40 +97,40 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     profile: Literal["arducopter", "px4"] | None = None
     """A measured vehicle, in place of the next three."""
-    acceleration_m_s2: Positive | None = None
+    acceleration_m_s2: values.Positive | None = None
     """Speeding up and braking. A simulation without a profile: 1."""
-    takeoff_s: NotNegative | None = None
+    takeoff_s: values.NotNegative | None = None
     """From arming to the altitude, in seconds. A simulation without a profile: 10."""
-    return_and_land_s: NotNegative = 16.0
+    return_and_land_s: values.NotNegative = 16.0
     """From the last waypoint to the ground, in seconds."""
-    endurance_s: Positive | None = None
+    endurance_s: values.Positive | None = None
     """Flight with a full battery, in seconds; a real flight's `reserve_s` and `upwash check` read it too."""
 
 
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How a real vehicle is reached, and what it does when the mission fails."""
 
-    connection: Text | None = None
+    connection: values.Text | None = None
     """`serial:DEVICE:BAUD`, `udpin:HOST:PORT`, `udpout:HOST:PORT` or `tcp:HOST:PORT`; needed to fly."""
     system: SystemId | None = None
     """Which vehicle on the link is flown, by its MAVLink system id; absent: the only one that is heard."""
-    found_within_s: Positive = 120.0
+    found_within_s: values.Positive = 120.0
     """How long a flight waits for the vehicle to be heard, in seconds: it may be switched on after this computer."""
-    signing_key: FilePath | None = None
+    signing_key: values.FilePath | None = None
     """All messages are signed with this key, and only signed ones are believed:
     [signing](vehicle.md#signed-messages)."""
     on_failure: SafeEnd = "return"
     """How a mission ends that cannot go on."""
-    farthest_start_m: Positive = 500.0
+    farthest_start_m: values.Positive = 500.0
     """From the nearest waypoint to where the vehicle stands, at most, in metres."""
-    link_patience_s: Positive = 120.0
+    link_patience_s: values.Positive = 120.0
     """A silence of the vehicle's link that a mission outlasts, in seconds."""
     dead_man_s: DeadManSilence | None = None
     """The autopilot itself does what `on_failure` says after so long a silence of this program: [the dead
     man](vehicle.md#when-the-drones-computer-dies)."""
-    arrival_distance_m: Positive = 1.0
+    arrival_distance_m: values.Positive = 1.0
     """Distance within which a waypoint counts as reached, in metres."""
-    arrival_speed_m_s: Positive = 0.5
+    arrival_speed_m_s: values.Positive = 0.5
     """Speed below which a waypoint counts as reached, in metres per second."""
 
 
@@ -188,26 +140,26 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     kind: Literal["stand-in", "wired", "networkmanager"] = "wired"
     """`wired`: nothing is joined, as with LTE, 5G or a mesh; `networkmanager`: by
     [NetworkManager](networks.md); `stand-in`: by the drone's position, for the desk."""
-    interfaces: Annotated[tuple[InterfaceName, ...], Meta(description="an array of interfaces")] = ()
+    interfaces: Annotated[tuple[values.InterfaceName, ...], Meta(description="an array of interfaces")] = ()
     """The only interfaces on which NetworkManager joins networks."""
     radios: Radios = 1
     """With 2, the next server is checked while the one before is used; each radio has an interface."""
-    coverage_map: CoveragePath | None = None
+    coverage_map: values.CoveragePath | None = None
     """A file, kept between flights, of what servers without a range came to at each place."""
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where photos come from: one of three sources."""
 
-    photo_s: NotNegative = 1.0
+    photo_s: values.NotNegative = 1.0
     """What a photo takes, in seconds; a device takes its own time."""
-    folder: FilePath | None = None
+    folder: values.FilePath | None = None
     """A folder whose JPEG files are the photos, in turn."""
-    device: VideoSource | None = None
+    device: values.VideoSource | None = None
     """A video device's number or path, a stream's URL, or GStreamer's pipeline."""
-    latency_s: NotNegative = 0.0
+    latency_s: values.NotNegative = 0.0
     """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
-    park_seed: CountFromZero | None = None
+    park_seed: values.CountFromZero | None = None
     """Photos are rendered: what lies below the drone in the solar park of that seed."""
 
 
@@ -217,9 +169,9 @@ _LEFT_ALONE_S = 60.0
 class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
 
-    after: Quantile = "p95"
+    after: values.Quantile = "p95"
     """The quantile of a server's call delays after which a call counts as late."""
-    budget: Share = 0.1
+    budget: values.Share = 0.1
     """The largest share of the drone's computing time that hedging may add."""
 
     @property
@@ -246,21 +198,21 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     name: PolicyName = "look-ahead"
     """The rule by which servers are selected."""
-    gain_switch: Fraction = 0.25
+    gain_switch: values.Fraction = 0.25
     """The share of the local delay that another server must save before it is switched to."""
-    gain_wait: Fraction = 0.25
+    gain_wait: values.Fraction = 0.25
     """The share of the local delay that waiting for a server must save."""
-    gain_slot: Fraction = 0.25
+    gain_slot: values.Fraction = 0.25
     """The share that a server must save where other drones wait for a slot."""
-    period_s: Positive = 1.0
+    period_s: values.Positive = 1.0
     """Between two looks at whether another server is better, in seconds."""
     blacklist_s: AtLeastOneSecond | None = None
     """How long a server that failed is left alone, in seconds; in place of `probe`."""
     probe: ProbeConfig | None = None
     """A server that failed is asked again after these pauses; default of `look-ahead`."""
-    idle_s: NotNegative = 180.0
+    idle_s: values.NotNegative = 180.0
     """How long a server that was left is believed to have its services still running, in seconds."""
-    retry_s: NotNegative = 300.0
+    retry_s: values.NotNegative = 300.0
     """When a server that became slower than the drone gets another chance, in seconds."""
     patient_first_call: bool = False
     """Whether a service's first call on a server may take as long as a local one."""
@@ -300,92 +252,61 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A service that the mission calls, and what its calls cost on the drone."""
 
-    name: Name
+    name: values.Name
     """As its class is declared."""
-    program: ImportPath | None = None
+    program: values.ImportPath | None = None
     """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
-    command: Command = ()
+    command: values.Command = ()
     """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
-    request_bytes: Bytes = 425_000
+    request_bytes: values.Bytes = 425_000
     """Of a request, on average."""
-    reply_bytes: Bytes = 500
+    reply_bytes: values.Bytes = 500
     """Of a reply, on average."""
-    max_reply_bytes: MessageBytes = 4_194_304
+    max_reply_bytes: values.MessageBytes = 4_194_304
     """The largest reply of a server: a larger one is not received, and the drone computes the call."""
-    local_call_s: SecondsOfEachKey
+    local_call_s: values.SecondsOfEachKey
     """A call on the drone, in seconds: one number, or one for each profile key or method; `upwash profile`
     measures it."""
-    local_first_extra_s: NotNegative = 0.0
+    local_first_extra_s: values.NotNegative = 0.0
     """How much longer the first call after a start takes, in seconds."""
-    local_pace_s: SecondsByKey = {}
+    local_pace_s: values.SecondsByKey = {}
     """The least time of a call on the drone, in seconds: stands in for a slower computer."""
-    local_joining_slowdown: SharesByKey = {}
+    local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
-    settings: Settings | None = None
+    settings: values.Settings | None = None
     """What the constructor of its class takes."""
-
-
-class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is true of a simulated server; what is left out is as believed."""
-
-    join_s: NotNegative | None = None
-    """Joining its network, in seconds; default: `check_running_s`."""
-    leave_s: NotNegative = 0.0
-    """Leaving its network, in seconds: meanwhile the radio joins no other."""
-    start_s: NotNegative | None = None
-    """Starting a service, in seconds; default: `check_s` less `check_running_s`."""
-    processing_s: SecondsByService = {}
-    """The part of `remote_call_s` that keeps an instance busy, in seconds; default: all of it."""
-    remote_call_s: SecondsByService = {}
-    """A call, in seconds."""
-    first_extra_s: NotNegative = 0.0
-    """How much longer the first call after a start takes, in seconds."""
-    range_m: Positive | None = None
-    """How far it is reached, in metres; default: as believed, or everywhere where that is `"measured"`."""
-    radio: Text = "fixed"
-    """Goodput by distance: `fixed`, `disc54`, `disc12` or a csv file."""
-    slots: Slots = "auto"
-    """Drones that it serves at a time."""
-    lanes: Count | None = None
-    """Calls that an instance computes at a time; default: as its service declares."""
-    turn_s: TurnSeconds | None = None
-    """How long a drone keeps its slot at least while others wait, in seconds."""
-    images: Names | None = None
-    """The services that it can start; default: all."""
-    peers: Names = ()
-    """Servers that it can have prepared for a drone that goes on to them."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An edge server, and what the drone believes of it before it has met it."""
 
-    name: Name
+    name: values.Name
     """As in its certificate."""
     east_m: float | None = None
     """Of home, in metres; or give `latitude_deg` and `longitude_deg`."""
     north_m: float | None = None
     """Of home, in metres."""
-    latitude_deg: Latitude | None = None
+    latitude_deg: values.Latitude | None = None
     """In place of `east_m` and `north_m`."""
-    longitude_deg: Longitude | None = None
+    longitude_deg: values.Longitude | None = None
     """In place of `east_m` and `north_m`."""
-    range_m: Range
+    range_m: values.Range
     """How far it is reached, in metres; or `"measured"`: [servers without a
     range](networks.md#servers-without-a-range)."""
-    network: Text
+    network: values.Text
     """Its NetworkManager profile; default: the server's name."""
-    address: Text | None = None
+    address: values.Text | None = None
     """Of its daemon, `host:port` or `unix:path`; or `mdns`: it is [found in its network](networks.md#addresses).
     Needed to fly."""
-    bandwidth_bit_s: Positive | None = None
+    bandwidth_bit_s: values.Positive | None = None
     """With `processing_s`: the first estimate of a call (equation 3.1) where `remote_call_s` is not given."""
-    check_s: NotNegative = 11.5
+    check_s: values.NotNegative = 11.5
     """From selecting it to the first call, with services to be started, in seconds."""
-    check_running_s: NotNegative = 3.5
+    check_running_s: values.NotNegative = 3.5
     """The same with services that run, in seconds."""
-    processing_s: SecondsByService = {}
+    processing_s: values.SecondsByService = {}
     """Computing a call there, in seconds."""
-    remote_call_s: SecondsByService = {}
+    remote_call_s: values.SecondsByService = {}
     """A call there from request to reply, in seconds: one number, by service, by profile key or both."""
     truth: TruthConfig = TruthConfig()
     """Simulation: what is true of it."""
@@ -396,109 +317,22 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return None if self.range_m == "measured" else self.range_m
 
 
-class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Simulation: the waypoints whose answers demand an action."""
-
-    every: Count | None = None
-    """At the waypoints i with `i % every == offset`."""
-    offset: CountFromZero = 0
-    """See `every`."""
-    probability: Fraction | None = None
-    """At each waypoint with this probability, in place of `every`."""
-
-    def __post_init__(self) -> None:
-        if (self.every is None) == (self.probability is None):
-            raise ValueError("give one of every (with an offset) and probability")
-        if self.every is not None and self.offset >= self.every:
-            raise ValueError(
-                f"offset is {self.offset}, and every {self.every}: give one from 0 to {self.every - 1}"
-            )
-
-
-class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The drone's computer gets hot, and slow."""
-
-    ambient_c: float = 44.0
-    """The air around it, in °C."""
-    load_w: NotNegative = 4.0
-    """What a call adds to its power, in watts."""
-
-
-class EnergyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the simulated drone draws from its battery: [the model](energy.md)."""
-
-    battery_wh: Positive | None = None
-    """What the battery holds, in watt-hours; default: endless."""
-    failsafe_percent: Level = 5.0
-    """The vehicle lands by itself at this level; 0: it does not."""
-    hover_w: Positive = 168.5
-    """Hovering, in watts."""
-    blade_share: Fraction = 0.474
-    """Of `hover_w`: the blades' own drag."""
-    tip_speed_m_s: Positive = 120.0
-    """Of the rotors' blades."""
-    induced_speed_m_s: Positive = 4.03
-    """Of the air below the rotors in hover."""
-    drag_at_10_m_s_w: NotNegative = 9.24
-    """What the air's resistance adds at 10 m/s, in watts."""
-    computer_idle_w: NotNegative = 2.7
-    """The computer without a call, in watts."""
-    computer_load_w: NotNegative | None = None
-    """What a call adds, in watts; default: 4, or `heat.load_w`."""
-    radio_idle_w: NotNegative = 0.8
-    """Each radio, in watts."""
-    radio_transfer_w: NotNegative = 0.5
-    """What a transfer adds, in watts."""
-
-
-class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Simulation: relative standard deviations of times; without them every seed gives the same run."""
-
-    call: NotNegative = 0.0
-    """Of calls."""
-    leg: NotNegative = 0.0
-    """Of legs."""
-    join: NotNegative = 0.0
-    """Of joining a network."""
-    start: NotNegative = 0.0
-    """Of starting a service."""
-
-
-class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Simulation: a disturbance that lasts for a while: [faults](scenarios.md#faults)."""
-
-    target: Text
-    """A server's name, `link:` and a server's name, or `autopilot`."""
-    kind: FaultKind
-    """What goes wrong."""
-    lie: Lie = "elsewhere"
-    """What a server that is `lying` lies about."""
-    from_s: NotNegative = 0.0
-    """When it begins, in seconds."""
-    to_s: NotNegative = math.inf
-    """When it ends, in seconds."""
-    extra_s: NotNegative = 5.0
-    """How much longer things take while the target is `slow`, in seconds."""
-    moved_m: ShiftInMetres = (40.0, 30.0, 0.0)
-    """How far `diverted` leads, `home` is moved and the position jumps: metres east, north and up."""
-
-
 class FleetDroneConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Simulation: one of several drones; what it leaves out is as the file says for all."""
 
-    name: Name
+    name: values.Name
     """Of the drone."""
     departs_s: SecondOfADay = 0.0
     """When it begins, in seconds of the simulation."""
-    vanishes_s: Positive | None = None
+    vanishes_s: values.Positive | None = None
     """When its computer is gone, in seconds of the simulation."""
     grid: GridConfig | None = None
     """Its waypoints as a grid."""
     waypoints_m: PlacesInMetres | None = None
     """Its waypoints as pairs of metres east and north of home."""
-    plan: PlanPath | None = None
+    plan: values.PlanPath | None = None
     """Its waypoints as a plan."""
-    local_call_s: SecondsByService = {}
+    local_call_s: values.SecondsByService = {}
     """A call on its computer, in seconds, by service and profile key."""
     policy: PolicyName | None = None
     """Its policy."""
@@ -516,24 +350,24 @@ class DroneConfig(
     A scenario may have several `drones`: `fleet_of` has a configuration for each of them.
     """
 
-    name: Name = "drone"
+    name: values.Name = "drone"
     """As in the drone's certificate."""
     seed: int = 1
     """Simulation: all chance comes from here."""
-    metrics: Text | None = None
+    metrics: values.Text | None = None
     """Where Prometheus finds a flight's numbers, `host:port`: [metrics](metrics.md)."""
-    metrics_hosts: Names = ()
+    metrics_hosts: values.Names = ()
     """Further names of this computer that a Prometheus may use, such as `host.docker.internal`."""
-    max_message_bytes: MessageBytes = 16_777_216
+    max_message_bytes: values.MessageBytes = 16_777_216
     """The largest request and result of a call on the drone's side."""
-    start_timeout_s: Positive = START_TIMEOUT_S
+    start_timeout_s: values.Positive = values.START_TIMEOUT_S
     """A service that is not ready by then is given up, in seconds: one of the drone by `fly`, `check` and `profile`,
     one at a server by `check --servers` and `profile --server`. A daemon has the same key."""
     mission: MissionConfig
     vehicle: VehicleConfig = VehicleConfig()
     autopilot: AutopilotConfig = AutopilotConfig()
     network: NetworkConfig = NetworkConfig()
-    keys: KeysConfig | None = None
+    keys: values.KeysConfig | None = None
     camera: CameraConfig = CameraConfig()
     policy: PolicyConfig = PolicyConfig()
     services: Annotated[
@@ -555,7 +389,7 @@ class DroneConfig(
 def unsigned_port(autopilot: AutopilotConfig) -> str:
     """A warning if other computers can send messages in the vehicle's name to the drone's port; else ""."""
     kind, _, place = (autopilot.connection or "").partition(":")
-    if kind != "udpin" or autopilot.signing_key is not None or is_on_this_machine(place):
+    if kind != "udpin" or autopilot.signing_key is not None or values.is_on_this_machine(place):
         return ""
     return (
         f"autopilot.connection = {autopilot.connection} listens to networks, and messages are not signed: who sends "

@@ -7,21 +7,21 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from upwash.config import values
 from upwash.config.problems import Problem
-from upwash.config.values import FilePath, Name, Names, Text
 
 # A Python interpreter with gRPC needs this much.
 MemoryBytes = Annotated[int, Meta(ge=2**26, description="an integer of at least 67108864 (64 MiB), in bytes")]
 Processes = Annotated[int, Meta(ge=32, description="an integer of at least 32, threads included")]
 Cpus = Annotated[int, Meta(ge=1, le=4096, description="an integer from 1 to 4096")]
 DiskBytes = Annotated[int, Meta(ge=2**20, description="an integer of at least 1048576 (1 MiB), in bytes")]
-Files = Annotated[tuple[FilePath, ...], Meta(description="an array of files and folders")]
+Files = Annotated[tuple[values.FilePath, ...], Meta(description="an array of files and folders")]
 EngineAddresses = Annotated[
-    tuple[Text, ...], Meta(min_length=1, description='an array of "unix:/path" or "https://host:port"')
+    tuple[values.Text, ...], Meta(min_length=1, description='an array of "unix:/path" or "https://host:port"')
 ]
 
 Devices = Annotated[
-    tuple[Text, ...], Meta(description='an array of paths like "/dev/dri", or of device names')
+    tuple[values.Text, ...], Meta(description='an array of paths like "/dev/dri", or of device names')
 ]
 _ADDRESSES = {"docker": "unix:/var/run/docker.sock", "lxd": "unix:/var/lib/lxd/unix.socket"}
 
@@ -32,26 +32,26 @@ class EngineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     addresses: EngineAddresses | None = None
     """Of the engine; several are those of one cluster's members. Default: `unix:/var/lib/lxd/unix.socket`, or with
     `docker` `unix:/var/run/docker.sock`."""
-    project: Name = "default"
+    project: values.Name = "default"
     """In which containers and images lie; of LXD or Incus."""
-    pool: Name = "default"
+    pool: values.Name = "default"
     """The storage pool; of LXD or Incus."""
-    profiles: Names = ()
+    profiles: values.Names = ()
     """More profiles that containers get; of LXD or Incus."""
-    certificate: FilePath | None = None
+    certificate: values.FilePath | None = None
     """Shown to an engine at an https address."""
-    key: FilePath | None = None
+    key: values.FilePath | None = None
     """Of that certificate."""
-    engine_certificate: FilePath | None = None
+    engine_certificate: values.FilePath | None = None
     """The engine's own."""
 
 
 class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The addresses of containers, and the interface that answers for them."""
 
-    subnet: Text = "10.147.70.0/24"
+    subnet: values.Text = "10.147.70.0/24"
     """Of the containers."""
-    interface: Name | None = None
+    interface: values.Name | None = None
     """Where drones come from; without it containers are reached from this machine alone."""
 
 

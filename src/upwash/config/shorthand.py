@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from upwash.config.drone import RADIOS
 from upwash.config.reading import Document
+from upwash.config.world import RADIOS
 
 _LOCAL = ("local_call_s", "local_pace_s", "local_joining_slowdown")
 _REMOTE = ("processing_s", "remote_call_s")

@@ -1,0 +1,140 @@
+"""What is true of a simulated world, and what goes wrong in it: the tables that only simulations read."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from upwash.config import values
+
+Level = Annotated[float, Meta(ge=0, lt=100, description="a number from 0 to below 100, in percent")]
+ShiftInMetres = Annotated[
+    tuple[float, float, float], Meta(description="three numbers [east, north, up] in metres")
+]
+Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
+FaultKind = Literal[
+    "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
+    "hung", "poisoned", "unstartable",
+    "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
+]  # fmt: skip
+RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
+
+
+class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is true of a simulated server; what is left out is as believed."""
+
+    join_s: values.NotNegative | None = None
+    """Joining its network, in seconds; default: `check_running_s`."""
+    leave_s: values.NotNegative = 0.0
+    """Leaving its network, in seconds: meanwhile the radio joins no other."""
+    start_s: values.NotNegative | None = None
+    """Starting a service, in seconds; default: `check_s` less `check_running_s`."""
+    processing_s: values.SecondsByService = {}
+    """The part of `remote_call_s` that keeps an instance busy, in seconds; default: all of it."""
+    remote_call_s: values.SecondsByService = {}
+    """A call, in seconds."""
+    first_extra_s: values.NotNegative = 0.0
+    """How much longer the first call after a start takes, in seconds."""
+    range_m: values.Positive | None = None
+    """How far it is reached, in metres; default: as believed, or everywhere where that is `"measured"`."""
+    radio: values.Text = "fixed"
+    """Goodput by distance: `fixed`, `disc54`, `disc12` or a csv file."""
+    slots: values.Slots = "auto"
+    """Drones that it serves at a time."""
+    lanes: values.Count | None = None
+    """Calls that an instance computes at a time; default: as its service declares."""
+    turn_s: values.TurnSeconds | None = None
+    """How long a drone keeps its slot at least while others wait, in seconds."""
+    images: values.Names | None = None
+    """The services that it can start; default: all."""
+    peers: values.Names = ()
+    """Servers that it can have prepared for a drone that goes on to them."""
+
+
+class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Simulation: the waypoints whose answers demand an action."""
+
+    every: values.Count | None = None
+    """At the waypoints i with `i % every == offset`."""
+    offset: values.CountFromZero = 0
+    """See `every`."""
+    probability: values.Fraction | None = None
+    """At each waypoint with this probability, in place of `every`."""
+
+    def __post_init__(self) -> None:
+        if (self.every is None) == (self.probability is None):
+            raise ValueError("give one of every (with an offset) and probability")
+        if self.every is not None and self.offset >= self.every:
+            raise ValueError(
+                f"offset is {self.offset}, and every {self.every}: give one from 0 to {self.every - 1}"
+            )
+
+
+class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The drone's computer gets hot, and slow."""
+
+    ambient_c: float = 44.0
+    """The air around it, in °C."""
+    load_w: values.NotNegative = 4.0
+    """What a call adds to its power, in watts."""
+
+
+class EnergyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the simulated drone draws from its battery: [the model](energy.md)."""
+
+    battery_wh: values.Positive | None = None
+    """What the battery holds, in watt-hours; default: endless."""
+    failsafe_percent: Level = 5.0
+    """The vehicle lands by itself at this level; 0: it does not."""
+    hover_w: values.Positive = 168.5
+    """Hovering, in watts."""
+    blade_share: values.Fraction = 0.474
+    """Of `hover_w`: the blades' own drag."""
+    tip_speed_m_s: values.Positive = 120.0
+    """Of the rotors' blades."""
+    induced_speed_m_s: values.Positive = 4.03
+    """Of the air below the rotors in hover."""
+    drag_at_10_m_s_w: values.NotNegative = 9.24
+    """What the air's resistance adds at 10 m/s, in watts."""
+    computer_idle_w: values.NotNegative = 2.7
+    """The computer without a call, in watts."""
+    computer_load_w: values.NotNegative | None = None
+    """What a call adds, in watts; default: 4, or `heat.load_w`."""
+    radio_idle_w: values.NotNegative = 0.8
+    """Each radio, in watts."""
+    radio_transfer_w: values.NotNegative = 0.5
+    """What a transfer adds, in watts."""
+
+
+class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Simulation: relative standard deviations of times; without them every seed gives the same run."""
+
+    call: values.NotNegative = 0.0
+    """Of calls."""
+    leg: values.NotNegative = 0.0
+    """Of legs."""
+    join: values.NotNegative = 0.0
+    """Of joining a network."""
+    start: values.NotNegative = 0.0
+    """Of starting a service."""
+
+
+class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Simulation: a disturbance that lasts for a while: [faults](scenarios.md#faults)."""
+
+    target: values.Text
+    """A server's name, `link:` and a server's name, or `autopilot`."""
+    kind: FaultKind
+    """What goes wrong."""
+    lie: Lie = "elsewhere"
+    """What a server that is `lying` lies about."""
+    from_s: values.NotNegative = 0.0
+    """When it begins, in seconds."""
+    to_s: values.NotNegative = math.inf
+    """When it ends, in seconds."""
+    extra_s: values.NotNegative = 5.0
+    """How much longer things take while the target is `slow`, in seconds."""
+    moved_m: ShiftInMetres = (40.0, 30.0, 0.0)
+    """How far `diverted` leads, `home` is moved and the position jumps: metres east, north and up."""
