@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
 import pytest
+from tests.played import played
 from tests.ports.memory import AGILE, Air, Bench, bench
 from tests.ports.steps import claim_and_arm, take_off
 
@@ -90,48 +91,42 @@ def test_it_is_uploaded_started_and_read_back(tell: Tell, share: float) -> None:
     tell(story, air=Air(share, seed=7))
 
 
-def test_an_older_one_is_replaced(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        older = script()[1].replace(str(script()[0]).encode(), b"12")
-        made.firmware.files.content[f"scripts/{FILE}"] = bytearray(older + b"-- and it was longer")
-        made.copter.parameters.change(VERSION, 12)
-        async with made.program() as autopilot:
-            assert "another version" in await autopilot.dead_man.missing()
-            await autopilot.claim(resumes=False)
-            with pytest.raises(AutopilotRefused, match="another version of upwash; install it"):
-                await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
-        await install(made)
-        assert bytes(made.firmware.files.content[f"scripts/{FILE}"]) == script()[1]
-
-    tell(story)
+@played("tell")
+async def test_an_older_one_is_replaced(made: Bench) -> None:
+    await install(made)
+    older = script()[1].replace(str(script()[0]).encode(), b"12")
+    made.firmware.files.content[f"scripts/{FILE}"] = bytearray(older + b"-- and it was longer")
+    made.copter.parameters.change(VERSION, 12)
+    async with made.program() as autopilot:
+        assert "another version" in await autopilot.dead_man.missing()
+        await autopilot.claim(resumes=False)
+        with pytest.raises(AutopilotRefused, match="another version of upwash; install it"):
+            await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
+    await install(made)
+    assert bytes(made.firmware.files.content[f"scripts/{FILE}"]) == script()[1]
 
 
-def test_scripting_that_is_off_is_switched_on_for_the_next_start(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        made.copter.parameters.change("SCR_ENABLE", 0)
-        async with made.program() as autopilot:
-            assert "SCR_ENABLE is 0" in await autopilot.dead_man.missing()
-            await autopilot.claim(resumes=False)
-            assert "switch the autopilot off and on" in await autopilot.dead_man.install()
-        assert made.parameter("SCR_ENABLE") == 1
-        assert bytes(made.firmware.files.content[f"scripts/{FILE}"]) == script()[1]
-
-    tell(story)
+@played("tell")
+async def test_scripting_that_is_off_is_switched_on_for_the_next_start(made: Bench) -> None:
+    made.copter.parameters.change("SCR_ENABLE", 0)
+    async with made.program() as autopilot:
+        assert "SCR_ENABLE is 0" in await autopilot.dead_man.missing()
+        await autopilot.claim(resumes=False)
+        assert "switch the autopilot off and on" in await autopilot.dead_man.install()
+    assert made.parameter("SCR_ENABLE") == 1
+    assert bytes(made.firmware.files.content[f"scripts/{FILE}"]) == script()[1]
 
 
-def test_nothing_is_installed_in_a_vehicle_that_is_armed(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        async with made.program() as autopilot:
-            await claim_and_arm(autopilot)
-            with pytest.raises(AutopilotRefused, match="the vehicle is armed"):
-                await autopilot.dead_man.install()
-        async with made.program() as another:
-            with pytest.raises(AutopilotOverruled):
-                await another.dead_man.install()
-        assert not made.firmware.files.content
-
-    tell(story)
+@played("tell")
+async def test_nothing_is_installed_in_a_vehicle_that_is_armed(made: Bench) -> None:
+    async with made.program() as autopilot:
+        await claim_and_arm(autopilot)
+        with pytest.raises(AutopilotRefused, match="the vehicle is armed"):
+            await autopilot.dead_man.install()
+    async with made.program() as another:
+        with pytest.raises(AutopilotOverruled):
+            await another.dead_man.install()
+    assert not made.firmware.files.content
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.2])
@@ -174,50 +169,44 @@ def test_the_script_and_the_driver_use_the_same_words() -> None:
 
 
 @pytest.mark.parametrize(("action", "mode"), [("return", CopterMode.RTL), ("land", CopterMode.LAND)])
-def test_a_program_that_is_killed_in_flight_is_missed_in_time(
-    tell: Tell, action: str, mode: CopterMode
+@played("tell")
+async def test_a_program_that_is_killed_in_flight_is_missed_in_time(
+    made: Bench, *, action: str, mode: CopterMode
 ) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        async with made.program() as autopilot:
-            await autopilot.claim(resumes=False)
-            await autopilot.dead_man.watch(silence_s=SILENCE, action=action)  # type: ignore[arg-type]
-            await take_off(autopilot)
-        took_s = await leaves_guided(made, within_s=SILENCE)
-        assert took_s > SILENCE - 3.0
-        assert made.copter.mode is mode
-        assert f"upwash: companion silent, {mode.name}" in made.said
-
-    tell(story)
+    await install(made)
+    async with made.program() as autopilot:
+        await autopilot.claim(resumes=False)
+        await autopilot.dead_man.watch(silence_s=SILENCE, action=action)  # type: ignore[arg-type]
+        await take_off(autopilot)
+    took_s = await leaves_guided(made, within_s=SILENCE)
+    assert took_s > SILENCE - 3.0
+    assert made.copter.mode is mode
+    assert f"upwash: companion silent, {mode.name}" in made.said
 
 
-def test_a_program_that_lives_is_not_missed_and_says_goodbye(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        async with made.program() as autopilot:
-            await fly_out(autopilot)
-            await asyncio.sleep(3 * SILENCE)
-            assert flies_in(made, CopterMode.GUIDED)
-            await autopilot.return_home_and_land()
-            await autopilot.disarm()
-            await autopilot.dead_man.release()
-            assert made.parameter(SILENCE_S) == 0
-        await asyncio.sleep(2 * SILENCE)
-        assert not any("silent" in text for text in made.said)
-
-    tell(story)
-
-
-def test_after_a_goodbye_in_the_air_nothing_happens(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        async with made.program() as autopilot:
-            await fly_out(autopilot)
-            await autopilot.dead_man.release()
+@played("tell")
+async def test_a_program_that_lives_is_not_missed_and_says_goodbye(made: Bench) -> None:
+    await install(made)
+    async with made.program() as autopilot:
+        await fly_out(autopilot)
         await asyncio.sleep(3 * SILENCE)
         assert flies_in(made, CopterMode.GUIDED)
+        await autopilot.return_home_and_land()
+        await autopilot.disarm()
+        await autopilot.dead_man.release()
+        assert made.parameter(SILENCE_S) == 0
+    await asyncio.sleep(2 * SILENCE)
+    assert not any("silent" in text for text in made.said)
 
-    tell(story)
+
+@played("tell")
+async def test_after_a_goodbye_in_the_air_nothing_happens(made: Bench) -> None:
+    await install(made)
+    async with made.program() as autopilot:
+        await fly_out(autopilot)
+        await autopilot.dead_man.release()
+    await asyncio.sleep(3 * SILENCE)
+    assert flies_in(made, CopterMode.GUIDED)
 
 
 @pytest.mark.parametrize("takes_s", [0.0, 8.0])
@@ -238,74 +227,64 @@ def test_it_is_silent_while_a_pilot_flies(tell: Tell, takes_s: float) -> None:
     tell(story)
 
 
-def test_a_program_that_lost_the_vehicle_to_a_pilot_is_not_missed(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        async with made.program() as autopilot:
-            await fly_out(autopilot)
-            made.copter.change_mode(made.now_s, CopterMode.LOITER)
-            await asyncio.sleep(3.0)
-            assert autopilot.control.owner is Owner.PILOT
-            made.copter.change_mode(made.now_s, CopterMode.GUIDED)
-            await asyncio.sleep(3.0)
-            assert made.parameter(SILENCE_S) == 0
+@played("tell")
+async def test_a_program_that_lost_the_vehicle_to_a_pilot_is_not_missed(made: Bench) -> None:
+    await install(made)
+    async with made.program() as autopilot:
+        await fly_out(autopilot)
+        made.copter.change_mode(made.now_s, CopterMode.LOITER)
+        await asyncio.sleep(3.0)
+        assert autopilot.control.owner is Owner.PILOT
+        made.copter.change_mode(made.now_s, CopterMode.GUIDED)
+        await asyncio.sleep(3.0)
+        assert made.parameter(SILENCE_S) == 0
+    await asyncio.sleep(3 * SILENCE)
+    assert flies_in(made, CopterMode.GUIDED)
+
+
+@played("tell")
+async def test_a_program_that_is_resumed_in_time_is_missed_anew(made: Bench) -> None:
+    await killed_in_flight(made)
+    await asyncio.sleep(SILENCE / 2)
+    async with made.program() as autopilot:
+        await autopilot.claim(resumes=True)
+        await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
         await asyncio.sleep(3 * SILENCE)
         assert flies_in(made, CopterMode.GUIDED)
+    assert await leaves_guided(made, within_s=SILENCE) > SILENCE - 3.0
 
-    tell(story)
 
-
-def test_a_program_that_is_resumed_in_time_is_missed_anew(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await killed_in_flight(made)
-        await asyncio.sleep(SILENCE / 2)
-        async with made.program() as autopilot:
-            await autopilot.claim(resumes=True)
-            await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
-            await asyncio.sleep(3 * SILENCE)
-            assert flies_in(made, CopterMode.GUIDED)
+@played("tell")
+async def test_a_program_that_never_claims_neither_holds_it_off_nor_takes_it_back(made: Bench) -> None:
+    await killed_in_flight(made)
+    async with made.program():
         assert await leaves_guided(made, within_s=SILENCE) > SILENCE - 3.0
 
-    tell(story)
+
+@played("tell")
+async def test_nothing_happens_on_the_ground(made: Bench) -> None:
+    await install(made)
+    async with made.program() as autopilot:
+        await autopilot.claim(resumes=False)
+        await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
+        await autopilot.ready()
+        await autopilot.arm()
+    await asyncio.sleep(2 * SILENCE)
+    assert made.copter.mode is CopterMode.GUIDED
+    assert made.parameter(SILENCE_S) == 0
 
 
-def test_a_program_that_never_claims_neither_holds_it_off_nor_takes_it_back(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await killed_in_flight(made)
-        async with made.program():
-            assert await leaves_guided(made, within_s=SILENCE) > SILENCE - 3.0
-
-    tell(story)
-
-
-def test_nothing_happens_on_the_ground(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        async with made.program() as autopilot:
-            await autopilot.claim(resumes=False)
-            await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
-            await autopilot.ready()
-            await autopilot.arm()
-        await asyncio.sleep(2 * SILENCE)
-        assert made.copter.mode is CopterMode.GUIDED
-        assert made.parameter(SILENCE_S) == 0
-
-    tell(story)
-
-
-def test_a_program_that_died_before_arming_is_not_missed_in_anothers_flight(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        async with made.program() as autopilot:
-            await autopilot.claim(resumes=False)
-            await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
-        async with made.program() as another:
-            await take_off(another)
-            await asyncio.sleep(3 * SILENCE)
+@played("tell")
+async def test_a_program_that_died_before_arming_is_not_missed_in_anothers_flight(made: Bench) -> None:
+    await install(made)
+    async with made.program() as autopilot:
+        await autopilot.claim(resumes=False)
+        await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
+    async with made.program() as another:
+        await take_off(another)
         await asyncio.sleep(3 * SILENCE)
-        assert flies_in(made, CopterMode.GUIDED)
-
-    tell(story)
+    await asyncio.sleep(3 * SILENCE)
+    assert flies_in(made, CopterMode.GUIDED)
 
 
 # --- what the program makes of it ---------------------------------------------------------------------------
@@ -330,16 +309,14 @@ def test_where_the_link_alone_is_lost_a_fail_safe_has_the_vehicle(tell: Tell, mu
     tell(story, settings=replace(AGILE, return_speed_m_s=1.0))
 
 
-def test_a_short_silence_makes_a_pilot_no_fail_safe(tell: Tell) -> None:
-    async def story(made: Bench) -> None:
-        await install(made)
-        async with made.program() as autopilot:
-            await fly_out(autopilot)
-            made.deaf = made.mute = True
-            await asyncio.sleep(SILENCE / 2)
-            made.copter.change_mode(made.now_s, CopterMode.RTL)
-            made.deaf = made.mute = False
-            await asyncio.sleep(2.0)
-            assert autopilot.control.owner is Owner.PILOT
-
-    tell(story, settings=replace(AGILE, return_speed_m_s=1.0))
+@played("tell", settings=replace(AGILE, return_speed_m_s=1.0))
+async def test_a_short_silence_makes_a_pilot_no_fail_safe(made: Bench) -> None:
+    await install(made)
+    async with made.program() as autopilot:
+        await fly_out(autopilot)
+        made.deaf = made.mute = True
+        await asyncio.sleep(SILENCE / 2)
+        made.copter.change_mode(made.now_s, CopterMode.RTL)
+        made.deaf = made.mute = False
+        await asyncio.sleep(2.0)
+        assert autopilot.control.owner is Owner.PILOT

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import on_virtual_time, played
 from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
@@ -167,15 +168,13 @@ def test_at_the_end_of_a_take_off_a_fence_that_is_switched_on_then_counts_where_
     assert "the place where the vehicle stands (0 m east, 0 m north): it lies inside" in refusal(limits)
 
 
-def test_what_happens_at_a_px4s_fence_is_told() -> None:
-    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        news: list[VehicleNews] = []
-        autopilot.listen(news.append)
-        await autopilot.limits()
-        told = {each.name for each in news if isinstance(each, VehicleSetting)}
-        assert {"GF_ACTION", "GF_PREDICT"} <= told
-
-    fly(flight, PX4, {"GF_PREDICT": 1, "GF_MAX_HOR_DIST": 100})
+@played(fly, PX4, {"GF_PREDICT": 1, "GF_MAX_HOR_DIST": 100})
+async def test_what_happens_at_a_px4s_fence_is_told(_: Bench, autopilot: MavlinkAutopilot) -> None:
+    news: list[VehicleNews] = []
+    autopilot.listen(news.append)
+    await autopilot.limits()
+    told = {each.name for each in news if isinstance(each, VehicleSetting)}
+    assert {"GF_ACTION", "GF_PREDICT"} <= told
 
 
 def test_a_fence_that_a_vehicle_does_not_tell_is_a_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,36 +216,30 @@ def test_what_a_px4_does_at_its_fence_once_the_program_sends_no_more(
     fly(flight, PX4, {"GF_MAX_HOR_DIST": 30, "GF_ACTION": action, "COM_OBL_RC_ACT": lost})
 
 
-def test_a_px4_falls_where_its_fence_ends_the_flight() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot, 10.0)
-        sky.copter.parameters.change("GF_ACTION", 4)
-        with pytest.raises(AutopilotError, match=r"disarm|motors"):
-            await autopilot.goto(Position(60.0, 0.0, 10.0))
-        assert not sky.copter.armed
-
-    fly(flight, PX4, {"GF_MAX_HOR_DIST": 30})
+@played(fly, PX4, {"GF_MAX_HOR_DIST": 30})
+async def test_a_px4_falls_where_its_fence_ends_the_flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+    await take_off(autopilot, 10.0)
+    sky.copter.parameters.change("GF_ACTION", 4)
+    with pytest.raises(AutopilotError, match=r"disarm|motors"):
+        await autopilot.goto(Position(60.0, 0.0, 10.0))
+    assert not sky.copter.armed
 
 
 @pytest.mark.parametrize(("armable_after_s", "told"), [(0.0, 0), (60.0, 1)])
-def test_how_high_its_home_lies_is_waited_for(armable_after_s: float, told: int) -> None:
-    async def flown() -> None:
-        settings = VehicleSettings(HOME, home_altitude_m=488.0, armable_after_s=armable_after_s)
-        async with driven(settings) as (sky, autopilot):
-            delays: list[float] = []
-            assert await autopilot.home_above_sea_m(lambda: delays.append(sky.now_s)) == 488.0
-            assert len(delays) == told
-            assert sky.commands() == []
-
-    run_virtually(flown())
+@on_virtual_time
+async def test_how_high_its_home_lies_is_waited_for(*, armable_after_s: float, told: int) -> None:
+    settings = VehicleSettings(HOME, home_altitude_m=488.0, armable_after_s=armable_after_s)
+    async with driven(settings) as (sky, autopilot):
+        delays: list[float] = []
+        assert await autopilot.home_above_sea_m(lambda: delays.append(sky.now_s)) == 488.0
+        assert len(delays) == told
+        assert sky.commands() == []
 
 
-def test_a_home_that_is_never_told_is_refused() -> None:
-    async def flown() -> None:
-        settings = VehicleSettings(HOME, faults=(VehicleFault(FaultKind.GPS),))
-        async with driven(settings) as (sky, autopilot):
-            with pytest.raises(AutopilotRefused, match="did not tell its home within 120 s"):
-                await autopilot.home_above_sea_m(lambda: None)
-            assert sky.commands() == []
-
-    run_virtually(flown())
+@on_virtual_time
+async def test_a_home_that_is_never_told_is_refused() -> None:
+    settings = VehicleSettings(HOME, faults=(VehicleFault(FaultKind.GPS),))
+    async with driven(settings) as (sky, autopilot):
+        with pytest.raises(AutopilotRefused, match="did not tell its home within 120 s"):
+            await autopilot.home_above_sea_m(lambda: None)
+        assert sky.commands() == []

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import played
 from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
@@ -213,14 +214,14 @@ def test_parameters_of_any_value_end_in_facts_or_in_an_error(
     forged(flight, parameters(value, kind), settings)
 
 
-def test_a_flood_of_parameters_that_nobody_asked_for_is_passed_over() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        begun_s = sky.now_s
-        await autopilot.learn()
-        assert sky.now_s - begun_s < 5.0
-        assert autopilot.energy.return_altitude_m == pytest.approx(0.05)
-
-    forged(flight, parameters(5.0, 9, flood=200))
+@played(forged, parameters(5.0, 9, flood=200))
+async def test_a_flood_of_parameters_that_nobody_asked_for_is_passed_over(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    begun_s = sky.now_s
+    await autopilot.learn()
+    assert sky.now_s - begun_s < 5.0
+    assert autopilot.energy.return_altitude_m == pytest.approx(0.05)
 
 
 # --- fences -------------------------------------------------------------------------------------------------
@@ -312,12 +313,12 @@ def test_times_of_anybody_move_no_deadline() -> None:
 
 
 @pytest.mark.parametrize("boot_ms", [0, 2**32 - 1])
-def test_one_time_since_boot_that_cannot_be_true_is_no_restart(boot_ms: int) -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot)
-        sky.connection.send(mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 0))
-        await asyncio.sleep(5.0)
-        assert autopilot.control.is_ours
-        await autopilot.return_home_and_land()
-
-    forged(flight, lambda _: None, replace(ARDUCOPTER, parameters={}))
+@played(forged, lambda _: None, replace(ARDUCOPTER, parameters={}))
+async def test_one_time_since_boot_that_cannot_be_true_is_no_restart(
+    sky: Bench, autopilot: MavlinkAutopilot, *, boot_ms: int
+) -> None:
+    await take_off(autopilot)
+    sky.connection.send(mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 0))
+    await asyncio.sleep(5.0)
+    assert autopilot.control.is_ours
+    await autopilot.return_home_and_land()

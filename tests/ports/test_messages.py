@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import played
 from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
@@ -109,16 +110,16 @@ DROPPED = {
 
 
 @pytest.mark.parametrize("message", DROPPED.values(), ids=DROPPED)
-def test_a_message_that_cannot_be_true_changes_nothing_and_is_told(message: Any) -> None:
-    async def flight(flown: Flight) -> None:
-        told = flown.vehicle.telemetry
-        before = (told.position, told.home, told.wind, told.attitude, told.gps)
-        await flown.say(message)
-        assert (told.position, told.home, told.wind, told.attitude, told.gps) == before
-        (why,) = flown.troubles("out-of-range")
-        assert message.get_type() in why and "dropped" in why
-
-    fly(flight)
+@played(fly)
+async def test_a_message_that_cannot_be_true_changes_nothing_and_is_told(
+    flown: Flight, *, message: Any
+) -> None:
+    told = flown.vehicle.telemetry
+    before = (told.position, told.home, told.wind, told.attitude, told.gps)
+    await flown.say(message)
+    assert (told.position, told.home, told.wind, told.attitude, told.gps) == before
+    (why,) = flown.troubles("out-of-range")
+    assert message.get_type() in why and "dropped" in why
 
 
 UNKNOWN = {
@@ -130,47 +131,41 @@ UNKNOWN = {
 
 
 @pytest.mark.parametrize(("message", "name", "value"), UNKNOWN.values(), ids=UNKNOWN)
-def test_a_number_that_cannot_be_true_counts_as_not_known(message: Any, name: str, value: object) -> None:
-    async def flight(flown: Flight) -> None:
-        await flown.say(message)
-        assert getattr(flown.vehicle.telemetry, name) is value
-        assert len(flown.troubles("out-of-range")) == 1
-
-    fly(flight)
-
-
-def test_what_cannot_be_true_is_told_at_each_tenfold() -> None:
-    async def flight(flown: Flight) -> None:
-        for _ in range(1_000):
-            await flown.say(mavlink.MAVLink_wind_message(math.inf, 3.0, 0.0))
-        told = flown.troubles("out-of-range")
-        assert len(told) == 4
-        assert "1000 times" in told[-1]
-
-    fly(flight)
+@played(fly)
+async def test_a_number_that_cannot_be_true_counts_as_not_known(
+    flown: Flight, *, message: Any, name: str, value: object
+) -> None:
+    await flown.say(message)
+    assert getattr(flown.vehicle.telemetry, name) is value
+    assert len(flown.troubles("out-of-range")) == 1
 
 
-def test_numbers_that_stand_for_not_known_are_no_trouble() -> None:
-    async def flight(flown: Flight) -> None:
-        await flown.say(
-            battery(-1),
-            position(lat=0, lon=0),
-            home(latitude=0, longitude=0),
-            mavlink.MAVLink_system_time_message(0, 1),
-            mavlink.MAVLink_extended_sys_state_message(0, 0),
-        )
-        assert flown.vehicle.telemetry.home != GeoPosition(0.0, 0.0)
-        assert not flown.troubles("out-of-range")
-
-    fly(flight)
+@played(fly)
+async def test_what_cannot_be_true_is_told_at_each_tenfold(flown: Flight) -> None:
+    for _ in range(1_000):
+        await flown.say(mavlink.MAVLink_wind_message(math.inf, 3.0, 0.0))
+    told = flown.troubles("out-of-range")
+    assert len(told) == 4
+    assert "1000 times" in told[-1]
 
 
-def test_a_px4_may_leave_the_altitude_of_its_target_out() -> None:
-    async def flight(flown: Flight) -> None:
-        await flown.say(target(math.nan))
-        assert not flown.troubles("out-of-range")
+@played(fly)
+async def test_numbers_that_stand_for_not_known_are_no_trouble(flown: Flight) -> None:
+    await flown.say(
+        battery(-1),
+        position(lat=0, lon=0),
+        home(latitude=0, longitude=0),
+        mavlink.MAVLink_system_time_message(0, 1),
+        mavlink.MAVLink_extended_sys_state_message(0, 0),
+    )
+    assert flown.vehicle.telemetry.home != GeoPosition(0.0, 0.0)
+    assert not flown.troubles("out-of-range")
 
-    fly(flight, Px4Settings(HOME, armable_after_s=0.0))
+
+@played(fly, Px4Settings(HOME, armable_after_s=0.0))
+async def test_a_px4_may_leave_the_altitude_of_its_target_out(flown: Flight) -> None:
+    await flown.say(target(math.nan))
+    assert not flown.troubles("out-of-range")
 
 
 def test_a_defect_in_one_listener_keeps_a_message_from_no_other(caplog: pytest.LogCaptureFixture) -> None:
@@ -197,77 +192,71 @@ def test_a_defect_in_one_listener_keeps_a_message_from_no_other(caplog: pytest.L
     assert "Traceback" in caplog.text
 
 
-def test_a_pilot_is_noticed_though_a_listener_fails_on_the_heartbeat() -> None:
-    async def flight(flown: Flight) -> None:
-        await take_off(flown.autopilot)
+@played(fly)
+async def test_a_pilot_is_noticed_though_a_listener_fails_on_the_heartbeat(flown: Flight) -> None:
+    await take_off(flown.autopilot)
 
-        def fails(message: Any) -> None:
-            raise ZeroDivisionError(message.get_type())
+    def fails(message: Any) -> None:
+        raise ZeroDivisionError(message.get_type())
 
-        with flown.vehicle.listening(fails):
-            loiter = mavlink.MAVLink_heartbeat_message(2, 3, 81 | 128, mavlink.COPTER_MODE_LOITER, 4, 3)
-            await flown.say(loiter)
-            assert any(isinstance(each, Control) and each.owner is not Owner.PROGRAM for each in flown.news)
-            with pytest.raises(AutopilotOverruled):
-                await flown.autopilot.goto(FAR)
-
-    fly(flight)
-
-
-@pytest.mark.parametrize("kind", ["HEARTBEAT", "POSITION_TARGET_GLOBAL_INT"])
-def test_a_vehicle_whose_owner_cannot_be_told_is_silent_and_gets_no_command(kind: str) -> None:
-    async def flight(flown: Flight) -> None:
-        await take_off(flown.autopilot)
-        broken = True
-
-        def fails(message: Any) -> None:
-            if broken and message.get_type() == kind:
-                raise ZeroDivisionError
-
-        with flown.vehicle.listening(fails):
-            leg = asyncio.create_task(flown.autopilot.goto(FAR))
-            await asyncio.sleep(5.0)
-            since_s = flown.sky.now_s
-            await asyncio.sleep(20.0)
-            assert not flown.sky.commands(since_s)
-            assert any(isinstance(each, LinkLost) for each in flown.news)
-            broken = False
-            await leg  # a defect that passes is no end
-        assert flown.vehicle.linked
-
-    fly(flight)
-
-
-@pytest.mark.parametrize("kind", ["HEARTBEAT", "POSITION_TARGET_GLOBAL_INT"])
-def test_one_defect_in_telling_the_owner_is_no_silence(kind: str) -> None:
-    async def flight(flown: Flight) -> None:
-        await take_off(flown.autopilot)
-        failed: list[str] = []
-
-        def fails(message: Any) -> None:
-            if message.get_type() == kind and not failed:
-                failed.append(kind)
-                raise ZeroDivisionError
-
-        with flown.vehicle.listening(fails):
+    with flown.vehicle.listening(fails):
+        loiter = mavlink.MAVLink_heartbeat_message(2, 3, 81 | 128, mavlink.COPTER_MODE_LOITER, 4, 3)
+        await flown.say(loiter)
+        assert any(isinstance(each, Control) and each.owner is not Owner.PROGRAM for each in flown.news)
+        with pytest.raises(AutopilotOverruled):
             await flown.autopilot.goto(FAR)
-        assert failed
-        assert not any(isinstance(each, LinkLost | LinkRestored) for each in flown.news)
-
-    fly(flight)
 
 
-def test_a_vehicle_may_say_so_much_and_no_more() -> None:
-    async def flight(flown: Flight) -> None:
-        for number in range(5_000):
-            text = mavlink.MAVLink_statustext_message(4, f"words {number}".encode())
-            await flown.say(text, home(latitude=LAT + 10_000 * (number % 2)))
-        said = [each for each in flown.news if isinstance(each, (VehicleSaid, HomeMoved))]
-        assert len(said) <= 150
-        assert flown.troubles("flood")
-        await take_off(flown.autopilot)  # and its words are not what a flight goes by
+@pytest.mark.parametrize("kind", ["HEARTBEAT", "POSITION_TARGET_GLOBAL_INT"])
+@played(fly)
+async def test_a_vehicle_whose_owner_cannot_be_told_is_silent_and_gets_no_command(
+    flown: Flight, *, kind: str
+) -> None:
+    await take_off(flown.autopilot)
+    broken = True
 
-    fly(flight)
+    def fails(message: Any) -> None:
+        if broken and message.get_type() == kind:
+            raise ZeroDivisionError
+
+    with flown.vehicle.listening(fails):
+        leg = asyncio.create_task(flown.autopilot.goto(FAR))
+        await asyncio.sleep(5.0)
+        since_s = flown.sky.now_s
+        await asyncio.sleep(20.0)
+        assert not flown.sky.commands(since_s)
+        assert any(isinstance(each, LinkLost) for each in flown.news)
+        broken = False
+        await leg  # a defect that passes is no end
+    assert flown.vehicle.linked
+
+
+@pytest.mark.parametrize("kind", ["HEARTBEAT", "POSITION_TARGET_GLOBAL_INT"])
+@played(fly)
+async def test_one_defect_in_telling_the_owner_is_no_silence(flown: Flight, *, kind: str) -> None:
+    await take_off(flown.autopilot)
+    failed: list[str] = []
+
+    def fails(message: Any) -> None:
+        if message.get_type() == kind and not failed:
+            failed.append(kind)
+            raise ZeroDivisionError
+
+    with flown.vehicle.listening(fails):
+        await flown.autopilot.goto(FAR)
+    assert failed
+    assert not any(isinstance(each, LinkLost | LinkRestored) for each in flown.news)
+
+
+@played(fly)
+async def test_a_vehicle_may_say_so_much_and_no_more(flown: Flight) -> None:
+    for number in range(5_000):
+        text = mavlink.MAVLink_statustext_message(4, f"words {number}".encode())
+        await flown.say(text, home(latitude=LAT + 10_000 * (number % 2)))
+    said = [each for each in flown.news if isinstance(each, (VehicleSaid, HomeMoved))]
+    assert len(said) <= 150
+    assert flown.troubles("flood")
+    await take_off(flown.autopilot)  # and its words are not what a flight goes by
 
 
 def said_of(*texts: bytes, number: int = 0) -> list[str]:
@@ -297,20 +286,18 @@ def test_texts_that_do_not_end_take_no_room() -> None:
     assert len(telemetry._chunks) == 1
 
 
-def test_reports_that_nobody_asked_for_take_no_room() -> None:
-    async def flight(flown: Flight) -> None:
-        known = len(flown.vehicle._streams._streams)
-        for number in range(0, 65_536, 16):
-            await flown.say(mavlink.MAVLink_message_interval_message(number, 1_000))
-        assert len(flown.vehicle._streams._streams) <= known + 1
-        numbers = [0] * 8
-        for uid in range(1_000):
-            await flown.say(
-                mavlink.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, numbers, numbers, numbers, 0, 0, uid)
-            )
-        assert len(flown.vehicle.identity._twins._hardware) <= 2
-
-    fly(flight)
+@played(fly)
+async def test_reports_that_nobody_asked_for_take_no_room(flown: Flight) -> None:
+    known = len(flown.vehicle._streams._streams)
+    for number in range(0, 65_536, 16):
+        await flown.say(mavlink.MAVLink_message_interval_message(number, 1_000))
+    assert len(flown.vehicle._streams._streams) <= known + 1
+    numbers = [0] * 8
+    for uid in range(1_000):
+        await flown.say(
+            mavlink.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, numbers, numbers, numbers, 0, 0, uid)
+        )
+    assert len(flown.vehicle.identity._twins._hardware) <= 2
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

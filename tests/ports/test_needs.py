@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import on_virtual_time, played
 from tests.ports.memory import AGILE, AT_ONCE, Bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
@@ -48,17 +49,13 @@ async def keep_version_back(made: Bench) -> None:
     }
 
 
-def test_an_old_version_is_refused_before_arming() -> None:
-    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
-        await autopilot.claim(resumes=False)
-        refusal = (
-            "runs ArduCopter 4.0.7; upwash flies ArduCopter 4.1.0 and newer.*update the vehicle's firmware"
-        )
-        with pytest.raises(AutopilotRefused, match=refusal):
-            await autopilot.ready()
-        assert made.commands() == []
-
-    tell(story, replace(AGILE, version=Version(4, 0, 7)))
+@played(tell, replace(AGILE, version=Version(4, 0, 7)))
+async def test_an_old_version_is_refused_before_arming(made: Bench, autopilot: MavlinkAutopilot) -> None:
+    await autopilot.claim(resumes=False)
+    refusal = "runs ArduCopter 4.0.7; upwash flies ArduCopter 4.1.0 and newer.*update the vehicle's firmware"
+    with pytest.raises(AutopilotRefused, match=refusal):
+        await autopilot.ready()
+    assert made.commands() == []
 
 
 @pytest.mark.parametrize("discreet", [False, True])
@@ -80,40 +77,38 @@ def test_a_firmware_that_does_not_know_how_to_be_sent_to_a_place_is_refused_befo
     tell(story, discreet=discreet)
 
 
-def test_the_try_moves_nothing_and_changes_no_mode() -> None:
-    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
-        for mode in (CopterMode.STABILIZE, CopterMode.GUIDED):
-            made.copter.change_mode(made.now_s, mode)
-            await autopilot.claim(resumes=False)
-            await require_reposition(autopilot.vehicle)
-            assert made.copter.mode is mode
-        assert made.commands() == [REPOSITION, REPOSITION]
-        await claim_and_arm(autopilot)
-        assert made.copter.target(made.now_s) is None
-
-    tell(story)
-
-
-def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has() -> None:
-    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
+@played(tell)
+async def test_the_try_moves_nothing_and_changes_no_mode(made: Bench, autopilot: MavlinkAutopilot) -> None:
+    for mode in (CopterMode.STABILIZE, CopterMode.GUIDED):
+        made.copter.change_mode(made.now_s, mode)
         await autopilot.claim(resumes=False)
-        made.copter.arm(made.now_s, forced=True)
-        await asyncio.sleep(0.07)  # no heartbeat comes meanwhile
-        assert not autopilot.armed
-        with pytest.raises(AutopilotOverruled):
-            await autopilot.arm()
-        assert made.commands() == []
-
-    tell(story)
+        await require_reposition(autopilot.vehicle)
+        assert made.copter.mode is mode
+    assert made.commands() == [REPOSITION, REPOSITION]
+    await claim_and_arm(autopilot)
+    assert made.copter.target(made.now_s) is None
 
 
-def test_a_vehicle_that_does_not_tell_its_version_is_flown() -> None:
-    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        assert autopilot.vehicle.version is None
-        await take_off(autopilot)
-        await autopilot.goto(Position(20.0, 0.0, 5.0))
+@played(tell)
+async def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
+    made: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await autopilot.claim(resumes=False)
+    made.copter.arm(made.now_s, forced=True)
+    await asyncio.sleep(0.07)  # no heartbeat comes meanwhile
+    assert not autopilot.armed
+    with pytest.raises(AutopilotOverruled):
+        await autopilot.arm()
+    assert made.commands() == []
 
-    tell(story, discreet=True)
+
+@played(tell, discreet=True)
+async def test_a_vehicle_that_does_not_tell_its_version_is_flown(
+    _: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    assert autopilot.vehicle.version is None
+    await take_off(autopilot)
+    await autopilot.goto(Position(20.0, 0.0, 5.0))
 
 
 def test_a_firmware_that_only_knows_the_old_question_is_asked_that(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,25 +134,21 @@ def test_a_firmware_that_only_knows_the_old_question_is_asked_that(monkeypatch: 
         (Version(0, 0, 0, 0), "PX4 of a version that it does not tell, does not report CURRENT_MODE"),
     ],
 )
-def test_a_px4_that_does_not_report_its_intended_mode_is_refused_before_arming(
-    version: Version, refusal: str
+@on_virtual_time
+async def test_a_px4_that_does_not_report_its_intended_mode_is_refused_before_arming(
+    *, version: Version, refusal: str
 ) -> None:
-    async def live() -> None:
-        async with driven(replace(PX4, version=version)) as (sky, autopilot):
-            await autopilot.claim(resumes=False)
-            with pytest.raises(AutopilotRefused, match=refusal):
-                await autopilot.ready()
-            assert sky.commands() == []
-
-    run_virtually(live())
+    async with driven(replace(PX4, version=version)) as (sky, autopilot):
+        await autopilot.claim(resumes=False)
+        with pytest.raises(AutopilotRefused, match=refusal):
+            await autopilot.ready()
+        assert sky.commands() == []
 
 
-def test_a_px4_in_development_without_a_version_is_flown_by_what_it_reports() -> None:
-    async def live() -> None:
-        async with driven(PX4, before=keep_version_back) as (sky, autopilot):
-            assert autopilot.vehicle.version is None
-            await claim_and_arm(autopilot)
-            assert sky.copter.armed
-            assert CURRENT_MODE in sky.vehicle.firmware.reports
-
-    run_virtually(live())
+@on_virtual_time
+async def test_a_px4_in_development_without_a_version_is_flown_by_what_it_reports() -> None:
+    async with driven(PX4, before=keep_version_back) as (sky, autopilot):
+        assert autopilot.vehicle.version is None
+        await claim_and_arm(autopilot)
+        assert sky.copter.armed
+        assert CURRENT_MODE in sky.vehicle.firmware.reports

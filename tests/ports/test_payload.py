@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import on_virtual_time
 from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
@@ -23,20 +24,18 @@ def of_kind(sky: Bench, kind: str) -> list[Any]:
     return [message for message in sky.heard if message.get_type() == kind]
 
 
-def test_a_heading_is_part_of_the_setpoints_until_the_next_leg() -> None:
-    async def mission() -> None:
-        async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
-            await take_off(autopilot)
-            await autopilot.turn_to(270.0)
-            last = of_kind(sky, "SET_POSITION_TARGET_GLOBAL_INT")[-1]
-            assert not last.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
-            assert last.yaw == pytest.approx(math.radians(-90))
-            await autopilot.goto(Position(20.0, 0.0, 5.0))
-            last = of_kind(sky, "SET_POSITION_TARGET_GLOBAL_INT")[-1]
-            assert last.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
-            await autopilot.return_home_and_land()
-
-    run_virtually(mission())
+@on_virtual_time
+async def test_a_heading_is_part_of_the_setpoints_until_the_next_leg() -> None:
+    async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
+        await take_off(autopilot)
+        await autopilot.turn_to(270.0)
+        last = of_kind(sky, "SET_POSITION_TARGET_GLOBAL_INT")[-1]
+        assert not last.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+        assert last.yaw == pytest.approx(math.radians(-90))
+        await autopilot.goto(Position(20.0, 0.0, 5.0))
+        last = of_kind(sky, "SET_POSITION_TARGET_GLOBAL_INT")[-1]
+        assert last.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+        await autopilot.return_home_and_land()
 
 
 @pytest.mark.parametrize("size", [1, 49, 50, 51, 100, 200])
@@ -65,12 +64,10 @@ def test_a_text_arrives_whole_in_as_many_chunks_as_it_takes(size: int) -> None:
     run_virtually(mission())
 
 
-def test_a_payload_command_carries_its_parameters_and_zeros() -> None:
-    async def mission() -> None:
-        async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
-            await autopilot.claim(resumes=False)
-            await autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0))
-            sent = [message for message in of_kind(sky, "COMMAND_LONG") if message.command == 183][-1]
-            assert [getattr(sent, f"param{number}") for number in range(1, 8)] == [9, 1500, 0, 0, 0, 0, 0]
-
-    run_virtually(mission())
+@on_virtual_time
+async def test_a_payload_command_carries_its_parameters_and_zeros() -> None:
+    async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
+        await autopilot.claim(resumes=False)
+        await autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0))
+        sent = [message for message in of_kind(sky, "COMMAND_LONG") if message.command == 183][-1]
+        assert [getattr(sent, f"param{number}") for number in range(1, 8)] == [9, 1500, 0, 0, 0, 0, 0]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import in_real_time
 from tests.ports.memory import AGILE
 from tests.ports.steps import take_off
 from tests.ports.test_autopilot import FRAME, IMPATIENT
@@ -172,22 +172,20 @@ def test_a_long_datagram_introduces_nobody() -> None:
     assert port.peer.answered is None
 
 
-def test_a_router_that_goes_on_from_another_port_is_found_again() -> None:
-    async def mission() -> None:
-        port = free_port()
-        patience = replace(IMPATIENT.patience, dead_after_s=0.6, lost_after_s=5.0)
-        vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE)
-        async with Router(port).running(vehicle.address) as router:
-            autopilot = await connect_autopilot(
-                f"udpin:127.0.0.1:{port}",
-                frame=FRAME,
-                ground_speed_m_s=20.0,
-                settings=replace(IMPATIENT, patience=patience),
-            )
-            await take_off(autopilot, 3.0)
-            await router.restart()
-            await autopilot.goto(Position(5.0, 0.0, 3.0))
-            await autopilot.close()
-        await vehicle.close()
-
-    asyncio.run(mission())
+@in_real_time
+async def test_a_router_that_goes_on_from_another_port_is_found_again() -> None:
+    port = free_port()
+    patience = replace(IMPATIENT.patience, dead_after_s=0.6, lost_after_s=5.0)
+    vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE)
+    async with Router(port).running(vehicle.address) as router:
+        autopilot = await connect_autopilot(
+            f"udpin:127.0.0.1:{port}",
+            frame=FRAME,
+            ground_speed_m_s=20.0,
+            settings=replace(IMPATIENT, patience=patience),
+        )
+        await take_off(autopilot, 3.0)
+        await router.restart()
+        await autopilot.goto(Position(5.0, 0.0, 3.0))
+        await autopilot.close()
+    await vehicle.close()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import played
 from tests.ports.memory import Bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
@@ -54,194 +55,184 @@ async def nothing_is_sent(sky: Bench, for_s: float = 20.0) -> None:
     assert sky.setpoints(since_s) == 0
 
 
-def test_it_takes_off_above_the_sea_and_hovers_in_offboard_at_its_altitude() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot, 10.0)
-        order = next(each for each in sky.heard if getattr(each, "command", None) == TAKEOFF)
-        assert order.param7 == pytest.approx(498.0, abs=0.5)
-        assert all(map(math.isnan, (order.param4, order.param5, order.param6)))  # as it stands
-        assert sky.copter.mode is Mode.OFFBOARD
-        assert autopilot.position.altitude_m == pytest.approx(10.0, abs=1.0)
-
-    fly(flight)
-
-
-def test_a_mode_is_believed_not_the_first_of_two_answers() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot)
-        sky.copter.fail(FaultKind.GPS, sky.now_s)  # OFFBOARD and RTL are accepted, then refused
-        await asyncio.sleep(0.2)
-        with pytest.raises(AutopilotRefused):
-            await autopilot.return_home_and_land()
-
-    fly(flight)
+@played(fly)
+async def test_it_takes_off_above_the_sea_and_hovers_in_offboard_at_its_altitude(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await take_off(autopilot, 10.0)
+    order = next(each for each in sky.heard if getattr(each, "command", None) == TAKEOFF)
+    assert order.param7 == pytest.approx(498.0, abs=0.5)
+    assert all(map(math.isnan, (order.param4, order.param5, order.param6)))  # as it stands
+    assert sky.copter.mode is Mode.OFFBOARD
+    assert autopilot.position.altitude_m == pytest.approx(10.0, abs=1.0)
 
 
-def test_legs_keep_their_speed() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot)
-        for speed_m_s, target in (4.0, Position(60.0, 0.0, 5.0)), (2.0, Position(60.0, 30.0, 5.0)):
-            await autopilot.set_ground_speed(speed_m_s)
-            fastest_m_s, farthest_m = 0.0, 0.0
-            leg = asyncio.create_task(autopilot.goto(target))
-            begun = autopilot.position
-            while not leg.done():
-                await asyncio.sleep(0.1)
-                velocity = autopilot.velocity
-                assert velocity is not None
-                fastest_m_s = max(fastest_m_s, velocity.speed_m_s)
-                farthest_m = max(farthest_m, distance_m(autopilot.position, begun))
-            assert speed_m_s * 0.9 < fastest_m_s < speed_m_s * 1.25
-            assert farthest_m < distance_m(begun, target) + 2.5
+@played(fly)
+async def test_a_mode_is_believed_not_the_first_of_two_answers(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await take_off(autopilot)
+    sky.copter.fail(FaultKind.GPS, sky.now_s)  # OFFBOARD and RTL are accepted, then refused
+    await asyncio.sleep(0.2)
+    with pytest.raises(AutopilotRefused):
+        await autopilot.return_home_and_land()
 
-    fly(flight)
+
+@played(fly)
+async def test_legs_keep_their_speed(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+    await take_off(autopilot)
+    for speed_m_s, target in (4.0, Position(60.0, 0.0, 5.0)), (2.0, Position(60.0, 30.0, 5.0)):
+        await autopilot.set_ground_speed(speed_m_s)
+        fastest_m_s, farthest_m = 0.0, 0.0
+        leg = asyncio.create_task(autopilot.goto(target))
+        begun = autopilot.position
+        while not leg.done():
+            await asyncio.sleep(0.1)
+            velocity = autopilot.velocity
+            assert velocity is not None
+            fastest_m_s = max(fastest_m_s, velocity.speed_m_s)
+            farthest_m = max(farthest_m, distance_m(autopilot.position, begun))
+        assert speed_m_s * 0.9 < fastest_m_s < speed_m_s * 1.25
+        assert farthest_m < distance_m(begun, target) + 2.5
 
 
 @pytest.mark.parametrize("moment", ["leg", "call", "return"])
-def test_a_pilot_who_takes_it_keeps_it(moment: str) -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        news: list[VehicleNews] = []
-        autopilot.listen(news.append)
-        await take_off(autopilot)
-        verb = (
-            autopilot.return_home_and_land()
-            if moment == "return"
-            else autopilot.goto(Position(60.0, 0.0, 5.0))
-        )
-        flying = asyncio.create_task(verb)
-        await asyncio.sleep(60.0 if moment == "call" else 3.0)
-        mode = Mode.LOITER if moment == "call" else Mode.POSCTL
-        sky.copter.move_sticks(sky.now_s, Sticks())
-        sky.copter.set_mode(sky.now_s, mode)
-        if moment == "call":
-            await flying
-        else:
-            with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
-                await flying
-        await asyncio.sleep(0.2)
-        await nothing_is_sent(sky)
-        for verb in (
-            autopilot.hold(),
-            autopilot.goto(Position(0.0, 0.0, 5.0)),
-            autopilot.return_home_and_land(),
-        ):
-            with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
-                await verb
-        assert autopilot.control.owner is Owner.PILOT
-        assert [each.owner for each in news if isinstance(each, Control)] == [Owner.PROGRAM, Owner.PILOT]
-
-    fly(flight)
-
-
-def test_no_command_follows_a_change_of_mode_that_the_driver_has_not_heard_of_yet() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot)
-        sky.copter.set_mode(sky.now_s, Mode.LOITER)
-        since_s = sky.now_s
-        with pytest.raises(AutopilotOverruled):
-            await autopilot.return_home_and_land()
-        assert SET_MODE not in sky.commands(since_s)
-
-    fly(flight)
-
-
-def test_a_pilot_who_has_it_hover_in_the_climb_keeps_it() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await claim_and_arm(autopilot)
-        climbing = asyncio.create_task(autopilot.takeoff(20.0))
-        await asyncio.sleep(8.0)
-        assert 2.0 < autopilot.position.altitude_m < 16.0
-        sky.copter.set_mode(sky.now_s, Mode.LOITER)
-        with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
-            await climbing
-        await nothing_is_sent(sky)
-
-    fly(flight)
-
-
-def test_a_pilot_who_arms_it_during_the_wait_keeps_it() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await autopilot.claim(resumes=False)
-        waiting = asyncio.create_task(autopilot.ready())
-        await asyncio.sleep(20.0)
-        assert not waiting.done()
-        sky.copter.move_sticks(sky.now_s, Sticks())
-        sky.copter.set_mode(sky.now_s, Mode.STABILIZED)
-        sky.copter.arm(sky.now_s, forced=True)
-        with pytest.raises(AutopilotOverruled, match="somebody else armed it"):
-            await waiting
-        await nothing_is_sent(sky)
-
-    fly(flight, armable_after_s=60.0)
-
-
-def test_it_tells_within_a_second_why_it_cannot_be_armed_and_waits_without_a_command() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        told: list[tuple[float, ArmingDelayed]] = []
-
-        def hear(news: VehicleNews) -> None:
-            if isinstance(news, ArmingDelayed):
-                told.append((sky.now_s, news))
-
-        await autopilot.claim(resumes=False)
-        autopilot.listen(hear)
-        begun_s = sky.now_s
-        await autopilot.ready()
-        assert sky.commands() == []
-        assert told[0][0] == begun_s
-        assert told[-1][0] < begun_s + 1.0
-        assert "no valid position estimate" in told[-1][1].reasons
-        await autopilot.arm()
-
-    fly(flight, armable_after_s=30.0)
-
-
-def test_a_low_battery_s_fail_safe_keeps_it() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        news: list[VehicleNews] = []
-        autopilot.listen(news.append)
-        await take_off(autopilot)
-        sky.copter.fail(FaultKind.BATTERY, sky.now_s)
-        await asyncio.sleep(2.0)
-        assert autopilot.control.owner is Owner.FAILSAFE
-        assert "OFFBOARD was set" in autopilot.control.why
-        await nothing_is_sent(sky)
-        assert any("battery" in each.text for each in news if isinstance(each, VehicleSaid))
-
-    fly(flight)
-
-
-def test_after_a_silence_no_setpoint_takes_it_back_from_its_fail_safe() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot)
-        flying = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
-        await asyncio.sleep(3.0)
-        sky.cut = True
-        await asyncio.sleep(5.0)
-        assert sky.copter.mode is Mode.RTL
-        sky.cut = False
-        since_s = sky.now_s
-        with pytest.raises(AutopilotOverruled, match="a fail-safe has the vehicle"):
-            await flying
-        assert sky.setpoints(since_s) == 0
-        await nothing_is_sent(sky, for_s=5.0)
-        assert sky.copter.mode is Mode.RTL
-
-    fly(flight)
-
-
-def test_a_silence_that_the_vehicle_bears_delays_the_leg_and_no_more() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot)
-        flying = asyncio.create_task(autopilot.goto(Position(60.0, 0.0, 5.0)))
-        await asyncio.sleep(3.0)
-        sky.cut = True
-        await asyncio.sleep(5.0)
-        sky.cut = False
+@played(fly)
+async def test_a_pilot_who_takes_it_keeps_it(sky: Bench, autopilot: MavlinkAutopilot, *, moment: str) -> None:
+    news: list[VehicleNews] = []
+    autopilot.listen(news.append)
+    await take_off(autopilot)
+    verb = (
+        autopilot.return_home_and_land() if moment == "return" else autopilot.goto(Position(60.0, 0.0, 5.0))
+    )
+    flying = asyncio.create_task(verb)
+    await asyncio.sleep(60.0 if moment == "call" else 3.0)
+    mode = Mode.LOITER if moment == "call" else Mode.POSCTL
+    sky.copter.move_sticks(sky.now_s, Sticks())
+    sky.copter.set_mode(sky.now_s, mode)
+    if moment == "call":
         await flying
-        assert distance_m(autopilot.position, Position(60.0, 0.0, 5.0)) <= 1.5
+    else:
+        with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+            await flying
+    await asyncio.sleep(0.2)
+    await nothing_is_sent(sky)
+    for verb in (
+        autopilot.hold(),
+        autopilot.goto(Position(0.0, 0.0, 5.0)),
+        autopilot.return_home_and_land(),
+    ):
+        with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+            await verb
+    assert autopilot.control.owner is Owner.PILOT
+    assert [each.owner for each in news if isinstance(each, Control)] == [Owner.PROGRAM, Owner.PILOT]
 
-    fly(flight, parameters={**RETURNS, "COM_OF_LOSS_T": 10.0})
+
+@played(fly)
+async def test_no_command_follows_a_change_of_mode_that_the_driver_has_not_heard_of_yet(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await take_off(autopilot)
+    sky.copter.set_mode(sky.now_s, Mode.LOITER)
+    since_s = sky.now_s
+    with pytest.raises(AutopilotOverruled):
+        await autopilot.return_home_and_land()
+    assert SET_MODE not in sky.commands(since_s)
+
+
+@played(fly)
+async def test_a_pilot_who_has_it_hover_in_the_climb_keeps_it(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await claim_and_arm(autopilot)
+    climbing = asyncio.create_task(autopilot.takeoff(20.0))
+    await asyncio.sleep(8.0)
+    assert 2.0 < autopilot.position.altitude_m < 16.0
+    sky.copter.set_mode(sky.now_s, Mode.LOITER)
+    with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+        await climbing
+    await nothing_is_sent(sky)
+
+
+@played(fly, armable_after_s=60.0)
+async def test_a_pilot_who_arms_it_during_the_wait_keeps_it(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+    await autopilot.claim(resumes=False)
+    waiting = asyncio.create_task(autopilot.ready())
+    await asyncio.sleep(20.0)
+    assert not waiting.done()
+    sky.copter.move_sticks(sky.now_s, Sticks())
+    sky.copter.set_mode(sky.now_s, Mode.STABILIZED)
+    sky.copter.arm(sky.now_s, forced=True)
+    with pytest.raises(AutopilotOverruled, match="somebody else armed it"):
+        await waiting
+    await nothing_is_sent(sky)
+
+
+@played(fly, armable_after_s=30.0)
+async def test_it_tells_within_a_second_why_it_cannot_be_armed_and_waits_without_a_command(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    told: list[tuple[float, ArmingDelayed]] = []
+
+    def hear(news: VehicleNews) -> None:
+        if isinstance(news, ArmingDelayed):
+            told.append((sky.now_s, news))
+
+    await autopilot.claim(resumes=False)
+    autopilot.listen(hear)
+    begun_s = sky.now_s
+    await autopilot.ready()
+    assert sky.commands() == []
+    assert told[0][0] == begun_s
+    assert told[-1][0] < begun_s + 1.0
+    assert "no valid position estimate" in told[-1][1].reasons
+    await autopilot.arm()
+
+
+@played(fly)
+async def test_a_low_battery_s_fail_safe_keeps_it(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+    news: list[VehicleNews] = []
+    autopilot.listen(news.append)
+    await take_off(autopilot)
+    sky.copter.fail(FaultKind.BATTERY, sky.now_s)
+    await asyncio.sleep(2.0)
+    assert autopilot.control.owner is Owner.FAILSAFE
+    assert "OFFBOARD was set" in autopilot.control.why
+    await nothing_is_sent(sky)
+    assert any("battery" in each.text for each in news if isinstance(each, VehicleSaid))
+
+
+@played(fly)
+async def test_after_a_silence_no_setpoint_takes_it_back_from_its_fail_safe(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await take_off(autopilot)
+    flying = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
+    await asyncio.sleep(3.0)
+    sky.cut = True
+    await asyncio.sleep(5.0)
+    assert sky.copter.mode is Mode.RTL
+    sky.cut = False
+    since_s = sky.now_s
+    with pytest.raises(AutopilotOverruled, match="a fail-safe has the vehicle"):
+        await flying
+    assert sky.setpoints(since_s) == 0
+    await nothing_is_sent(sky, for_s=5.0)
+    assert sky.copter.mode is Mode.RTL
+
+
+@played(fly, parameters={**RETURNS, "COM_OF_LOSS_T": 10.0})
+async def test_a_silence_that_the_vehicle_bears_delays_the_leg_and_no_more(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await take_off(autopilot)
+    flying = asyncio.create_task(autopilot.goto(Position(60.0, 0.0, 5.0)))
+    await asyncio.sleep(3.0)
+    sky.cut = True
+    await asyncio.sleep(5.0)
+    sky.cut = False
+    await flying
+    assert distance_m(autopilot.position, Position(60.0, 0.0, 5.0)) <= 1.5
 
 
 @pytest.mark.parametrize("after_s", [5.0, 20.0])
@@ -279,20 +270,20 @@ def test_a_flight_is_resumed_out_of_the_hover_that_the_loss_of_setpoints_ends_in
     fly(resume, before=killed, parameters={"COM_OBL_RC_ACT": 5.0})
 
 
-def test_a_hold_ends_at_rest_and_is_left_hovering_when_the_program_ends() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        await take_off(autopilot)
-        leg = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
-        await asyncio.sleep(8.0)
-        leg.cancel()
-        await autopilot.hold()
-        held = autopilot.position
-        await autopilot.close()
-        await asyncio.sleep(10.0)
-        assert sky.copter.mode is Mode.LOITER
-        assert distance_m(sky.copter.position(sky.now_s), held) < 2.0
-
-    fly(flight)
+@played(fly)
+async def test_a_hold_ends_at_rest_and_is_left_hovering_when_the_program_ends(
+    sky: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    await take_off(autopilot)
+    leg = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
+    await asyncio.sleep(8.0)
+    leg.cancel()
+    await autopilot.hold()
+    held = autopilot.position
+    await autopilot.close()
+    await asyncio.sleep(10.0)
+    assert sky.copter.mode is Mode.LOITER
+    assert distance_m(sky.copter.position(sky.now_s), held) < 2.0
 
 
 @pytest.mark.parametrize("action", [6.0, 7.0])
@@ -305,35 +296,29 @@ def test_it_is_not_flown_where_it_falls_without_the_program(action: float) -> No
     fly(flight, parameters={"COM_OBL_RC_ACT": action})
 
 
-def test_it_tells_of_settings_that_a_user_should_know() -> None:
-    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        news: list[VehicleNews] = []
-        autopilot.listen(news.append)
-        await autopilot.claim(resumes=False)
-        await autopilot.ready()
-        told = {each.name: each.value for each in news if isinstance(each, VehicleSetting)}
-        assert told == {"COM_OBL_RC_ACT": 0.0, "COM_OF_LOSS_T": 30.0, "COM_RC_OVERRIDE": 1.0}
-
-    fly(flight, parameters={"COM_OF_LOSS_T": 30.0})
+@played(fly, parameters={"COM_OF_LOSS_T": 30.0})
+async def test_it_tells_of_settings_that_a_user_should_know(_: Bench, autopilot: MavlinkAutopilot) -> None:
+    news: list[VehicleNews] = []
+    autopilot.listen(news.append)
+    await autopilot.claim(resumes=False)
+    await autopilot.ready()
+    told = {each.name: each.value for each in news if isinstance(each, VehicleSetting)}
+    assert told == {"COM_OBL_RC_ACT": 0.0, "COM_OF_LOSS_T": 30.0, "COM_RC_OVERRIDE": 1.0}
 
 
-def test_its_fence_is_among_its_limits() -> None:
-    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        limits = await autopilot.limits()
-        assert [fence.name for fence in limits.fences] == ["the vehicle's fence of 50 m around its home"]
-        assert limits.highest_m == 40.0
-
-    fly(flight, parameters={"GF_MAX_HOR_DIST": 50.0, "GF_MAX_VER_DIST": 40.0})
+@played(fly, parameters={"GF_MAX_HOR_DIST": 50.0, "GF_MAX_VER_DIST": 40.0})
+async def test_its_fence_is_among_its_limits(_: Bench, autopilot: MavlinkAutopilot) -> None:
+    limits = await autopilot.limits()
+    assert [fence.name for fence in limits.fences] == ["the vehicle's fence of 50 m around its home"]
+    assert limits.highest_m == 40.0
 
 
-def test_whole_parameters_travel_as_bytes() -> None:
-    async def flight(sky: Bench, autopilot: MavlinkAutopilot) -> None:
-        vehicle = autopilot.vehicle
-        assert await read_parameters(vehicle, ["COM_OBL_RC_ACT"]) == {"COM_OBL_RC_ACT": 3.0}
-        await set_parameter(vehicle, "COM_OBL_RC_ACT", 5)
-        assert sky.copter.parameters["COM_OBL_RC_ACT"] == 5
-
-    fly(flight)
+@played(fly)
+async def test_whole_parameters_travel_as_bytes(sky: Bench, autopilot: MavlinkAutopilot) -> None:
+    vehicle = autopilot.vehicle
+    assert await read_parameters(vehicle, ["COM_OBL_RC_ACT"]) == {"COM_OBL_RC_ACT": 3.0}
+    await set_parameter(vehicle, "COM_OBL_RC_ACT", 5)
+    assert sky.copter.parameters["COM_OBL_RC_ACT"] == 5
 
 
 def test_recorded_events_are_told_in_words_once_and_only_where_they_matter() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import on_virtual_time, played
 from tests.ports.memory import AGILE, Air, Bench, bench, driven
 from tests.ports.steps import take_off
 
@@ -81,50 +82,46 @@ def test_the_way_home_is_read_by_the_names_of_either_version(
     tell(story, settings)
 
 
-def test_a_landing_whose_first_part_has_a_speed_of_its_own_is_reckoned_with_it(
-    tell: Callable[..., None],
+@played("tell", replace(AGILE, parameters={"LAND_SPEED_HIGH": 60}))
+async def test_a_landing_whose_first_part_has_a_speed_of_its_own_is_reckoned_with_it(
+    _: Bench, autopilot: MavlinkAutopilot
 ) -> None:
-    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        energy, _unknown = await learnt(autopilot)
-        assert energy.way_home is not None
-        assert energy.way_home.descent_m_s == 0.6
-
-    tell(story, replace(AGILE, parameters={"LAND_SPEED_HIGH": 60}))
+    energy, _unknown = await learnt(autopilot)
+    assert energy.way_home is not None
+    assert energy.way_home.descent_m_s == 0.6
 
 
-def test_a_return_at_the_altitude_of_the_moment_is_no_guess(tell: Callable[..., None]) -> None:
-    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        energy, unknown = await learnt(autopilot)
-        assert energy.way_home is not None
-        assert (energy.way_home.altitude_m, unknown) == (0.0, {})
-
-    tell(story, replace(AGILE, parameters={"RTL_ALT": 0}))
-
-
-def test_a_parameter_under_none_of_its_names_is_told_and_guessed(tell: Callable[..., None]) -> None:
-    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
-        forget(made, "RTL_ALT", "BATT_LOW_MAH")
-        energy, unknown = await learnt(autopilot)
-        assert unknown == {
-            "BATT_LOW_MAH": "the vehicle has no parameter BATT_LOW_MAH; the reserve does not count with this stage "
-            "of the battery",
-            "RTL_ALT": "the vehicle has no parameter RTL_ALT or RTL_ALT_M; the altitude of returns is guessed to be "
-            "15 m",
-        }
-        assert energy.guessed == ("BATT_LOW_MAH", "RTL_ALT")
-
-    tell(story)
+@played("tell", replace(AGILE, parameters={"RTL_ALT": 0}))
+async def test_a_return_at_the_altitude_of_the_moment_is_no_guess(
+    _: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    energy, unknown = await learnt(autopilot)
+    assert energy.way_home is not None
+    assert (energy.way_home.altitude_m, unknown) == (0.0, {})
 
 
-def test_a_speed_that_is_none_is_told_and_guessed(tell: Callable[..., None]) -> None:
-    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        energy, unknown = await learnt(autopilot)
-        assert unknown == {
-            "WPNAV_SPEED_DN": "0 m/s makes no sense; the speed of descents is guessed to be 1.5 m/s"
-        }
-        assert energy.guessed == ("WPNAV_SPEED_DN",)
+@played("tell")
+async def test_a_parameter_under_none_of_its_names_is_told_and_guessed(
+    made: Bench, autopilot: MavlinkAutopilot
+) -> None:
+    forget(made, "RTL_ALT", "BATT_LOW_MAH")
+    energy, unknown = await learnt(autopilot)
+    assert unknown == {
+        "BATT_LOW_MAH": "the vehicle has no parameter BATT_LOW_MAH; the reserve does not count with this stage "
+        "of the battery",
+        "RTL_ALT": "the vehicle has no parameter RTL_ALT or RTL_ALT_M; the altitude of returns is guessed to be "
+        "15 m",
+    }
+    assert energy.guessed == ("BATT_LOW_MAH", "RTL_ALT")
 
-    tell(story, replace(AGILE, parameters={"WPNAV_SPEED_DN": 0}))
+
+@played("tell", replace(AGILE, parameters={"WPNAV_SPEED_DN": 0}))
+async def test_a_speed_that_is_none_is_told_and_guessed(_: Bench, autopilot: MavlinkAutopilot) -> None:
+    energy, unknown = await learnt(autopilot)
+    assert unknown == {
+        "WPNAV_SPEED_DN": "0 m/s makes no sense; the speed of descents is guessed to be 1.5 m/s"
+    }
+    assert energy.guessed == ("WPNAV_SPEED_DN",)
 
 
 def test_a_link_that_loses_much_is_no_reason_to_guess(tell: Callable[..., None]) -> None:
@@ -136,17 +133,15 @@ def test_a_link_that_loses_much_is_no_reason_to_guess(tell: Callable[..., None])
         tell(story, SLOW, Air(0.2, seed=seed))
 
 
-def test_a_question_that_is_never_answered_is_not_taken_for_a_parameter_that_is_not_there(
-    tell: Callable[..., None],
+@played("tell")
+async def test_a_question_that_is_never_answered_is_not_taken_for_a_parameter_that_is_not_there(
+    made: Bench, autopilot: MavlinkAutopilot
 ) -> None:
-    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
-        forget(made, *OLD, "FRAME_CLASS")  # no answer tells that the questions arrive
-        _, unknown = await learnt(autopilot)
-        assert "the vehicle did not answer what its RTL_ALT or RTL_ALT_M is" in unknown["RTL_ALT"]
-        reading = await read_parameters(autopilot.vehicle, ["RTL_ALT"])
-        assert reading.absent == frozenset()
-
-    tell(story)
+    forget(made, *OLD, "FRAME_CLASS")  # no answer tells that the questions arrive
+    _, unknown = await learnt(autopilot)
+    assert "the vehicle did not answer what its RTL_ALT or RTL_ALT_M is" in unknown["RTL_ALT"]
+    reading = await read_parameters(autopilot.vehicle, ["RTL_ALT"])
+    assert reading.absent == frozenset()
 
 
 def test_a_vehicle_that_says_so_has_no_such_parameter(
@@ -197,42 +192,38 @@ def test_no_more_is_asked_at_once_than_an_autopilot_keeps(
     tell(story)
 
 
-def test_a_parameter_that_is_not_there_cannot_be_set(tell: Callable[..., None]) -> None:
-    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
-        with pytest.raises(Exception, match="the vehicle has no parameter NOWHERE"):
-            await set_parameter(autopilot.vehicle, "NOWHERE", 1.0)
-
-    tell(story)
+@played("tell")
+async def test_a_parameter_that_is_not_there_cannot_be_set(_: Bench, autopilot: MavlinkAutopilot) -> None:
+    with pytest.raises(Exception, match="the vehicle has no parameter NOWHERE"):
+        await set_parameter(autopilot.vehicle, "NOWHERE", 1.0)
 
 
-def test_a_flight_that_is_taken_up_in_the_air_knows_the_way_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def live() -> None:
-        async with bench(SLOW) as made:
-            async with made.program() as autopilot:
-                await take_off(autopilot)
-            async with made.program() as autopilot:
-                await autopilot.claim(resumes=True)
-                assert autopilot.energy.way_home is not None
-                assert autopilot.energy.way_home.altitude_m == 100.0
+@on_virtual_time
+async def test_a_flight_that_is_taken_up_in_the_air_knows_the_way_home(
+    *, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with bench(SLOW) as made:
+        async with made.program() as autopilot:
+            await take_off(autopilot)
+        async with made.program() as autopilot:
+            await autopilot.claim(resumes=True)
+            assert autopilot.energy.way_home is not None
+            assert autopilot.energy.way_home.altitude_m == 100.0
 
-    run_virtually(live())
 
-
-def test_a_px4_without_its_parameters_is_told_of() -> None:
-    async def live() -> None:
-        settings = Px4Settings(GeoPosition(39.3666, 22.9507), parameters={"COM_OBL_RC_ACT": 3.0})
-        async with driven(settings) as (sky, autopilot):
-            without(sky, "COM_OBL_RC_ACT", "RTL_RETURN_ALT", "BAT_LOW_THR")
-            news: list[VehicleNews] = []
-            autopilot.listen(news.append)
-            await autopilot.claim(resumes=False)
-            await autopilot.ready()
-            await autopilot.limits()
-            unknown = {each.name for each in news if isinstance(each, VehicleSetting) and each.value is None}
-            assert unknown == {"COM_OBL_RC_ACT", "RTL_RETURN_ALT", "BAT_LOW_THR"}
-            assert autopilot.energy.guessed == ("BAT_LOW_THR", "RTL_RETURN_ALT")
-
-    run_virtually(live())
+@on_virtual_time
+async def test_a_px4_without_its_parameters_is_told_of() -> None:
+    settings = Px4Settings(GeoPosition(39.3666, 22.9507), parameters={"COM_OBL_RC_ACT": 3.0})
+    async with driven(settings) as (sky, autopilot):
+        without(sky, "COM_OBL_RC_ACT", "RTL_RETURN_ALT", "BAT_LOW_THR")
+        news: list[VehicleNews] = []
+        autopilot.listen(news.append)
+        await autopilot.claim(resumes=False)
+        await autopilot.ready()
+        await autopilot.limits()
+        unknown = {each.name for each in news if isinstance(each, VehicleSetting) and each.value is None}
+        assert unknown == {"COM_OBL_RC_ACT", "RTL_RETURN_ALT", "BAT_LOW_THR"}
+        assert autopilot.energy.guessed == ("BAT_LOW_THR", "RTL_RETURN_ALT")
 
 
 def without(sky: Bench, *names: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import in_real_time
 from tests.ports.memory import AGILE, HASTY, HOME
 from tests.ports.steps import claim_and_arm
 from tests.ports.test_autopilot import FRAME, connection
@@ -42,44 +43,38 @@ async def connected(to: str, signing: Signing | None, *, within_s: float = 20.0)
     [(Signing(KEY), Signing(KEY)), (late(), Signing(KEY)), (Signing(KEY), late())],
     ids=["clocks agree", "ours is behind", "the vehicle's is behind"],
 )
-def test_with_one_key_the_vehicle_is_flown(listen: str, ours: Signing, theirs: Signing) -> None:
-    async def mission() -> None:
-        vehicle = await serve_vehicle(listen, AGILE, signing=theirs)
-        autopilot = await connected(connection(vehicle), ours)
-        await claim_and_arm(autopilot)
-        await autopilot.takeoff(2.0)
-        await autopilot.land()
-        await autopilot.close()
-        await vehicle.close()
-
-    asyncio.run(mission())
+@in_real_time
+async def test_with_one_key_the_vehicle_is_flown(*, listen: str, ours: Signing, theirs: Signing) -> None:
+    vehicle = await serve_vehicle(listen, AGILE, signing=theirs)
+    autopilot = await connected(connection(vehicle), ours)
+    await claim_and_arm(autopilot)
+    await autopilot.takeoff(2.0)
+    await autopilot.land()
+    await autopilot.close()
+    await vehicle.close()
 
 
-def test_over_udpin_a_vehicle_whose_clock_is_behind_is_found() -> None:
-    async def mission() -> None:
-        port = free_port()
-        vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=late())
-        async with Router(port).running(vehicle.address):
-            autopilot = await connected(f"udpin:127.0.0.1:{port}", Signing(KEY))
-            await claim_and_arm(autopilot)
-            await autopilot.disarm()
-            await autopilot.close()
-        await vehicle.close()
-
-    asyncio.run(mission())
-
-
-def test_a_px4_is_flown_with_signatures_though_pymavlink_does_not_know_all_that_it_says() -> None:
-    async def mission() -> None:
-        settings = Px4Settings(home=HOME, armable_after_s=0.0, parameters={"COM_OBL_RC_ACT": 5})
-        vehicle = await serve_vehicle("udp:127.0.0.1:0", settings, signing=Signing(KEY))
-        autopilot = await connected(connection(vehicle), Signing(KEY))
+@in_real_time
+async def test_over_udpin_a_vehicle_whose_clock_is_behind_is_found() -> None:
+    port = free_port()
+    vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=late())
+    async with Router(port).running(vehicle.address):
+        autopilot = await connected(f"udpin:127.0.0.1:{port}", Signing(KEY))
         await claim_and_arm(autopilot)
         await autopilot.disarm()
         await autopilot.close()
-        await vehicle.close()
+    await vehicle.close()
 
-    asyncio.run(mission())
+
+@in_real_time
+async def test_a_px4_is_flown_with_signatures_though_pymavlink_does_not_know_all_that_it_says() -> None:
+    settings = Px4Settings(home=HOME, armable_after_s=0.0, parameters={"COM_OBL_RC_ACT": 5})
+    vehicle = await serve_vehicle("udp:127.0.0.1:0", settings, signing=Signing(KEY))
+    autopilot = await connected(connection(vehicle), Signing(KEY))
+    await claim_and_arm(autopilot)
+    await autopilot.disarm()
+    await autopilot.close()
+    await vehicle.close()
 
 
 @pytest.mark.parametrize(
@@ -93,48 +88,42 @@ def test_a_px4_is_flown_with_signatures_though_pymavlink_does_not_know_all_that_
         (Signing(KEY), Signing(OTHER_KEY), r"its messages are signed with another key; give it the key"),
     ],
 )
-def test_a_vehicle_without_the_key_is_told_from_one_that_is_not_there(
-    ours: Signing, theirs: Signing | None, said: str
+@in_real_time
+async def test_a_vehicle_without_the_key_is_told_from_one_that_is_not_there(
+    *, ours: Signing, theirs: Signing | None, said: str
 ) -> None:
-    async def mission() -> None:
-        vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=theirs)
-        with pytest.raises(AutopilotError, match=said):
-            await connected(connection(vehicle), ours, within_s=2.5)
-        await vehicle.close()
-
-    asyncio.run(mission())
+    vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=theirs)
+    with pytest.raises(AutopilotError, match=said):
+        await connected(connection(vehicle), ours, within_s=2.5)
+    await vehicle.close()
 
 
-def test_a_program_without_the_key_is_told_that_the_vehicle_signs() -> None:
-    async def mission() -> None:
-        vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
-        said = r"system 1.*signs its messages and answers none that is not signed: .*autopilot.signing_key"
-        with pytest.raises(AutopilotError, match=said):
-            await connected(connection(vehicle), None)
-        await vehicle.close()
-
-    asyncio.run(mission())
+@in_real_time
+async def test_a_program_without_the_key_is_told_that_the_vehicle_signs() -> None:
+    vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
+    said = r"system 1.*signs its messages and answers none that is not signed: .*autopilot.signing_key"
+    with pytest.raises(AutopilotError, match=said):
+        await connected(connection(vehicle), None)
+    await vehicle.close()
 
 
-def test_a_vehicle_with_a_key_obeys_nobody_without_it() -> None:
-    async def mission() -> None:
-        vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
-        reader, writer = await asyncio.open_connection("127.0.0.1", int(vehicle.address.rpartition(":")[2]))
-        arm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
-        codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
-        for packet in arm.pack(codec), Signing(OTHER_KEY).pack(arm, codec), Signing(KEY).pack(arm, codec):
-            writer.write(packet)
-        codec.robust_parsing = True
-        answers = 0
-        async with asyncio.timeout(1.5):
-            while not answers:
-                messages = codec.parse_buffer(await reader.read(4096)) or ()
-                answers += sum(message.get_type() == "COMMAND_ACK" for message in messages)
-        assert answers == 1
-        writer.close()
-        await vehicle.close()
-
-    asyncio.run(mission())
+@in_real_time
+async def test_a_vehicle_with_a_key_obeys_nobody_without_it() -> None:
+    vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
+    reader, writer = await asyncio.open_connection("127.0.0.1", int(vehicle.address.rpartition(":")[2]))
+    arm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+    codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+    for packet in arm.pack(codec), Signing(OTHER_KEY).pack(arm, codec), Signing(KEY).pack(arm, codec):
+        writer.write(packet)
+    codec.robust_parsing = True
+    answers = 0
+    async with asyncio.timeout(1.5):
+        while not answers:
+            messages = codec.parse_buffer(await reader.read(4096)) or ()
+            answers += sum(message.get_type() == "COMMAND_ACK" for message in messages)
+    assert answers == 1
+    writer.close()
+    await vehicle.close()
 
 
 # --- files --------------------------------------------------------------------------------------------------

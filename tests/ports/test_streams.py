@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import played
 from tests.ports.memory import AGILE, AT_ONCE, Air, Bench, bench, driven
 
 from upwash.eventlog.schema import LinkTrouble
@@ -117,16 +118,16 @@ def test_a_request_that_the_link_lost_is_made_again_within_seconds(
     tell(story, monkeypatch, Air(0.3, seed=seed))
 
 
-def test_px4s_mode_comes_at_50_hz_though_it_comes_by_itself_every_other_second() -> None:
-    async def story(sky: Bench, reports: Counted) -> None:
-        assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
-        by_itself = mavlink.MAVLink_command_long_message(1, 1, 511, 0, CURRENT_MODE, 0, *(0.0,) * 5)
-        sky.connection.hear(by_itself)  # as where the request was lost: twice a second, or less
-        await asyncio.sleep(4.0)
-        assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
-        assert reports.troubles == []
-
-    tell_of_px4(story)
+@played(tell_of_px4)
+async def test_px4s_mode_comes_at_50_hz_though_it_comes_by_itself_every_other_second(
+    sky: Bench, reports: Counted
+) -> None:
+    assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
+    by_itself = mavlink.MAVLink_command_long_message(1, 1, 511, 0, CURRENT_MODE, 0, *(0.0,) * 5)
+    sky.connection.hear(by_itself)  # as where the request was lost: twice a second, or less
+    await asyncio.sleep(4.0)
+    assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
+    assert reports.troubles == []
 
 
 def test_rates_that_a_ground_station_lowered_once_are_back_within_seconds(

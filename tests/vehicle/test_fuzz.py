@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import in_real_time
 from tests.ports.steps import claim_and_arm
 from tests.vehicle.absurd import absurd_orders, every_message, garbage, orders_for_others
 
@@ -57,75 +58,71 @@ def is_take_off_to_the_usual_altitude(message: Any) -> bool:
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp"])
-def test_a_px4_is_not_moved_by_nonsense(kind: str) -> None:
-    async def scenario() -> None:
-        errors, chance = collect_errors(), random.Random(3)
-        async with AsyncExitStack() as stack:
-            vehicle = await serve_vehicle(
-                f"{kind}:127.0.0.1:0", Px4Settings(home=HOME, armable_after_s=0.0, speedup=10.0)
-            )
-            stack.push_async_callback(vehicle.close)
-            places: list[Any] = []
-            modes: list[int] = []
+@in_real_time
+async def test_a_px4_is_not_moved_by_nonsense(*, kind: str) -> None:
+    errors, chance = collect_errors(), random.Random(3)
+    async with AsyncExitStack() as stack:
+        vehicle = await serve_vehicle(
+            f"{kind}:127.0.0.1:0", Px4Settings(home=HOME, armable_after_s=0.0, speedup=10.0)
+        )
+        stack.push_async_callback(vehicle.close)
+        places: list[Any] = []
+        modes: list[int] = []
 
-            def hear(message: Any) -> None:
-                if message.get_type() == "GLOBAL_POSITION_INT":
-                    places.append(message)
-                elif message.get_type() == "HEARTBEAT":
-                    modes.append(message.custom_mode)
+        def hear(message: Any) -> None:
+            if message.get_type() == "GLOBAL_POSITION_INT":
+                places.append(message)
+            elif message.get_type() == "HEARTBEAT":
+                modes.append(message.custom_mode)
 
-            link = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), hear)
-            stack.push_async_callback(link.close)
-            await link.opened.wait()
-            long = mavlink.MAVLink_command_long_message
-            nan = math.nan
+        link = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), hear)
+        stack.push_async_callback(link.close)
+        await link.opened.wait()
+        long = mavlink.MAVLink_command_long_message
+        nan = math.nan
 
-            async def until(condition: Callable[[], Any]) -> None:
-                async with asyncio.timeout(20.0):
-                    while not condition():  # noqa: ASYNC110
-                        await asyncio.sleep(0.01)
+        async def until(condition: Callable[[], Any]) -> None:
+            async with asyncio.timeout(20.0):
+                while not condition():  # noqa: ASYNC110
+                    await asyncio.sleep(0.01)
 
-            link.send(long(1, 1, 511, 0, 30, -1, 0, 0, 0, 0, 0))
-            await until(lambda: places)
-            link.send(long(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
-            link.send(long(1, 1, 22, 0, nan, 0, 0, nan, nan, nan, 10.0))
-            await until(lambda: places[-1].alt > 9_900 and abs(places[-1].vz) < 5)
-            before = places[-1]
+        link.send(long(1, 1, 511, 0, 30, -1, 0, 0, 0, 0, 0))
+        await until(lambda: places)
+        link.send(long(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+        link.send(long(1, 1, 22, 0, nan, 0, 0, nan, nan, nan, 10.0))
+        await until(lambda: places[-1].alt > 9_900 and abs(places[-1].vz) < 5)
+        before = places[-1]
 
-            await vandalise(vehicle.address.replace("udp:", "udpout:"), chance, BYTES // 4)
+        await vandalise(vehicle.address.replace("udp:", "udpout:"), chance, BYTES // 4)
 
-            assert errors == []
-            assert modes[-1] == Mode.LOITER
-            after = places[-1]
-            assert abs(after.lat - before.lat) < 50 and abs(after.lon - before.lon) < 50
-            assert abs(after.alt - before.alt) < 500
-            link.send(long(1, 1, 176, 0, 1, Mode.RTL.main, Mode.RTL.sub, 0, 0, 0, 0))
-            await until(lambda: modes[-1] == Mode.RTL)  # it is still there and obeys
-
-    asyncio.run(scenario())
+        assert errors == []
+        assert modes[-1] == Mode.LOITER
+        after = places[-1]
+        assert abs(after.lat - before.lat) < 50 and abs(after.lon - before.lon) < 50
+        assert abs(after.alt - before.alt) < 500
+        link.send(long(1, 1, 176, 0, 1, Mode.RTL.main, Mode.RTL.sub, 0, 0, 0, 0))
+        await until(lambda: modes[-1] == Mode.RTL)  # it is still there and obeys
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp"])
-def test_a_flying_vehicle_is_not_moved_by_nonsense(kind: str) -> None:
-    async def scenario() -> None:
-        errors, chance = collect_errors(), random.Random(1)
-        async with AsyncExitStack() as stack:
-            vehicle = await serve_vehicle(f"{kind}:127.0.0.1:0", AGILE)
-            stack.push_async_callback(vehicle.close)
-            connection = vehicle.address.replace("udp:", "udpout:")
-            autopilot = await connect_autopilot(connection, frame=LocalFrame(HOME), ground_speed_m_s=20.0)
-            stack.push_async_callback(autopilot.close)
-            await claim_and_arm(autopilot)
-            await autopilot.takeoff(10.0)
-            before = autopilot.position
+@in_real_time
+async def test_a_flying_vehicle_is_not_moved_by_nonsense(*, kind: str) -> None:
+    errors, chance = collect_errors(), random.Random(1)
+    async with AsyncExitStack() as stack:
+        vehicle = await serve_vehicle(f"{kind}:127.0.0.1:0", AGILE)
+        stack.push_async_callback(vehicle.close)
+        connection = vehicle.address.replace("udp:", "udpout:")
+        autopilot = await connect_autopilot(connection, frame=LocalFrame(HOME), ground_speed_m_s=20.0)
+        stack.push_async_callback(autopilot.close)
+        await claim_and_arm(autopilot)
+        await autopilot.takeoff(10.0)
+        before = autopilot.position
 
-            await vandalise(connection, chance, BYTES)
+        await vandalise(connection, chance, BYTES)
 
-            assert errors == []
-            assert distance_m(autopilot.position, before) < 0.1
-            await autopilot.goto(Position(5.0, 0.0, 10.0))  # it is still there, in GUIDED, and obeys
-
-    asyncio.run(scenario())
+        assert errors == []
+        assert distance_m(autopilot.position, before) < 0.1
+        await autopilot.goto(Position(5.0, 0.0, 10.0))  # it is still there, in GUIDED, and obeys
 
 
 class FakeVehicle(asyncio.DatagramProtocol):
@@ -148,48 +145,44 @@ class FakeVehicle(asyncio.DatagramProtocol):
         self.codec.seq = (self.codec.seq + 1) % 256
 
 
-def test_a_driver_that_hears_nonsense_goes_on_and_tells_nobody_to_move() -> None:
-    async def scenario() -> None:
-        errors, chance = collect_errors(), random.Random(2)
-        transport, fake = await asyncio.get_running_loop().create_datagram_endpoint(
-            FakeVehicle, local_addr=("127.0.0.1", 0)
-        )
-        copter = MavlinkVehicle(
-            f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience(), [ARDUCOPTER]
-        )
-        while fake.peer is None:  # noqa: ASYNC110
-            await asyncio.sleep(0.01)
-        beat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
-        place = mavlink.MAVLink_global_position_int_message(
-            1_000, 393_666_000, 229_507_000, 0, 5_000, 0, 0, 0, 0
-        )
-        fake.say(beat)
-        fake.say(place)
-        await copter.found(within_s=2.0)
-        for piece in garbage(BYTES, chance):
-            transport.sendto(piece, fake.peer)
-            await asyncio.sleep(0)
-        for _ in range(5):
-            for message in every_message(chance):
-                if message.get_type() != "BAD_DATA":
-                    fake.say(message)
-                    await asyncio.sleep(0)
-        fake.say(beat)
-        fake.say(place)
-        await asyncio.sleep(0.2)
+@in_real_time
+async def test_a_driver_that_hears_nonsense_goes_on_and_tells_nobody_to_move() -> None:
+    errors, chance = collect_errors(), random.Random(2)
+    transport, fake = await asyncio.get_running_loop().create_datagram_endpoint(
+        FakeVehicle, local_addr=("127.0.0.1", 0)
+    )
+    copter = MavlinkVehicle(
+        f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience(), [ARDUCOPTER]
+    )
+    while fake.peer is None:  # noqa: ASYNC110
+        await asyncio.sleep(0.01)
+    beat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+    place = mavlink.MAVLink_global_position_int_message(1_000, 393_666_000, 229_507_000, 0, 5_000, 0, 0, 0, 0)
+    fake.say(beat)
+    fake.say(place)
+    await copter.found(within_s=2.0)
+    for piece in garbage(BYTES, chance):
+        transport.sendto(piece, fake.peer)
+        await asyncio.sleep(0)
+    for _ in range(5):
+        for message in every_message(chance):
+            if message.get_type() != "BAD_DATA":
+                fake.say(message)
+                await asyncio.sleep(0)
+    fake.say(beat)
+    fake.say(place)
+    await asyncio.sleep(0.2)
 
-        assert errors == []
-        assert copter.telemetry.position == GeoPosition(39.3666, 22.9507, 5.0)
-        assert copter.telemetry.mode == 0
-        percent = copter.telemetry.battery_percent
-        assert percent is None or 0 <= percent <= 100
-        asked = {(message.get_type(), getattr(message, "command", None)) for message in fake.heard}
-        assert asked <= {
-            ("HEARTBEAT", None),
-            ("COMMAND_LONG", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL),
-            ("COMMAND_LONG", mavlink.MAV_CMD_REQUEST_MESSAGE),  # whose the vehicle is, after a silence
-        }
-        await copter.close()
-        transport.close()
-
-    asyncio.run(scenario())
+    assert errors == []
+    assert copter.telemetry.position == GeoPosition(39.3666, 22.9507, 5.0)
+    assert copter.telemetry.mode == 0
+    percent = copter.telemetry.battery_percent
+    assert percent is None or 0 <= percent <= 100
+    asked = {(message.get_type(), getattr(message, "command", None)) for message in fake.heard}
+    assert asked <= {
+        ("HEARTBEAT", None),
+        ("COMMAND_LONG", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL),
+        ("COMMAND_LONG", mavlink.MAV_CMD_REQUEST_MESSAGE),  # whose the vehicle is, after a silence
+    }
+    await copter.close()
+    transport.close()

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import in_real_time
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
@@ -80,28 +81,26 @@ async def vehicle_and_client() -> AsyncIterator[tuple[VehicleServer, Client]]:
         await vehicle.close()
 
 
-def test_nothing_but_heartbeats_until_asked() -> None:
-    async def scenario() -> None:
-        async with vehicle_and_client() as (_, client):
-            first = await client.answer("HEARTBEAT")
-            assert (first.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED, first.custom_mode) == (0, 0)
-            await client.answer("HEARTBEAT")
-            assert {message.get_type() for message in client.heard} <= {
-                "STATUSTEXT",
-                "GPS_GLOBAL_ORIGIN",
-                "HOME_POSITION",
-            }
-            wanted = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-            assert await client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, wanted, 20_000) == 0
-            client.heard.clear()
-            await asyncio.sleep(0.4)
-            assert 10 <= len([m for m in client.heard if m.get_msgId() == wanted]) <= 21
-            assert await client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, wanted, -1) == 0
-            client.heard.clear()
-            await asyncio.sleep(0.1)
-            assert not [m for m in client.heard if m.get_msgId() == wanted]
-
-    asyncio.run(scenario())
+@in_real_time
+async def test_nothing_but_heartbeats_until_asked() -> None:
+    async with vehicle_and_client() as (_, client):
+        first = await client.answer("HEARTBEAT")
+        assert (first.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED, first.custom_mode) == (0, 0)
+        await client.answer("HEARTBEAT")
+        assert {message.get_type() for message in client.heard} <= {
+            "STATUSTEXT",
+            "GPS_GLOBAL_ORIGIN",
+            "HOME_POSITION",
+        }
+        wanted = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+        assert await client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, wanted, 20_000) == 0
+        client.heard.clear()
+        await asyncio.sleep(0.4)
+        assert 10 <= len([m for m in client.heard if m.get_msgId() == wanted]) <= 21
+        assert await client.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, wanted, -1) == 0
+        client.heard.clear()
+        await asyncio.sleep(0.1)
+        assert not [m for m in client.heard if m.get_msgId() == wanted]
 
 
 @pytest.mark.parametrize(
@@ -119,76 +118,64 @@ def test_nothing_but_heartbeats_until_asked() -> None:
         (mavlink.MAV_CMD_REQUEST_MESSAGE, (math.inf,), 4),
     ],
 )
-def test_commands_that_cannot_be_obeyed_are_answered(
-    number: int, parameters: tuple[float, ...], result: int
+@in_real_time
+async def test_commands_that_cannot_be_obeyed_are_answered(
+    *, number: int, parameters: tuple[float, ...], result: int
 ) -> None:
-    async def scenario() -> None:
-        async with vehicle_and_client() as (_, client):
-            assert await client.command(number, *parameters) == result
-
-    asyncio.run(scenario())
+    async with vehicle_and_client() as (_, client):
+        assert await client.command(number, *parameters) == result
 
 
-def test_what_is_meant_for_another_vehicle_is_not_obeyed() -> None:
-    async def scenario() -> None:
-        async with vehicle_and_client() as (_, client):
-            client.say(mavlink.MAVLink_command_long_message(2, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
-            assert await client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 0) == 0
-            while beat := await client.answer("HEARTBEAT"):
-                if not client.heard:
-                    break
-            assert not beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-
-    asyncio.run(scenario())
+@in_real_time
+async def test_what_is_meant_for_another_vehicle_is_not_obeyed() -> None:
+    async with vehicle_and_client() as (_, client):
+        client.say(mavlink.MAVLink_command_long_message(2, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+        assert await client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 0) == 0
+        while beat := await client.answer("HEARTBEAT"):
+            if not client.heard:
+                break
+        assert not beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
-def test_garbage_does_not_stop_it() -> None:
-    async def scenario() -> None:
-        chance = random.Random(1)
-        async with vehicle_and_client() as (vehicle, client), client_of(vehicle) as vandal:
-            whole = bytes(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(client.codec))
-            for length in range(1, 300):
-                vandal.transport.sendto(b"\xfd" + chance.randbytes(length))
-                client.transport.sendto(chance.randbytes(length) + whole[: length % len(whole)])
-                await asyncio.sleep(0)  # the vehicle reads as fast as it is written to
-            assert await client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 245) == 0
-            assert not vandal.heard
-
-    asyncio.run(scenario())
+@in_real_time
+async def test_garbage_does_not_stop_it() -> None:
+    chance = random.Random(1)
+    async with vehicle_and_client() as (vehicle, client), client_of(vehicle) as vandal:
+        whole = bytes(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(client.codec))
+        for length in range(1, 300):
+            vandal.transport.sendto(b"\xfd" + chance.randbytes(length))
+            client.transport.sendto(chance.randbytes(length) + whole[: length % len(whole)])
+            await asyncio.sleep(0)  # the vehicle reads as fast as it is written to
+        assert await client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 245) == 0
+        assert not vandal.heard
 
 
 @pytest.mark.parametrize(("kind", "socket_type"), [("udp", socket.SOCK_DGRAM), ("tcp", socket.SOCK_STREAM)])
-def test_an_address_in_use_is_named_with_the_remedy(kind: str, socket_type: int) -> None:
-    async def scenario() -> None:
-        with socket.socket(socket.AF_INET, socket_type) as taken:
-            taken.bind(("127.0.0.1", 0))
-            if kind == "tcp":
-                taken.listen()
-            address = f"{kind}:127.0.0.1:{taken.getsockname()[1]}"
-            with pytest.raises(UsageError, match="port 0") as caught:
-                await serve_vehicle(address, SETTINGS)
-        assert address in str(caught.value)
-
-    asyncio.run(scenario())
+@in_real_time
+async def test_an_address_in_use_is_named_with_the_remedy(*, kind: str, socket_type: int) -> None:
+    with socket.socket(socket.AF_INET, socket_type) as taken:
+        taken.bind(("127.0.0.1", 0))
+        if kind == "tcp":
+            taken.listen()
+        address = f"{kind}:127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(UsageError, match="port 0") as caught:
+            await serve_vehicle(address, SETTINGS)
+    assert address in str(caught.value)
 
 
 @pytest.mark.parametrize(
     "listen", ["", "127.0.0.1:14550", "udpin:127.0.0.1:0", "tcp:127.0.0.1", "udp:h:99999"]
 )
-def test_an_address_that_cannot_be_meant_is_refused(listen: str) -> None:
-    async def scenario() -> None:
-        with pytest.raises(UsageError, match="udp:HOST:PORT or tcp:HOST:PORT"):
-            await serve_vehicle(listen, SETTINGS)
-
-    asyncio.run(scenario())
+@in_real_time
+async def test_an_address_that_cannot_be_meant_is_refused(*, listen: str) -> None:
+    with pytest.raises(UsageError, match="udp:HOST:PORT or tcp:HOST:PORT"):
+        await serve_vehicle(listen, SETTINGS)
 
 
-def test_closing_frees_the_address() -> None:
-    async def scenario() -> None:
-        for kind in "udp", "tcp":
-            vehicle = await serve_vehicle(f"{kind}:127.0.0.1:0", SETTINGS)
-            await vehicle.close()
-            again = await serve_vehicle(vehicle.address, SETTINGS)
-            await again.close()
-
-    asyncio.run(scenario())
+@in_real_time
+async def test_closing_frees_the_address() -> None:
+    for kind in "udp", "tcp":
+        vehicle = await serve_vehicle(f"{kind}:127.0.0.1:0", SETTINGS)
+        await vehicle.close()
+        again = await serve_vehicle(vehicle.address, SETTINGS)
+        await again.close()

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import played
 from tests.vehicle.direct import directly_linked
 
 from upwash.core.geo import GeoPosition
@@ -115,171 +116,149 @@ def talk(
     run_virtually(talked())
 
 
-def test_on_connect_it_says_only_that_it_lives_until_it_is_asked() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        await client.until(lambda: len(client.all("HEARTBEAT")) > 12 and client.all("TIMESYNC"))
-        by_itself = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "GPS_GLOBAL_ORIGIN", "HOME_POSITION"}
-        assert {message.get_type() for message in client.heard} == by_itself
-        assert len(client.all("GPS_GLOBAL_ORIGIN")) == len(client.all("HOME_POSITION")) == 1
-
-    talk(scenario, BOOTING)
+@played(talk, BOOTING)
+async def test_on_connect_it_says_only_that_it_lives_until_it_is_asked(client: Client) -> None:
+    await client.until(lambda: len(client.all("HEARTBEAT")) > 12 and client.all("TIMESYNC"))
+    by_itself = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "GPS_GLOBAL_ORIGIN", "HOME_POSITION"}
+    assert {message.get_type() for message in client.heard} == by_itself
+    assert len(client.all("GPS_GLOBAL_ORIGIN")) == len(client.all("HOME_POSITION")) == 1
 
 
-def test_data_streams_bring_everything_but_the_landed_state() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        client.say(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 10, 1))
-        wanted = {"GLOBAL_POSITION_INT", "SYS_STATUS", "ATTITUDE", "EKF_STATUS_REPORT", "BATTERY_STATUS"}
-        await client.until(lambda: wanted <= {message.get_type() for message in client.heard})
-        assert not client.all("EXTENDED_SYS_STATE")
-        client.say(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 10, 0))
-        await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, EXTENDED_STATE)
-        known = len(client.all("ATTITUDE"))
+@played(talk)
+async def test_data_streams_bring_everything_but_the_landed_state(client: Client) -> None:
+    client.say(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 10, 1))
+    wanted = {"GLOBAL_POSITION_INT", "SYS_STATUS", "ATTITUDE", "EKF_STATUS_REPORT", "BATTERY_STATUS"}
+    await client.until(lambda: wanted <= {message.get_type() for message in client.heard})
+    assert not client.all("EXTENDED_SYS_STATE")
+    client.say(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 10, 0))
+    await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, EXTENDED_STATE)
+    known = len(client.all("ATTITUDE"))
+    await client.next("HEARTBEAT")
+    assert len(client.all("ATTITUDE")) == known
+
+
+@played(talk, BOOTING)
+async def test_until_it_can_be_armed_it_says_why_and_its_filter_shows_when(client: Client) -> None:
+    await client.stream(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
+    await client.stream(GLOBAL_POSITION)
+    await client.stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
+    assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 4
+    text = client.all("STATUSTEXT")[-1]
+    assert (text.severity, text.text) == (2, "Arm: System not initialised")
+    assert client.all("EKF_STATUS_REPORT")[0].flags != 831
+    assert (client.all("GLOBAL_POSITION_INT")[0].lat, client.all("GLOBAL_POSITION_INT")[0].lon) == (0, 0)
+    healthy = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    assert not client.all("SYS_STATUS")[0].onboard_control_sensors_health & healthy
+    await client.until(lambda: client.all("EKF_STATUS_REPORT")[-1].flags == 831)
+    assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
+
+
+@played(talk, BOOTING)
+async def test_heartbeats_and_landed_states_come_in_the_recorded_order(client: Client) -> None:
+    await client.stream(EXTENDED_STATE)
+    await client.stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT)  # often enough to miss no state
+    await client.until(lambda: client.beats()[-1] == (81, 0, 3))
+    await client.until(lambda: client.all("GPS_GLOBAL_ORIGIN"))
+    await client.until(lambda: "EKF3 IMU0 is using GPS" in [each.text for each in client.all("STATUSTEXT")])
+    assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_GUIDED) == 0
+    await client.until(lambda: client.beats()[-1] == (89, 4, 3))
+    told = len(client.all("HOME_POSITION"))
+    assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
+    await client.until(lambda: len(client.all("HOME_POSITION")) == told + 1)
+    await client.until(lambda: client.beats()[-1] == (217, 4, 3))
+    assert await client.long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0) == 0
+    await client.until(lambda: client.landed_states()[-1] == 2)
+    assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+    await client.until(lambda: client.beats()[-1] == (81, 6, 3))
+    assert client.beats() == [
+        (89, 0, 1),
+        (81, 0, 3),
+        (89, 4, 3),
+        (217, 4, 3),
+        (217, 4, 4),
+        (217, 6, 4),
+        (217, 6, 3),
+        (81, 6, 3),
+    ]
+    assert client.landed_states() == [1, 3, 2, 4, 1]
+
+
+@played(talk)
+async def test_the_answers_to_commands(client: Client) -> None:
+    long = client.long
+    assert await long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0) == 4  # disarmed
+    assert await long(mavlink.MAV_CMD_DO_PARACHUTE) == 3
+    assert await long(mavlink.MAV_CMD_DO_SET_MODE, 0, 4) == 2
+    await client.take_off()
+    assert await long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 20.0) == 4  # airborne
+    assert await long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 0.0) == 2
+    assert await long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 5.0) == 0
+    assert await long(mavlink.MAV_CMD_REQUEST_MESSAGE, 242) == 0
+    assert await long(mavlink.MAV_CMD_REQUEST_MESSAGE, 9999) == 4
+    assert await long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0) == 4  # in flight
+    assert await long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+    reposition = mavlink.MAV_CMD_DO_REPOSITION
+    assert await client.placed(reposition, 6, 393_668_000, 229_507_000, 10.0) == 2  # outside GUIDED
+    assert await client.placed(reposition, 6, 393_668_000, 229_507_000, 10.0, flags=1) == 0
+    await client.stream(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT)
+    assert (await client.next("POSITION_TARGET_GLOBAL_INT")).lat_int == pytest.approx(393_668_000, abs=1)
+    assert await long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196) == 0  # forced: it falls
+    await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].relative_alt == 0)
+
+
+@played(talk)
+async def test_a_mode_set_the_old_way_changes_without_an_answer(client: Client) -> None:
+    client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
+    await client.until(lambda: client.all("HEARTBEAT")[-1].custom_mode == mavlink.COPTER_MODE_GUIDED)
+    assert not client.all("COMMAND_ACK")
+
+
+@played(talk)
+async def test_targets_are_ignored_in_silence_outside_guided(client: Client) -> None:
+    await client.take_off()
+    assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_LOITER) == 0
+    answers = len(client.all("COMMAND_ACK"))
+    client.target(east_e7=2_000)
+    for _ in range(5):
         await client.next("HEARTBEAT")
-        assert len(client.all("ATTITUDE")) == known
-
-    talk(scenario)
-
-
-def test_until_it_can_be_armed_it_says_why_and_its_filter_shows_when() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        await client.stream(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
-        await client.stream(GLOBAL_POSITION)
-        await client.stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
-        assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 4
-        text = client.all("STATUSTEXT")[-1]
-        assert (text.severity, text.text) == (2, "Arm: System not initialised")
-        assert client.all("EKF_STATUS_REPORT")[0].flags != 831
-        assert (client.all("GLOBAL_POSITION_INT")[0].lat, client.all("GLOBAL_POSITION_INT")[0].lon) == (0, 0)
-        healthy = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-        assert not client.all("SYS_STATUS")[0].onboard_control_sensors_health & healthy
-        await client.until(lambda: client.all("EKF_STATUS_REPORT")[-1].flags == 831)
-        assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
-
-    talk(scenario, BOOTING)
+    assert abs(client.all("GLOBAL_POSITION_INT")[-1].lon - 229_507_000) <= 1
+    assert len(client.all("COMMAND_ACK")) == answers
 
 
-def test_heartbeats_and_landed_states_come_in_the_recorded_order() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        await client.stream(EXTENDED_STATE)
-        await client.stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT)  # often enough to miss no state
-        await client.until(lambda: client.beats()[-1] == (81, 0, 3))
-        await client.until(lambda: client.all("GPS_GLOBAL_ORIGIN"))
-        await client.until(
-            lambda: "EKF3 IMU0 is using GPS" in [each.text for each in client.all("STATUSTEXT")]
-        )
-        assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_GUIDED) == 0
-        await client.until(lambda: client.beats()[-1] == (89, 4, 3))
-        told = len(client.all("HOME_POSITION"))
-        assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
-        await client.until(lambda: len(client.all("HOME_POSITION")) == told + 1)
-        await client.until(lambda: client.beats()[-1] == (217, 4, 3))
-        assert await client.long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0) == 0
-        await client.until(lambda: client.landed_states()[-1] == 2)
-        assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
-        await client.until(lambda: client.beats()[-1] == (81, 6, 3))
-        assert client.beats() == [
-            (89, 0, 1),
-            (81, 0, 3),
-            (89, 4, 3),
-            (217, 4, 3),
-            (217, 4, 4),
-            (217, 6, 4),
-            (217, 6, 3),
-            (81, 6, 3),
-        ]
-        assert client.landed_states() == [1, 3, 2, 4, 1]
-
-    talk(scenario, BOOTING)
+@played(talk)
+async def test_a_speed_is_lost_before_the_first_target_and_kept_after_it(client: Client) -> None:
+    await client.take_off()
+    assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
+    client.target(east_e7=20_000)
+    await client.until(lambda: max(each.vy for each in client.all("GLOBAL_POSITION_INT")) >= 539)
+    assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
+    await client.until(lambda: 295 <= client.all("GLOBAL_POSITION_INT")[-1].vy <= 301)
+    await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].lon > 229_507_000 + 10_000)
+    assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+    await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].vy <= -800)  # at a speed of its own
 
 
-def test_the_answers_to_commands() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        long = client.long
-        assert await long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0) == 4  # disarmed
-        assert await long(mavlink.MAV_CMD_DO_PARACHUTE) == 3
-        assert await long(mavlink.MAV_CMD_DO_SET_MODE, 0, 4) == 2
-        await client.take_off()
-        assert await long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 20.0) == 4  # airborne
-        assert await long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 0.0) == 2
-        assert await long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 5.0) == 0
-        assert await long(mavlink.MAV_CMD_REQUEST_MESSAGE, 242) == 0
-        assert await long(mavlink.MAV_CMD_REQUEST_MESSAGE, 9999) == 4
-        assert await long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0) == 4  # in flight
-        assert await long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
-        reposition = mavlink.MAV_CMD_DO_REPOSITION
-        assert await client.placed(reposition, 6, 393_668_000, 229_507_000, 10.0) == 2  # outside GUIDED
-        assert await client.placed(reposition, 6, 393_668_000, 229_507_000, 10.0, flags=1) == 0
-        await client.stream(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT)
-        assert (await client.next("POSITION_TARGET_GLOBAL_INT")).lat_int == pytest.approx(393_668_000, abs=1)
-        assert await long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196) == 0  # forced: it falls
-        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].relative_alt == 0)
-
-    talk(scenario)
+@played(talk)
+async def test_parameters_are_listed_read_and_set(client: Client) -> None:
+    client.say(mavlink.MAVLink_param_request_list_message(1, 1))
+    await client.until(lambda: (told := client.all("PARAM_VALUE")) and len(told) == told[0].param_count)
+    told = client.all("PARAM_VALUE")
+    assert sorted(each.param_index for each in told) == list(range(len(told)))
+    client.say(mavlink.MAVLink_param_set_message(1, 1, b"RTL_ALT", 3_000, 6))
+    assert (await client.next("PARAM_VALUE")).param_value == 3_000
+    client.say(mavlink.MAVLink_param_request_read_message(1, 1, b"RTL_ALT", -1))
+    assert (await client.next("PARAM_VALUE")).param_value == 3_000
+    await client.take_off()
+    assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+    await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].relative_alt > 29_900)
 
 
-def test_a_mode_set_the_old_way_changes_without_an_answer() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
-        await client.until(lambda: client.all("HEARTBEAT")[-1].custom_mode == mavlink.COPTER_MODE_GUIDED)
-        assert not client.all("COMMAND_ACK")
-
-    talk(scenario)
-
-
-def test_targets_are_ignored_in_silence_outside_guided() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        await client.take_off()
-        assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_LOITER) == 0
-        answers = len(client.all("COMMAND_ACK"))
-        client.target(east_e7=2_000)
-        for _ in range(5):
-            await client.next("HEARTBEAT")
-        assert abs(client.all("GLOBAL_POSITION_INT")[-1].lon - 229_507_000) <= 1
-        assert len(client.all("COMMAND_ACK")) == answers
-
-    talk(scenario)
-
-
-def test_a_speed_is_lost_before_the_first_target_and_kept_after_it() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        await client.take_off()
-        assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
-        client.target(east_e7=20_000)
-        await client.until(lambda: max(each.vy for each in client.all("GLOBAL_POSITION_INT")) >= 539)
-        assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
-        await client.until(lambda: 295 <= client.all("GLOBAL_POSITION_INT")[-1].vy <= 301)
-        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].lon > 229_507_000 + 10_000)
-        assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
-        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].vy <= -800)  # at a speed of its own
-
-    talk(scenario)
-
-
-def test_parameters_are_listed_read_and_set() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        client.say(mavlink.MAVLink_param_request_list_message(1, 1))
-        await client.until(lambda: (told := client.all("PARAM_VALUE")) and len(told) == told[0].param_count)
-        told = client.all("PARAM_VALUE")
-        assert sorted(each.param_index for each in told) == list(range(len(told)))
-        client.say(mavlink.MAVLink_param_set_message(1, 1, b"RTL_ALT", 3_000, 6))
-        assert (await client.next("PARAM_VALUE")).param_value == 3_000
-        client.say(mavlink.MAVLink_param_request_read_message(1, 1, b"RTL_ALT", -1))
-        assert (await client.next("PARAM_VALUE")).param_value == 3_000
-        await client.take_off()
-        assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
-        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].relative_alt > 29_900)
-
-    talk(scenario)
-
-
-def test_it_has_no_mission_and_takes_none() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        client.say(mavlink.MAVLink_mission_request_list_message(1, 1))
-        assert (await client.next("MISSION_COUNT")).count == 0
-        client.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
-        assert (await client.next("MISSION_ACK")).type == mavlink.MAV_MISSION_UNSUPPORTED
-
-    talk(scenario)
+@played(talk)
+async def test_it_has_no_mission_and_takes_none(client: Client) -> None:
+    client.say(mavlink.MAVLink_mission_request_list_message(1, 1))
+    assert (await client.next("MISSION_COUNT")).count == 0
+    client.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
+    assert (await client.next("MISSION_ACK")).type == mavlink.MAV_MISSION_UNSUPPORTED
 
 
 FENCED = replace(SETTINGS, parameters={"FENCE_ENABLE": 1, "FENCE_TYPE": 6, "FENCE_RADIUS": 60})
@@ -330,71 +309,63 @@ def test_a_fence_is_taken_and_given_back() -> None:
     [SQUARE[:2], [(INCLUSION, math.inf, 0, 0)], [(KEEP_OUT, math.nan, 0, 0)], [(KEEP_OUT, 5.0, 900_000, 0)]],
     ids=["too few corners", "endless corners", "no radius", "beyond the pole"],
 )
-def test_a_fence_that_is_none_is_refused_in_words_and_leaves_none(wrong: list[FenceRow]) -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        assert await upload_fence(client, SQUARE) == mavlink.MAV_MISSION_ACCEPTED
-        assert await upload_fence(client, wrong) == mavlink.MAV_MISSION_ERROR
-        await client.until(lambda: client.all("STATUSTEXT")[-1].text == "Fence validation failed")
-        client.say(mavlink.MAVLink_mission_request_list_message(1, 1, 1))
-        assert (await client.next("MISSION_COUNT")).count == 0
-
-    talk(scenario, FENCED)
-
-
-def test_targets_outside_the_fence_are_failed_or_ignored_in_silence() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        assert await upload_fence(client, [*SQUARE, (KEEP_OUT, 5.0, 1, 1)]) == 0
-        await client.take_off()
-        reposition = mavlink.MAV_CMD_DO_REPOSITION
-        answers = [
-            await client.placed(reposition, 6, 393_666_000 + north, 229_507_000 + east, 10.0)
-            for north, east in ((0, 1_500), (0, 5_000), (1_000, 1_000), (9_000, 0))
-        ]
-        assert answers == [0, 4, 4, 4]
-        texts = len(client.all("STATUSTEXT"))
-        client.target(east_e7=5_000)
-        await asyncio.sleep(20.0)
-        assert client.all("GLOBAL_POSITION_INT")[-1].lon == pytest.approx(229_508_500, abs=20)
-        assert len(client.all("STATUSTEXT")) == texts
-
-    talk(scenario, FENCED)
+@played(talk, FENCED)
+async def test_a_fence_that_is_none_is_refused_in_words_and_leaves_none(
+    client: Client, *, wrong: list[FenceRow]
+) -> None:
+    assert await upload_fence(client, SQUARE) == mavlink.MAV_MISSION_ACCEPTED
+    assert await upload_fence(client, wrong) == mavlink.MAV_MISSION_ERROR
+    await client.until(lambda: client.all("STATUSTEXT")[-1].text == "Fence validation failed")
+    client.say(mavlink.MAVLink_mission_request_list_message(1, 1, 1))
+    assert (await client.next("MISSION_COUNT")).count == 0
 
 
-def test_a_fence_of_areas_without_any_keeps_it_on_the_ground() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 4
-        assert client.all("STATUSTEXT")[-1].text == "Arm: Fences enabled, but none selected"
-
-    talk(scenario, replace(FENCED, parameters={"FENCE_ENABLE": 1, "FENCE_TYPE": 4}))
-
-
-def test_heartbeats_come_at_the_interval_that_was_asked_for() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        for interval_us, beats, told_us in (200_000, 50, 200_000), (-1, 0, -1), (0, 10, 1_000_000):
-            assert await client.long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, interval_us) == 0
-            known = len(client.all("HEARTBEAT"))
-            await asyncio.sleep(10.0)
-            assert len(client.all("HEARTBEAT")) - known == pytest.approx(beats, abs=1)
-            assert await client.long(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, 0) == 0
-            assert client.all("MESSAGE_INTERVAL")[-1].interval_us == told_us
-
-    talk(scenario)
+@played(talk, FENCED)
+async def test_targets_outside_the_fence_are_failed_or_ignored_in_silence(client: Client) -> None:
+    assert await upload_fence(client, [*SQUARE, (KEEP_OUT, 5.0, 1, 1)]) == 0
+    await client.take_off()
+    reposition = mavlink.MAV_CMD_DO_REPOSITION
+    answers = [
+        await client.placed(reposition, 6, 393_666_000 + north, 229_507_000 + east, 10.0)
+        for north, east in ((0, 1_500), (0, 5_000), (1_000, 1_000), (9_000, 0))
+    ]
+    assert answers == [0, 4, 4, 4]
+    texts = len(client.all("STATUSTEXT"))
+    client.target(east_e7=5_000)
+    await asyncio.sleep(20.0)
+    assert client.all("GLOBAL_POSITION_INT")[-1].lon == pytest.approx(229_508_500, abs=20)
+    assert len(client.all("STATUSTEXT")) == texts
 
 
-def test_it_tells_its_home_and_the_time_of_day() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        assert await client.long(mavlink.MAV_CMD_GET_HOME_POSITION) == 4  # it does not know it yet
-        assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME) == 0
-        assert client.all("SYSTEM_TIME")[-1].time_unix_usec == 0
-        await client.until(lambda: client.all("HOME_POSITION"))
-        assert await client.long(mavlink.MAV_CMD_GET_HOME_POSITION) == 0
-        home = client.all("HOME_POSITION")[-1]
-        assert (home.latitude, home.longitude) == (393_666_000, 229_507_000)
-        assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME) == 0
-        told_s = client.all("SYSTEM_TIME")[-1].time_unix_usec / 1e6
-        assert told_s == pytest.approx(time.time() + 3_600, abs=60.0)
+@played(talk, replace(FENCED, parameters={"FENCE_ENABLE": 1, "FENCE_TYPE": 4}))
+async def test_a_fence_of_areas_without_any_keeps_it_on_the_ground(client: Client) -> None:
+    assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 4
+    assert client.all("STATUSTEXT")[-1].text == "Arm: Fences enabled, but none selected"
 
-    talk(scenario, replace(BOOTING, clock_offset_s=3_600.0))
+
+@played(talk)
+async def test_heartbeats_come_at_the_interval_that_was_asked_for(client: Client) -> None:
+    for interval_us, beats, told_us in (200_000, 50, 200_000), (-1, 0, -1), (0, 10, 1_000_000):
+        assert await client.long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, interval_us) == 0
+        known = len(client.all("HEARTBEAT"))
+        await asyncio.sleep(10.0)
+        assert len(client.all("HEARTBEAT")) - known == pytest.approx(beats, abs=1)
+        assert await client.long(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, 0) == 0
+        assert client.all("MESSAGE_INTERVAL")[-1].interval_us == told_us
+
+
+@played(talk, replace(BOOTING, clock_offset_s=3_600.0))
+async def test_it_tells_its_home_and_the_time_of_day(client: Client) -> None:
+    assert await client.long(mavlink.MAV_CMD_GET_HOME_POSITION) == 4  # it does not know it yet
+    assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME) == 0
+    assert client.all("SYSTEM_TIME")[-1].time_unix_usec == 0
+    await client.until(lambda: client.all("HOME_POSITION"))
+    assert await client.long(mavlink.MAV_CMD_GET_HOME_POSITION) == 0
+    home = client.all("HOME_POSITION")[-1]
+    assert (home.latitude, home.longitude) == (393_666_000, 229_507_000)
+    assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME) == 0
+    told_s = client.all("SYSTEM_TIME")[-1].time_unix_usec / 1e6
+    assert told_s == pytest.approx(time.time() + 3_600, abs=60.0)
 
 
 def test_the_ground_stations_silence_is_noticed_not_a_companions() -> None:
@@ -426,17 +397,15 @@ def test_a_parameter_that_it_does_not_have_is_refused() -> None:
         Copter(replace(SETTINGS, parameters={"SYSID_THISMAV": 1}), now_s=0.0)
 
 
-def test_with_its_link_down_it_says_nothing_and_hears_nothing() -> None:
-    async def scenario(client: Client, vehicle: StandIn) -> None:
-        vehicle.firmware.copter.fail(FaultKind.LINK, vehicle.now_s())
-        known = len(client.heard)
-        client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
-        await asyncio.sleep(20.0)
-        assert len(client.heard) == known
-        vehicle.firmware.copter.mend(FaultKind.LINK)
-        assert (await client.next("HEARTBEAT")).custom_mode == 0
-
-    talk(scenario)
+@played(talk)
+async def test_with_its_link_down_it_says_nothing_and_hears_nothing(client: Client, vehicle: StandIn) -> None:
+    vehicle.firmware.copter.fail(FaultKind.LINK, vehicle.now_s())
+    known = len(client.heard)
+    client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
+    await asyncio.sleep(20.0)
+    assert len(client.heard) == known
+    vehicle.firmware.copter.mend(FaultKind.LINK)
+    assert (await client.next("HEARTBEAT")).custom_mode == 0
 
 
 @pytest.mark.parametrize("text", ["", "engine", "link:x", "gps:9-3", "gps:3-3", "battery:nan"])
@@ -488,29 +457,25 @@ def test_a_parameter_of_another_version_is_refused() -> None:
         (mavlink.MAV_CMD_DO_SET_SERVO, mavlink.MAV_RESULT_ACCEPTED),
     ],
 )
-def test_commands_of_payloads_have_its_answers(command: int, result: int) -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        assert await client.long(command, 1.0) == result
-
-    talk(scenario)
+@played(talk)
+async def test_commands_of_payloads_have_its_answers(client: Client, *, command: int, result: int) -> None:
+    assert await client.long(command, 1.0) == result
 
 
-def test_each_photo_is_told_and_one_while_the_shutter_is_held_is_not_taken() -> None:
-    async def scenario(client: Client, _vehicle: StandIn) -> None:
-        async def shoot() -> None:
-            assert await client.long(mavlink.MAV_CMD_DO_DIGICAM_CONTROL, 0, 0, 0, 0, 1) == 0
+@played(talk)
+async def test_each_photo_is_told_and_one_while_the_shutter_is_held_is_not_taken(client: Client) -> None:
+    async def shoot() -> None:
+        assert await client.long(mavlink.MAV_CMD_DO_DIGICAM_CONTROL, 0, 0, 0, 0, 1) == 0
 
-        await shoot()
-        await asyncio.sleep(0.02)
-        await shoot()
-        await asyncio.sleep(0.2)
-        await shoot()
-        assert await client.long(mavlink.MAV_CMD_DO_DIGICAM_CONTROL) == 0  # shoots nothing
-        await asyncio.sleep(0.2)
-        photos = client.all("CAMERA_FEEDBACK")
-        assert [photo.img_idx for photo in photos] == [1, 2]
-        assert photos[0].lat == round(HOME.latitude_deg * 1e7)
-        assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_ACCEPTED
-        assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_FAILED
-
-    talk(scenario)
+    await shoot()
+    await asyncio.sleep(0.02)
+    await shoot()
+    await asyncio.sleep(0.2)
+    await shoot()
+    assert await client.long(mavlink.MAV_CMD_DO_DIGICAM_CONTROL) == 0  # shoots nothing
+    await asyncio.sleep(0.2)
+    photos = client.all("CAMERA_FEEDBACK")
+    assert [photo.img_idx for photo in photos] == [1, 2]
+    assert photos[0].lat == round(HOME.latitude_deg * 1e7)
+    assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_ACCEPTED
+    assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_FAILED

@@ -1,0 +1,62 @@
+"""Tests that are coroutines: each is played in a world that a function makes for it."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeAlias
+
+from upwash.sim.loop import run_virtually
+
+Scenario: TypeAlias = Callable[..., Awaitable[None]]
+Test: TypeAlias = Callable[..., None]
+
+
+def played(world: Callable[..., None] | str, *arguments: Any, **named: Any) -> Callable[[Scenario], Test]:
+    """Make a coroutine function a test, which `world(scenario, *arguments, **named)` plays.
+
+    A world that is a text is the fixture of that name. The world passes as many positional arguments as the coroutine
+    function takes. Keyword-only arguments are pytest's: fixtures and parameters.
+    """
+
+    def made(scenario: Scenario) -> Test:
+        parameters = inspect.signature(scenario).parameters.values()
+        of_pytest = [each for each in parameters if each.kind is each.KEYWORD_ONLY]
+        count = len(parameters) - len(of_pytest)
+
+        if isinstance(world, str):
+            of_pytest.append(inspect.Parameter(world, inspect.Parameter.KEYWORD_ONLY))
+
+        def test(**given: Any) -> None:
+            play = given.pop(world) if isinstance(world, str) else world
+            play(lambda *things: scenario(*things[:count], **given), *arguments, **named)
+
+        test.__name__, test.__qualname__, test.__module__ = (
+            scenario.__name__,
+            scenario.__name__,
+            scenario.__module__,
+        )
+        test.__doc__ = scenario.__doc__
+        test.__signature__ = inspect.Signature(of_pytest)  # type: ignore[attr-defined]  # where pytest looks
+        return test
+
+    return made
+
+
+def _on_virtual_time(scenario: Scenario) -> None:
+    async def run() -> None:
+        await scenario()
+
+    run_virtually(run())
+
+
+def _in_real_time(scenario: Scenario) -> None:
+    async def run() -> None:
+        await scenario()
+
+    asyncio.run(run())
+
+
+on_virtual_time = played(_on_virtual_time)
+in_real_time = played(_in_real_time)
