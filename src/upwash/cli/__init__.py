@@ -1,4 +1,4 @@
-"""The command line: one module a command, with `add` for its arguments and `run` for its work.
+"""The command line: one module a command, with a table of its `ARGUMENTS` and `run` for its work.
 
 `main` lists the commands, imports the module of the command that was typed, and turns its end into an exit code: 0 if
 `run` returns True, 1 for False, others for errors (`exit_codes`). A command raises UpwashError for a problem that a

@@ -7,9 +7,10 @@ import contextlib
 import itertools
 import os
 import sys
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
@@ -42,41 +43,62 @@ def port(text: str) -> int:
     return int(text)
 
 
-def add_config(parser: argparse.ArgumentParser, whose: str) -> None:
-    """Add the option that names a configuration."""
-    parser.add_argument(
-        "--config", type=Path, required=True, help=f"the {whose}'s configuration, a TOML file"
-    )
+def add_options(parser: argparse._ActionsContainer, arguments: Mapping[str, Any]) -> None:
+    """Add arguments: a name with its metavar leads to its help, or to an `option` with more than that.
+
+    A metavar of `_TYPES` says the type, and an option without a metavar is a switch. The arguments of a `OneOf`
+    exclude each other.
+    """
+    for words, said in arguments.items():
+        if isinstance(said, OneOf):
+            add_options(parser.add_mutually_exclusive_group(required=said.required), said.arguments)
+            continue
+        names = [word for word in words.split() if word == words.split()[0] or word.startswith("-")]
+        given = dict(said) if isinstance(said, dict) else {"help": said}
+        if metavar := words.removeprefix(" ".join(names)).strip():
+            given = {"metavar": metavar, "type": _TYPES.get(metavar)} | given
+        elif names[0].startswith("-") and not {"choices", "type"} & given.keys():
+            given["action"] = "store_true"
+        parser.add_argument(*names, **given)
 
 
-def add_policy(parser: argparse.ArgumentParser, *, instead_of: str) -> None:
-    """Add the option that flies by another policy."""
-    parser.add_argument(
-        "--policy",
-        choices=POLICIES,
-        help=f"instead of {instead_of}",
-    )
+class OneOf(NamedTuple):
+    """Arguments that exclude each other."""
+
+    arguments: Mapping[str, Any]
+    required: bool = False
 
 
-def add_seeds(parser: argparse.ArgumentParser, what: str, *, default: int | None = None) -> None:
-    """Add the option that flies the seeds 1 to N."""
-    parser.add_argument(
-        "--seeds",
-        type=count,
-        default=default,
-        required=default is None,
-        metavar="N",
-        help=f"{what} with each of the seeds 1 to N" + (f" (default: {default})" if default else ""),
-    )
+def option(help_: str, **more: Any) -> dict[str, Any]:
+    """The help of an argument, with more keywords of argparse."""
+    return {"help": help_, **more}
 
 
-def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options that draw `what` into a folder."""
-    parser.add_argument("--figures", type=Path, metavar="DIR", help=f"draw {what} there")
-    parser.add_argument(
-        "--format", type=_formats, default=("png",), dest="formats", metavar="F1,F2",
-        help="formats of the figures: png, pdf, svg (default: png)",
-    )  # fmt: skip
+def repeated(help_: str, dest: str | None = None, **more: Any) -> dict[str, Any]:
+    """The help of an option that may be given several times."""
+    return option(help_, action="append", default=[], dest=dest, **more)
+
+
+def config_of(whose: str) -> dict[str, Any]:
+    """The option that names a configuration."""
+    return {"--config": option(f"the {whose}'s configuration, a TOML file", type=Path, required=True)}
+
+
+def policy_instead_of(other: str) -> dict[str, Any]:
+    """The option that flies by another policy."""
+    return {"--policy": option(f"instead of {other}", choices=POLICIES)}
+
+
+def seeds_of(what: str, default: int | None = None) -> dict[str, Any]:
+    """The option that flies the seeds 1 to N."""
+    said = f"{what} with each of the seeds 1 to N" + (f" (default: {default})" if default else "")
+    return {"--seeds N": option(said, default=default, required=default is None)}
+
+
+def figures_with(what: str) -> dict[str, Any]:
+    """The options that draw `what` into a folder."""
+    formats = option("formats of the figures: png, pdf, svg (default: png)", type=_formats, dest="formats")
+    return {"--figures DIR": f"draw {what} there", "--format F1,F2": formats | {"default": ("png",)}}
 
 
 def figures_of(options: argparse.Namespace) -> FigureFiles | None:
@@ -100,21 +122,16 @@ def _formats(text: str) -> tuple[str, ...]:
     return wanted
 
 
-def add_folder(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the folder of a run."""
-    parser.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
-
-
-def add_live(parser: argparse.ArgumentParser) -> None:
-    """Add the option that shows a flight on a page while it lasts."""
-    parser.add_argument(
-        "--live",
+_TYPES = {"N": count, "FILE": Path, "FOLDER": Path, "DIR": Path, "LOG": Path, "PATH": Path}  # by metavar
+FOLDER = {"--folder": option("where everything of the run goes (default: runs/TIME)", type=Path)}
+LIVE = {
+    "--live PORT": option(
+        f"show it on a page on this machine meanwhile (default: {LIVE_PORT}; 0: any port)",
         type=port,
         nargs="?",
         const=LIVE_PORT,
-        metavar="PORT",
-        help=f"show it on a page on this machine meanwhile (default: {LIVE_PORT}; 0: any port)",
     )
+}
 
 
 def flown_by(config: DroneConfig, connection: str | None) -> DroneConfig:

@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 from rich.console import Console
 
-from upwash.cli.arguments import add_figures, add_seeds, count, figures_of, flown_by
+from upwash.cli.arguments import OneOf, figures_of, figures_with, flown_by, option, seeds_of
 from upwash.config import read_drone_config, refuse_several
 from upwash.errors import UsageError
 from upwash.lab.campaigns.campaign import here_first
@@ -17,42 +17,27 @@ from upwash.preflight.check import read_plan
 from upwash.preflight.display import show_check
 from upwash.preflight.fleet import show_fleet_check
 
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("config", type=Path, help="the drone's configuration or a scenario, a TOML file")
-    add_seeds(parser, "where there is noise, fly each prediction", default=5)
-    parser.add_argument(
-        "--workers", type=count, metavar="N", help="processes, where they pay (default: one per core)"
-    )
-    parser.add_argument(
-        "--place", type=count, default=0, metavar="N", help="suggest where N more servers would help most"
-    )
-    add_figures(parser, "the coverage")
-    parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
-    only = parser.add_mutually_exclusive_group()
-    only.add_argument(
-        "--capacity", action="store_true",
-        help="only fly the mission with more and more drones at once, and say how many the servers carry",
-    )  # fmt: skip
-    only.add_argument(
-        "--networks", action="store_true", help="only see whether each server's network can be joined"
-    )
-    only.add_argument(
-        "--servers", action="store_true",
-        help="only join each server's network, have it start the drone's services, and call them as a flight does",
-    )  # fmt: skip
-    only.add_argument(
-        "--vehicle", action="store_true",
-        help="only connect to the vehicle, and see whether its dead man is ready",
-    )  # fmt: skip
-    only.add_argument(
-        "--install-dead-man", action="store_true",
-        help="connect to the vehicle, which stands disarmed, and put the dead man into its autopilot",
-    )  # fmt: skip
-    parser.add_argument(
-        "--autopilot", metavar="CONNECTION", help="the vehicle, instead of the configured one"
-    )
+ARGUMENTS = {
+    "config": option("the drone's configuration or a scenario, a TOML file", type=Path),
+    **seeds_of("where there is noise, fly each prediction", default=5),
+    "--workers N": "processes, where they pay (default: one per core)",
+    "--place N": option("suggest where N more servers would help most", default=0),
+    **figures_with("the coverage"),
+    "--json": "print the results as one JSON object",
+    "only": OneOf(
+        {
+            "--capacity": "only fly the mission with more and more drones at once, and say how many the servers "
+            "carry",
+            "--networks": "only see whether each server's network can be joined",
+            "--servers": "only join each server's network, have it start the drone's services, and call them as a "
+            "flight does",
+            "--vehicle": "only connect to the vehicle, and see whether its dead man is ready",
+            "--install-dead-man": "connect to the vehicle, which stands disarmed, and put the dead man into its "
+            "autopilot",
+        }
+    ),
+    "--autopilot CONNECTION": "the vehicle, instead of the configured one",
+}
 
 
 def run(options: argparse.Namespace) -> bool:

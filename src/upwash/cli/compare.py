@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
-from upwash.cli.arguments import add_figures, add_seeds, count, figures_of
+from upwash.cli.arguments import figures_of, figures_with, option, repeated, seeds_of
 from upwash.errors import UsageError
 from upwash.lab.campaigns.comparison import ComparedPolicy, compare
 from upwash.lab.campaigns.sweep import read_overrides
@@ -24,24 +24,17 @@ from upwash.support.sentences import say
 Cell = Callable[[ComparedPolicy], str]
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("scenarios", type=Path, nargs="*", metavar="SCENARIO", help="TOML files")
-    parser.add_argument(
-        "--thesis", action="store_true", help="the eight cells of the thesis's experiments too"
-    )
-    add_seeds(parser, "fly each policy", default=30)
-    parser.add_argument(
-        "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
-        help="fly the files with that value of a key, such as policy.stay_or_go=go",
-    )  # fmt: skip
-    parser.add_argument(
-        "--markdown",
-        action="store_true",
-        help="print tables in Markdown, the default into a file or another program",
-    )
-    parser.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
-    add_figures(parser, "the mission times with their confidence, and the paired differences,")
+ARGUMENTS = {
+    "scenarios SCENARIO": option("TOML files", type=Path, nargs="*"),
+    "--thesis": "the eight cells of the thesis's experiments too",
+    **seeds_of("fly each policy", default=30),
+    "--set KEY=VALUE": repeated(
+        "fly the files with that value of a key, such as policy.stay_or_go=go", "settings"
+    ),
+    "--markdown": "print tables in Markdown, the default into a file or another program",
+    "--workers N": "processes (default: one per core)",
+    **figures_with("the mission times with their confidence, and the paired differences,"),
+}
 
 
 def run(options: argparse.Namespace) -> bool:

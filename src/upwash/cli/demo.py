@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from upwash.cli.arguments import add_folder, add_live, add_policy, count, new_run_folder, require_linux
+from upwash.cli.arguments import (
+    FOLDER,
+    LIVE,
+    count,
+    new_run_folder,
+    option,
+    policy_instead_of,
+    require_linux,
+)
 from upwash.support.input_files import read_named_text
 from upwash.support.loading import extra
 
@@ -13,26 +20,23 @@ _MOST_RUNTIME_BYTES = 100_000
 _MOST_DRONES = 8  # most computers cannot render photos for more
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument(
-        "--drones",
-        type=_drones,
-        default=1,
-        metavar="N",
-        help=f"fly N drones at once, each with its own program (default: 1; at most {_MOST_DRONES})",
-    )
-    add_folder(parser)
-    parser.add_argument(
-        "--runtime", type=Path, metavar="FILE", help="a table [runtime] for both daemons, such as containers"
-    )
-    add_policy(parser, instead_of="the demonstration's")
-    parser.add_argument(
-        "--stay-or-go",
-        choices=("stay", "go", "learn"),
-        help="whether to fly on before an answer is there, instead of policy.stay_or_go",
-    )
-    add_live(parser)
+def _drones(text: str) -> int:
+    number = count(text)
+    if number > _MOST_DRONES:
+        raise argparse.ArgumentTypeError(f"{number} drones are too many: give a number up to {_MOST_DRONES}")
+    return number
+
+
+_DRONES = f"fly N drones at once, each with its own program (default: 1; at most {_MOST_DRONES})"
+_STAY_OR_GO = "whether to fly on before an answer is there, instead of policy.stay_or_go"
+ARGUMENTS = {
+    "--drones N": option(_DRONES, type=_drones, default=1),
+    **FOLDER,
+    "--runtime FILE": "a table [runtime] for both daemons, such as containers",
+    **policy_instead_of("the demonstration's"),
+    "--stay-or-go": option(_STAY_OR_GO, choices=("stay", "go", "learn")),
+    **LIVE,
+}
 
 
 def run(options: argparse.Namespace) -> bool:
@@ -49,10 +53,3 @@ def run(options: argparse.Namespace) -> bool:
     with extra("emulation"):
         from upwash.cli.demonstration_fleet import fly_fleet
     return fly_fleet(folder, config, options.drones, runtime=runtime, live_port=options.live)
-
-
-def _drones(text: str) -> int:
-    number = count(text)
-    if number > _MOST_DRONES:
-        raise argparse.ArgumentTypeError(f"{number} drones are too many: give a number up to {_MOST_DRONES}")
-    return number

@@ -5,36 +5,34 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from upwash.cli.arguments import add_folder, count, new_run_folder, require_linux
+from upwash.cli.arguments import FOLDER, new_run_folder, option, repeated, require_linux
 from upwash.emulation.enclosure import clean, require_root_and_tools
 from upwash.emulation.request import EmulationRequest
 from upwash.errors import UsageError
 from upwash.support.loading import extra
 
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument(
-        "scenarios", nargs="*", type=Path, metavar="SCENARIO", help="TOML files with the same servers"
-    )
-    parser.add_argument(
-        "--drones", type=count, default=1, metavar="N", help="fly each scenario with N drones at once"
-    )
-    parser.add_argument(
-        "--radio", choices=("table", "ns3"), default="table",
-        help="cables shaped by tables of goodput (default), or ns-3 in real time (make native)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--in", choices=("namespaces", "containers"), default="namespaces", dest="computers",
-        help="what the drones' and the servers' computers are: namespaces (default), or containers of LXD, where "
-        "servers run their services in containers, too",
-    )  # fmt: skip
-    parser.add_argument(
-        "--autopilot", action="append", default=[], dest="autopilots", metavar="CONNECTION",
-        help="fly this vehicle instead of a stand-in, such as an ArduPilot's SITL; one for each drone",
-    )  # fmt: skip
-    add_folder(parser)
-    parser.add_argument("--clean", action="store_true", help="only remove what a killed command left")
+ARGUMENTS = {
+    "scenarios SCENARIO": option("TOML files with the same servers", nargs="*", type=Path),
+    "--drones N": option("fly each scenario with N drones at once", default=1),
+    "--radio": option(
+        "cables shaped by tables of goodput (default), or ns-3 in real time (make native)",
+        choices=("table", "ns3"),
+        default="table",
+    ),
+    "--in": option(
+        "what the drones' and the servers' computers are: namespaces (default), or containers of LXD, where servers "
+        "run their services in containers, too",
+        choices=("namespaces", "containers"),
+        default="namespaces",
+        dest="computers",
+    ),
+    "--autopilot CONNECTION": repeated(
+        "fly this vehicle instead of a stand-in, such as an ArduPilot's SITL; one for each drone",
+        "autopilots",
+    ),
+    **FOLDER,
+    "--clean": "only remove what a killed command left",
+}
 
 
 def run(options: argparse.Namespace) -> bool:

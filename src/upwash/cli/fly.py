@@ -15,7 +15,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_config, add_live, flown_by, new_run_folder, warn_of_plans
+from upwash.cli.arguments import LIVE, OneOf, config_of, flown_by, new_run_folder, option, warn_of_plans
 from upwash.cli.exit_codes import MEANINGS
 from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
 from upwash.errors import MissionStopped, NotKept, UsageError
@@ -48,29 +48,25 @@ class Show(Enum):
     JSON = "json"
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = "\n".join(
-        ("exit codes:", *(f"  {code:<4}{meaning}" for code, meaning in MEANINGS.items()))
-    )
-    parser.add_argument(
-        "mission", nargs="?", help="survey, or path/to/file.py:function (default: as configured)"
-    )
-    add_config(parser, "drone")
-    parser.add_argument("--autopilot", metavar="CONNECTION", help="instead of the configured one")
-    log = parser.add_mutually_exclusive_group()
-    log.add_argument("--log", type=Path, help="where the event log goes (default: runs/TIME/events.jsonl)")
-    log.add_argument(
-        "--resume", type=Path, metavar="LOG",
-        help="take up the mission that this event log is of, where it broke off",
-    )  # fmt: skip
-    shown = parser.add_mutually_exclusive_group()
-    shown.add_argument("--quiet", action="store_true", help="print only problems")
-    shown.add_argument(
-        "--json", action="store_true", help="print the result as one JSON object at the end, and nothing else"
-    )
-    add_live(parser)
+EPILOG = "\n".join(("exit codes:", *(f"  {code:<4}{meaning}" for code, meaning in MEANINGS.items())))
+ARGUMENTS = {
+    "mission": option("survey, or path/to/file.py:function (default: as configured)", nargs="?"),
+    **config_of("drone"),
+    "--autopilot CONNECTION": "instead of the configured one",
+    "log": OneOf(
+        {
+            "--log": option("where the event log goes (default: runs/TIME/events.jsonl)", type=Path),
+            "--resume LOG": "take up the mission that this event log is of, where it broke off",
+        }
+    ),
+    "shown": OneOf(
+        {
+            "--quiet": "print only problems",
+            "--json": "print the result as one JSON object at the end, and nothing else",
+        }
+    ),
+    **LIVE,
+}
 
 
 def run(options: argparse.Namespace) -> bool:

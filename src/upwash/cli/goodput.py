@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
-from upwash.cli.arguments import add_seeds, count
+from upwash.cli.arguments import count, option, seeds_of
 from upwash.emulation.goodput import Measurement, measure, write_table
 from upwash.emulation.native import WIFI
 
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("radio", choices=("disc12", "disc54"), help="the radio's settings")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the csv file to write")
-    parser.add_argument(
-        "--range", type=count, default=100, dest="range_m", metavar="M",
-        help="the radio's range (default: 100)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--request", type=count, default=430_000, dest="request_bytes", metavar="BYTES",
-        help="size of a transfer (default: 430000)",
-    )  # fmt: skip
-    add_seeds(parser, "measure a transfer at each distance", default=20)
+ARGUMENTS = {
+    "radio": option("the radio's settings", choices=("disc12", "disc54")),
+    "--out FILE": option("the csv file to write", required=True),
+    "--range M": option("the radio's range (default: 100)", type=count, default=100, dest="range_m"),
+    "--request BYTES": option(
+        "size of a transfer (default: 430000)", type=count, default=430_000, dest="request_bytes"
+    ),
+    **seeds_of("measure a transfer at each distance", default=20),
+}
 
 
 def run(options: argparse.Namespace) -> bool:

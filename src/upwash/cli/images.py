@@ -8,14 +8,11 @@ import asyncio
 from rich.console import Console
 from rich.table import Column, Table
 
-from upwash.cli.arguments import add_config
+from upwash.cli.arguments import config_of
 from upwash.config import read_daemon_config
 from upwash.packaging.shipping import list_images
 
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    add_config(parser, "daemon")
+ARGUMENTS = config_of("daemon")
 
 
 def run(options: argparse.Namespace) -> bool:

@@ -6,7 +6,7 @@ import argparse
 import shlex
 from pathlib import Path
 
-from upwash.cli.arguments import announce
+from upwash.cli.arguments import announce, option
 from upwash.errors import UsageError
 from upwash.real.trust.authority import make_keys
 from upwash.support.output_files import write_file
@@ -15,9 +15,7 @@ _TEMPLATES = Path(__file__).with_name("project")
 _NAMES = {"gitignore": ".gitignore"}  # Git would obey the template under its own name
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("folder", type=Path, help="a new or empty folder")
+ARGUMENTS = {"folder": option("a new or empty folder", type=Path)}
 
 
 def run(options: argparse.Namespace) -> bool:

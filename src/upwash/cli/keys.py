@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from upwash.cli.arguments import announce
+from upwash.cli.arguments import announce, option, repeated
 from upwash.errors import UsageError
 from upwash.real.mavlink.signing import make_signing_key
 from upwash.real.trust.authority import drop_former_authorities, made_in, make_keys, renew_authority, revoke
@@ -33,42 +33,25 @@ def days(text: str) -> timedelta:
     return timedelta(days=int(text))
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument(
-        "folder", type=Path, nargs="?", help="where they go; an authority that is there is used again"
-    )
-    parser.add_argument(
-        "--server", action="append", default=[], metavar="NAME[,NAME]",
-        help="a certificate for a daemon that acts as the server, or as each of several",
-    )  # fmt: skip
-    parser.add_argument(
-        "--drone", action="append", default=[], metavar="NAME", help="a certificate for a drone"
-    )
-    parser.add_argument(
-        "--operator", action="append", default=[], metavar="NAME",
-        help="a certificate for a person who may ask a daemon for its status",
-    )  # fmt: skip
-    parser.add_argument(
-        "--revoke", action="append", default=[], metavar="NAME",
-        help="revoke the certificate with that name or SHA-256 fingerprint: daemons refuse it",
-    )  # fmt: skip
-    parser.add_argument(
-        "--days", type=days, metavar="DAYS",
-        help="for how long new certificates are valid (default: 730; at most until the authority's own ends)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--signing", type=Path, metavar="FILE",
-        help="make a key for MAVLink messages, and print the passphrase for the autopilot",
-    )  # fmt: skip
-    parser.add_argument(
-        "--new-authority", action="store_true",
-        help="make another authority, which signs from now on; what the former signed is believed beside it",
-    )  # fmt: skip
-    parser.add_argument(
-        "--drop-former-authorities", action="store_true",
-        help="from now on nothing is believed but what the present authority signed",
-    )  # fmt: skip
+ARGUMENTS = {
+    "folder": option("where they go; an authority that is there is used again", type=Path, nargs="?"),
+    "--server NAME[,NAME]": repeated(
+        "a certificate for a daemon that acts as the server, or as each of several"
+    ),
+    "--drone NAME": repeated("a certificate for a drone"),
+    "--operator NAME": repeated("a certificate for a person who may ask a daemon for its status"),
+    "--revoke NAME": repeated(
+        "revoke the certificate with that name or SHA-256 fingerprint: daemons refuse it"
+    ),
+    "--days DAYS": option(
+        "for how long new certificates are valid (default: 730; at most until the authority's own ends)",
+        type=days,
+    ),
+    "--signing FILE": "make a key for MAVLink messages, and print the passphrase for the autopilot",
+    "--new-authority": "make another authority, which signs from now on; what the former signed is believed "
+    "beside it",
+    "--drop-former-authorities": "from now on nothing is believed but what the present authority signed",
+}
 
 
 def run(options: argparse.Namespace) -> bool:

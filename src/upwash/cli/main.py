@@ -1,6 +1,6 @@
 """The command line: which commands there are, and how each of them ends.
 
-Only the module of the command that was typed is imported: `upwash.cli.NAME`, with `add` for its arguments and `run`.
+Only the module of the command that was typed is imported: `upwash.cli.NAME`, with `ARGUMENTS` and `run`.
 """
 
 from __future__ import annotations
@@ -122,10 +122,13 @@ def command_line(words: Collection[str] = tuple(_COMMANDS)) -> argparse.Argument
     _add_verbose(parser, default=False)
     commands = parser.add_subparsers(metavar="COMMAND")
     for name, help_ in _COMMANDS.items():
-        command = commands.add_parser(name, help=help_)
+        command = commands.add_parser(name, help=help_, formatter_class=argparse.RawDescriptionHelpFormatter)
         if name in words:
             module = import_module(f"upwash.cli.{name}")
-            module.add(command)
+            from upwash.cli.arguments import add_options  # which the version and the help do without
+
+            add_options(command, module.ARGUMENTS)
+            command.epilog = getattr(module, "EPILOG", None)
             command.set_defaults(run=module.run)
         _add_verbose(command, default=argparse.SUPPRESS)
     return parser

@@ -8,39 +8,26 @@ from pathlib import Path
 
 from rich.console import Console
 
-from upwash.cli.arguments import announce
+from upwash.cli.arguments import announce, option, repeated
 from upwash.config import read_daemon_config
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Format, Recipe, package
 from upwash.packaging.shipping import find_service, import_image
 
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("service", help="one of the configuration's services, or a bundled one")
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="where the file goes")
-    parser.add_argument(
-        "--config", type=Path, help="a daemon's configuration: its services, its container engine"
-    )
-    parser.add_argument(
-        "--requires", action="append", default=[], metavar="DISTRIBUTION",
-        help="an installed Python distribution that the service imports; repeatable",
-    )  # fmt: skip
-    parser.add_argument(
-        "--include", action="append", default=[], type=Path, metavar="PATH",
-        help="a file or folder to lie beside the service's program; repeatable",
-    )  # fmt: skip
-    parser.add_argument(
-        "--format", choices=("docker", "lxd"),
-        help="for Docker and Podman, or for LXD and Incus; default: as the configuration's runtime.kind, or lxd",
-    )  # fmt: skip
-    parser.add_argument(
-        "--base", choices=("host", "debootstrap"), default="host",
-        help="the system: the /usr of the machine that runs it (default), or a Debian of the image's own",
-    )  # fmt: skip
-    parser.add_argument(
-        "--import", dest="imports", action="store_true", help="import it into the container engine, too"
-    )
+_KIND = "for Docker and Podman, or for LXD and Incus; default: as the configuration's runtime.kind, or lxd"
+_BASE = "the system: the /usr of the machine that runs it (default), or a Debian of the image's own"
+ARGUMENTS = {
+    "service": "one of the configuration's services, or a bundled one",
+    "--output DIR": option("where the file goes", required=True),
+    "--config": option("a daemon's configuration: its services, its container engine", type=Path),
+    "--requires DISTRIBUTION": repeated(
+        "an installed Python distribution that the service imports; repeatable"
+    ),
+    "--include PATH": repeated("a file or folder to lie beside the service's program; repeatable"),
+    "--format": option(_KIND, choices=("docker", "lxd")),
+    "--base": option(_BASE, choices=("host", "debootstrap"), default="host"),
+    "--import": option("import it into the container engine, too", action="store_true", dest="imports"),
+}
 
 
 def run(options: argparse.Namespace) -> bool:

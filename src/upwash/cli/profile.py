@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
 
-from upwash.cli.arguments import count
+from upwash.cli.arguments import option
 from upwash.config import DroneConfig, ServerConfig, read_drone_config
 from upwash.config.values import START_TIMEOUT_S
 from upwash.errors import InstanceError, NotWritten, UsageError
@@ -31,29 +31,15 @@ from upwash.support.output_files import write_file
 T = TypeVar("T")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument(
-        "service", help="a service of the configuration, a bundled one, or path/to/file.py:Class"
-    )
-    parser.add_argument(
-        "--photos", type=Path, required=True, metavar="DIR", help="JPEG files to call it with, in turn"
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the drone's configuration")
-    parser.add_argument(
-        "--server", metavar="ADDRESS", help="measure it there: a name or an address of the configuration"
-    )
-    parser.add_argument(
-        "--calls", type=count, default=20, metavar="N", help="calls of each operation (default: 20)"
-    )
-    parser.add_argument(
-        "--each",
-        metavar="SETTING",
-        help="measure it with each value of a setting, such as the detector's engine, and name the fastest",
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="where the result goes (default: standard output)"
-    )
+ARGUMENTS = {
+    "service": "a service of the configuration, a bundled one, or path/to/file.py:Class",
+    "--photos DIR": option("JPEG files to call it with, in turn", required=True),
+    "--config FILE": "the drone's configuration",
+    "--server ADDRESS": "measure it there: a name or an address of the configuration",
+    "--calls N": option("calls of each operation (default: 20)", default=20),
+    "--each SETTING": "measure it with each value of a setting, such as the detector's engine, and name the fastest",
+    "--out FILE": "where the result goes (default: standard output)",
+}
 
 
 def run(options: argparse.Namespace) -> bool:

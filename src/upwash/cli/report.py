@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from upwash.cli.arguments import option
 from upwash.errors import UsageError
 from upwash.report.exports import write_csv, write_geojson, write_json
 from upwash.report.page import write_page
@@ -21,22 +22,15 @@ Writer = Callable[[Sequence[Record]], bytes]
 _PRINTED = Path("-")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an event log, flown or simulated")
-    parser.add_argument(
-        "-o", "--out", type=Path, metavar="FILE", help="an HTML page about all of them, side by side"
-    )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call; - prints it")
-    parser.add_argument(
-        "--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges, calls and photos"
-    )
-    parser.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
-    parser.add_argument(
-        "--photos", type=Path, metavar="DIR",
-        help="with -o or --mcap: the folder of the photos that the logs name",
-    )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print the results as one JSON array")
+ARGUMENTS = {
+    "logs LOG": option("an event log, flown or simulated", nargs="+"),
+    "-o --out FILE": "an HTML page about all of them, side by side",
+    "--csv FILE": "a row for each call; - prints it",
+    "--geojson FILE": "tracks, waypoints, ranges, calls and photos",
+    "--mcap FILE": "a recording that Foxglove opens",
+    "--photos DIR": "with -o or --mcap: the folder of the photos that the logs name",
+    "--json": "print the results as one JSON array",
+}
 
 
 def run(options: argparse.Namespace) -> bool:

@@ -8,7 +8,7 @@ import logging
 import os
 import resource
 
-from upwash.cli.arguments import add_config, announce, require_linux
+from upwash.cli.arguments import announce, config_of, option, require_linux
 from upwash.config import DaemonConfig, read_daemon_config
 from upwash.launch.daemon import keep_heaps_few, serve
 from upwash.real.host.log import log_json, log_text
@@ -18,12 +18,10 @@ from upwash.real.link.hand_over import handed_over
 _log = logging.getLogger("upwash.serve")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    add_config(parser, "daemon")
-    parser.add_argument(
-        "--log-format", choices=("text", "json"), default="text", help="of the log on standard error"
-    )
+ARGUMENTS = {
+    **config_of("daemon"),
+    "--log-format": option("of the log on standard error", choices=("text", "json"), default="text"),
+}
 
 
 def run(options: argparse.Namespace) -> bool:

@@ -14,7 +14,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.cli.arguments import add_figures, add_policy, figures_of, warn_of_plans
+from upwash.cli.arguments import (
+    figures_of,
+    figures_with,
+    option,
+    policy_instead_of,
+    warn_of_plans,
+)
 from upwash.errors import UpwashError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.kept import lines_of
@@ -31,21 +37,16 @@ _PRINTED = ("scenario", "policy", "seed", "mission_time_s", "completed", "calls"
 _PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s", "bound")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("scenario", type=Path, help="the scenario, a TOML file")
-    add_policy(parser, instead_of="the scenario's")
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    parser.add_argument(
-        "--log", type=Path, metavar="FILE",
-        help="where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--keep-coverage", action="store_true",
-        help="write what was measured of servers without a range to network.coverage_map, as a flight does",
-    )  # fmt: skip
-    add_figures(parser, "the map and the call delays")
+ARGUMENTS = {
+    "scenario": option("the scenario, a TOML file", type=Path),
+    **policy_instead_of("the scenario's"),
+    "--seed N": option("instead of the scenario's", type=int),
+    "--json": "print the result as one JSON object",
+    "--log FILE": "where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
+    "--keep-coverage": "write what was measured of servers without a range to network.coverage_map, as a "
+    "flight does",
+    **figures_with("the map and the call delays"),
+}
 
 
 def run(options: argparse.Namespace) -> bool:

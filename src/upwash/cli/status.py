@@ -7,14 +7,13 @@ import asyncio
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 
 import msgspec
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.cli.arguments import announce
+from upwash.cli.arguments import announce, option
 from upwash.core.admission.clients import (
     AccountStatus,
     DroneUsage,
@@ -35,21 +34,15 @@ _USAGE = ("slots in all", "calls", "computing", "last call")
 _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument("address", metavar="ADDRESS", help="of the daemon: host:port, or unix:path")
-    parser.add_argument("--server", metavar="NAME", default="", help="a server that the daemon acts as")
-    parser.add_argument(
-        "--operator",
-        metavar="NAME",
-        default="operator",
-        help="the operator whose certificate is used (default: operator)",
-    )
-    parser.add_argument(
-        "--keys", type=Path, metavar="DIR",
-        help="where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only",
-    )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print the daemon's answer as JSON, for programs")
+ARGUMENTS = {
+    "address ADDRESS": "of the daemon: host:port, or unix:path",
+    "--server NAME": option("a server that the daemon acts as", default=""),
+    "--operator NAME": option(
+        "the operator whose certificate is used (default: operator)", default="operator"
+    ),
+    "--keys DIR": "where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only",
+    "--json": "print the daemon's answer as JSON, for programs",
+}
 
 
 def run(options: argparse.Namespace) -> bool:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from pathlib import Path
 from typing import Any
 
-from upwash.cli.arguments import announce
+from upwash.cli.arguments import announce, option, repeated
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.launch.vehicle import run_vehicle
@@ -16,74 +15,6 @@ from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body.copter import read_fault
 from upwash.vehicle.body.parameters import read_setting
 from upwash.vehicle.px4.settings import Px4Settings
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument(
-        "--autopilot", choices=("arducopter", "px4"), default="arducopter",
-        help="the autopilot to imitate (default: arducopter)",
-    )  # fmt: skip
-    parser.add_argument("--listen", default="udp:127.0.0.1:14550", help="udp:HOST:PORT or tcp:HOST:PORT")
-    parser.add_argument(
-        "--version", metavar="X.Y.Z",
-        help="of its firmware (default: 4.7.0-dev, PX4: 1.16.1): its names of parameters, and what it knows",
-    )  # fmt: skip
-    _add_start(parser)
-    _add_flight(parser)
-    parser.add_argument(
-        "--one-peer", action="store_true",
-        help="px4, UDP: answer only the first sender until a restart, as a real one",
-    )  # fmt: skip
-    parser.add_argument(
-        "--signing-key", type=Path, metavar="FILE",
-        help="sign all messages with its key, and obey only messages signed with it",
-    )  # fmt: skip
-
-
-def _add_start(parser: argparse.ArgumentParser) -> None:
-    """Add where the vehicle stands, and its state at boot."""
-    parser.add_argument(
-        "--home", type=_place, default="39.3666,22.9507", metavar="LAT,LON", help="where it stands"
-    )
-    parser.add_argument(
-        "--home-altitude", type=float, default=0.0, metavar="M",
-        help="of the ground above the sea (default: 0)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--armable-after", type=float, metavar="S", help="after boot, in seconds (default: 41.4, PX4: 4)"
-    )
-    parser.add_argument(
-        "--battery", type=float, default=100.0, metavar="PERCENT", help="how full it is at boot"
-    )
-    parser.add_argument(
-        "--param", action="append", default=[], dest="parameters", metavar="NAME=VALUE",
-        help="a parameter at boot, such as FENCE_RADIUS=60",
-    )  # fmt: skip
-
-
-def _add_flight(parser: argparse.ArgumentParser) -> None:
-    """Add how the vehicle flies, how its time passes, and what goes wrong."""
-    parser.add_argument(
-        "--speedup", type=float, default=1.0, metavar="N", help="run its clock N times as fast"
-    )
-    parser.add_argument(
-        "--acceleration", type=float, metavar="M_S2",
-        help="arducopter: speed up and brake alike, in m/s² (default: as a recorded one did)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--fault", action="append", default=[], dest="faults", metavar="KIND[:FROM[-TO]]",
-        help="link, gps, glitch, battery, radio, ground, compass or arming, from and to seconds after boot",
-    )  # fmt: skip
-    parser.add_argument(
-        "--glitch", type=_glitch, metavar="M[:CLEARED_S]",
-        help="arducopter: what the fault glitch is: how far GPS is off, and after how many seconds it says \"Glitch "
-        "cleared\" though it still is (default: 55.66:20; inf: never)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--clock-offset", type=float, default=0.0, metavar="S",
-        help="arducopter: difference of its GPS's time of day from this machine's clock",
-    )  # fmt: skip
 
 
 def _place(text: str) -> GeoPosition:
@@ -109,6 +40,41 @@ def _glitch(text: str) -> dict[str, float]:
         raise argparse.ArgumentTypeError(
             f'"{text}" is no glitch: write metres, such as 30 or 30:12'
         ) from None
+
+
+_GLITCH = (
+    'arducopter: what the fault glitch is: how far GPS is off, and after how many seconds it says "Glitch cleared" '
+    "though it still is (default: 55.66:20; inf: never)"
+)
+ARGUMENTS = {
+    "--autopilot": option(
+        "the autopilot to imitate (default: arducopter)", choices=("arducopter", "px4"), default="arducopter"
+    ),
+    "--listen": option("udp:HOST:PORT or tcp:HOST:PORT", default="udp:127.0.0.1:14550", type=None),
+    "--version X.Y.Z": "of its firmware (default: 4.7.0-dev, PX4: 1.16.1): its names of parameters, and what it "
+    "knows",
+    # where it stands, and its state at boot
+    "--home LAT,LON": option("where it stands", type=_place, default="39.3666,22.9507"),
+    "--home-altitude M": option("of the ground above the sea (default: 0)", type=float, default=0.0),
+    "--armable-after S": option("after boot, in seconds (default: 41.4, PX4: 4)", type=float),
+    "--battery PERCENT": option("how full it is at boot", type=float, default=100.0),
+    "--param NAME=VALUE": repeated("a parameter at boot, such as FENCE_RADIUS=60", "parameters"),
+    # how it flies, how its time passes, and what goes wrong
+    "--speedup N": option("run its clock N times as fast", type=float, default=1.0),
+    "--acceleration M_S2": option(
+        "arducopter: speed up and brake alike, in m/s² (default: as a recorded one did)", type=float
+    ),
+    "--fault KIND[:FROM[-TO]]": repeated(
+        "link, gps, glitch, battery, radio, ground, compass or arming, from and to seconds after boot",
+        "faults",
+    ),
+    "--glitch M[:CLEARED_S]": option(_GLITCH, type=_glitch),
+    "--clock-offset S": option(
+        "arducopter: difference of its GPS's time of day from this machine's clock", type=float, default=0.0
+    ),
+    "--one-peer": "px4, UDP: answer only the first sender until a restart, as a real one",
+    "--signing-key FILE": "sign all messages with its key, and obey only messages signed with it",
+}
 
 
 def run(options: argparse.Namespace) -> bool:

@@ -5,33 +5,24 @@ from __future__ import annotations
 import argparse
 import asyncio
 import os
-from pathlib import Path
 
-from upwash.cli.arguments import LIVE_PORT, announce, port
+from upwash.cli.arguments import LIVE_PORT, announce, option, port
 from upwash.support.loading import extra
 
 _NICENESS = 10  # a flight that goes on beside it comes first, and the page is not starved
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments."""
-    parser.add_argument(
-        "logs", type=Path, nargs="+", metavar="LOG",
-        help="event logs, of flights under way or over: those of several drones are shown on one map, those of one "
+ARGUMENTS = {
+    "logs LOG": option(
+        "event logs, of flights under way or over: those of several drones are shown on one map, those of one "
         "drone side by side",
-    )  # fmt: skip
-    parser.add_argument(
-        "--port", type=port, default=LIVE_PORT, help=f"on this machine (default: {LIVE_PORT}; 0: any)"
-    )
-    parser.add_argument(
-        "--photos", type=Path, metavar="FOLDER", help="where the photos are that the log names"
-    )
-    parser.add_argument(
-        "--tiles",
-        metavar="URL",
-        help="load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
-    )
-    parser.add_argument("--credit", default="", metavar="TEXT", help="the credit to show for the tiles")
+        nargs="+",
+    ),
+    "--port": option(f"on this machine (default: {LIVE_PORT}; 0: any)", type=port, default=LIVE_PORT),
+    "--photos FOLDER": "where the photos are that the log names",
+    "--tiles URL": "load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
+    "--credit TEXT": option("the credit to show for the tiles", default=""),
+}
 
 
 def run(options: argparse.Namespace) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -24,17 +24,6 @@ SAFE_ENDS = {
     "disarm": "disarming on the ground",
 }
 WARNING = 4
-_FAILURES = (
-    schema.LocalFailed,
-    schema.RemoteFailed,
-    schema.LeaveFailed,
-    schema.SafeEndFailed,
-    schema.DeadManFailed,
-    schema.BatteryWatchFailed,
-    schema.BorderWatchFailed,
-    schema.CoverageNotKept,
-    schema.OffloadingFailed,
-)
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
 _WITHOUT_SENTENCE = frozenset({schema.PhotoTaken, schema.Decided, schema.CallStarted})
 _OWNERS = {
@@ -134,72 +123,53 @@ class Narrator:
         """The sentence of an event; None for an event without one."""
         self._whereabouts.take(event)
         self.began.take(event)
-        if isinstance(event, schema.Planned):
-            self._knows_servers = event.has_servers
         if type(event) in _WITHOUT_SENTENCE:
             return None
+        self._follow(event)
+        if isinstance(event, schema.Call):
+            return self._call(event)
+        if isinstance(event, schema.LeftToPilot) and self.control:  # which was said
+            return Sentence(event.why.rpartition("; ")[2], Tone.ALARM)
+        if isinstance(event, schema.MissionStarted):
+            before = f"taken up again, {len(event.done)} waypoints done before" if event.done else "started"
+            return Sentence(f"mission {before}" + (f", policy {event.policy}" if self._knows_servers else ""))
+        if (line := _LINE_OF.get(type(event))) is None:
+            return _sentence(event)
+        words, tone = line
+        return Sentence(words.format(event=event, now=self), tone)
+
+    def _follow(self, event: Event) -> None:
+        """Take in what the drone does from the event on."""
         match event:
             case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
                 self.down_s = event.down_s
                 self.where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"
-                return None
-            case schema.Call():
-                return self._call(event)
-            case schema.ServerStep(server=server, before=before, after=after, why=why):
-                because = f" ({why})" if why else ""
-                return Sentence(f"{server}: {before} → {after}{because}", tone_of(after))
+            case schema.Planned():
+                self._knows_servers = event.has_servers
             case schema.SetOff(waypoint=waypoint, back=back):
                 self.doing = f"flying {'back ' * back}to {named(waypoint)}"
-                return None
             case schema.Arrived(waypoint=waypoint, hold_s=hold_s):
                 self.doing = f"at {named(waypoint)}" + (f", for {hold_s:g} s as planned" if hold_s else "")
                 if waypoint is not None:
                     self._reached.add(waypoint)
-                return None
-            case schema.Notified(message=message):
-                return Sentence(f"told the user: {in_one_line(message)}", Tone.FOUND)
-            case _:
-                said = (
-                    self._course(event) or self._vehicle(event) or self._link(event) or _vehicle_report(event)
-                )
-                return said or _ending(event) or _failure(event) or _clock(event)
-
-    def _course(self, event: Event) -> Sentence | None:
-        match event:
-            case schema.LocalReady(service=service):
-                return Sentence(f"{service} is ready on the drone")
-            case schema.Planned(order_why=str(why)) if why:
-                return Sentence(f"order of the waypoints: {why}")
-            case schema.MissionStarted(policy=policy, done=done):
+            case schema.MissionStarted(done=done):
                 self.started = True
-                self.doing = "before take-off"
                 self._reached = set(done)
-                before = f"taken up again, {len(done)} waypoints done before" if done else "started"
-                under = f", policy {policy}" if self._knows_servers else ""
-                return Sentence(f"mission {before}{under}")
-            case schema.Demanded(waypoint=waypoint, failed=failed):
-                if failed:
-                    return Sentence(f"the call at {named(waypoint)} failed: {failed}", Tone.TROUBLE)
-                return Sentence(f"the answer at {named(waypoint)} demands something", Tone.FOUND)
-            case schema.TurnedBack(waypoint=waypoint):
-                return Sentence(f"turning back to {named(waypoint)}, for its answer", Tone.FOUND)
-            case schema.Foreseen():
-                return _foreseen(event)
-            case schema.Returning():
-                self.doing = "returning"
-                return Sentence("returning home to land")
-            case schema.LeftToPilot(why=why) if self.control:  # which was said
-                return Sentence(why.rpartition("; ")[2], Tone.ALARM)
-            case schema.Landed():
-                self.doing = "landed"
-                return Sentence("landed")
-            case schema.SafeEnd(action=action, why=why):
+            case schema.ControlChanged(owner=owner, why=why):
+                taken = f"{who_has_it(owner)} has the vehicle since {self.began.text(event.t)}: {why}"
+                self.control = "" if owner == Owner.PROGRAM else taken
+                self.waits_since_s = None
+            case schema.ArmingDelayed(reasons=reasons):
+                if self.waits_since_s is None:
+                    self.waits_since_s = event.t
+                self.waits_for = "; ".join(reasons) or "the vehicle does not say why yet"
+            case schema.Arming() | schema.Armed():
+                self.waits_since_s = None
+            case schema.TakingOff(altitude_m=altitude_m):
+                self.doing = f"climbing to {altitude_m:g} m"
+            case schema.SafeEnd(action=action):
                 self.doing = SAFE_ENDS[action]
-                return Sentence(f"{self.doing}: {why}", Tone.ALARM)
-            case schema.LeftHovering():
-                self.doing = "hovering"
-                return Sentence(LEFT_HOVERING, Tone.ALARM)
-        return None
+        self.doing = _DOING.get(type(event), self.doing)
 
     def _call(self, call: schema.Call) -> Sentence:
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
@@ -211,84 +181,128 @@ class Narrator:
             Tone.PLAIN if call.server is None else Tone.REMOTE,
         )
 
-    def _vehicle(self, event: Event) -> Sentence | None:
-        """Control of the vehicle, take-off and landing."""
-        match event:
-            case schema.ControlChanged(owner=owner, why=why):
-                taken = f"{who_has_it(owner)} has the vehicle since {self.began.text(event.t)}: {why}"
-                self.control = "" if owner == Owner.PROGRAM else taken
-                self.waits_since_s = None
-                return _control(owner, why)
-            case schema.ArmingDelayed(reasons=reasons):
-                if self.waits_since_s is None:
-                    self.waits_since_s = event.t
-                self.doing = "waiting until the vehicle can be armed"
-                self.waits_for = "; ".join(reasons) or "the vehicle does not say why yet"
-                return Sentence(f"{self.doing}: {self.waits_for}", Tone.TROUBLE)
-            case schema.Arming():
-                self.waits_since_s = None
-                self.doing = "arming"
-                return Sentence("arming")
-            case schema.Armed():
-                self.waits_since_s = None
-                self.doing = "armed"
-                return Sentence("armed")
-            case schema.Turned(heading_deg=heading_deg):
-                return Sentence(f"turned to {heading_deg:g}°")
-            case schema.PayloadCommanded(name=name):
-                return Sentence(f"the payload did {name}")
-            case schema.TextSent(text=text):
-                return Sentence(f"told the ground station: {text}")
-            case schema.TakingOff(altitude_m=altitude_m):
-                self.doing = f"climbing to {altitude_m:g} m"
-                return Sentence(self.doing)
-            case schema.TookOff(altitude_m=altitude_m):
-                self.doing = "in the air"
-                return Sentence(f"took off to {altitude_m:g} m")
-            case schema.Stood():
-                self.doing = "on the ground"
-                return Sentence("the vehicle stands on the ground")
-        return None
 
-    def _link(self, event: Event) -> Sentence | None:
-        """The link to the vehicle."""
-        match event:
-            case schema.UnsignedPort(why=why) | schema.SiteDoubt(why=why) | schema.LinkTrouble(why=why):
-                return Sentence(why, Tone.TROUBLE)
-            case schema.WaitingForVehicle(why=why, waited_s=waited_s, within_s=within_s):
-                self.doing = "waiting for the vehicle"
-                return Sentence(f"{self.doing} for {waited_s:.0f} of {within_s:g} s: {why}", Tone.TROUBLE)
-            case schema.VehicleFound(system=system, component=component, firmware=firmware):
-                self.doing = "starting the services of the drone"
-                version = event.version or "of an unknown version"
-                return Sentence(
-                    f"the vehicle is system {system}, component {component} ({firmware} {version}, {event.type})",
-                    Tone.ASIDE if event.version else Tone.TROUBLE,
-                )
-            case schema.LinkLost(silent_s=silent_s):
-                return Sentence(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)
-            case schema.LinkRestored(silent_s=silent_s):
-                return Sentence(f"the vehicle is heard again, after {silent_s:.1f} s")
-        return None
+_DOING: Mapping[type[Event], str] = {  # from the event on
+    schema.VehicleFound: "starting the services of the drone",
+    schema.WaitingForVehicle: "waiting for the vehicle",
+    schema.MissionStarted: "before take-off",
+    schema.ArmingDelayed: "waiting until the vehicle can be armed",
+    schema.Arming: "arming",
+    schema.Armed: "armed",
+    schema.TookOff: "in the air",
+    schema.Returning: "returning",
+    schema.LeftHovering: "hovering",
+    schema.Landed: "landed",
+    schema.Stood: "on the ground",
+}
+# What is said of an event whose words are always the same: `event`, and what the narrator knows `now`.
+_LINES: Mapping[Tone, Mapping[type[Event], str]] = {
+    Tone.PLAIN: {
+        schema.LocalReady: "{event.service} is ready on the drone",
+        schema.Returning: "returning home to land",
+        schema.Landed: "landed",
+        schema.Arming: "arming",
+        schema.Armed: "armed",
+        schema.Turned: "turned to {event.heading_deg:g}°",
+        schema.PayloadCommanded: "the payload did {event.name}",
+        schema.TextSent: "told the ground station: {event.text}",
+        schema.TakingOff: "{now.doing}",
+        schema.TookOff: "took off to {event.altitude_m:g} m",
+        schema.Stood: "the vehicle stands on the ground",
+        schema.LinkRestored: "the vehicle is heard again, after {event.silent_s:.1f} s",
+    },
+    Tone.TROUBLE: {
+        schema.ArmingDelayed: "{now.doing}: {now.waits_for}",
+        schema.UnsignedPort: "{event.why}",
+        schema.SiteDoubt: "{event.why}",
+        schema.LinkTrouble: "{event.why}",
+        schema.WaitingForVehicle: "{now.doing} for {event.waited_s:.0f} of {event.within_s:g} s: {event.why}",
+        schema.LinkLost: "the vehicle is not heard any more, for {event.silent_s:.1f} s",
+        schema.RemoteRaised: "{event.server} says that {event.operation} raised {event.raised}; making the "
+        "call on the drone",
+        schema.LocalEnded: "{event.service} on the drone ended ({event.how}); starting it again",
+        schema.LocalFailed: "local failed: {event.why}",
+        schema.RemoteFailed: "remote failed: {event.why}",
+        schema.LeaveFailed: "leave failed: {event.why}",
+        schema.SafeEndFailed: "safe end failed: {event.why}",
+        schema.DeadManFailed: "dead man failed: {event.why}",
+        schema.BatteryWatchFailed: "battery watch failed: {event.why}",
+        schema.BorderWatchFailed: "border watch failed: {event.why}",
+        schema.CoverageNotKept: "coverage not kept: {event.why}",
+        schema.OffloadingFailed: "offloading failed: {event.why}",
+        schema.WaitingForTheTime: "waiting for the vehicle's GPS to tell the time: {event.why}",
+        schema.ClockDiffers: "this computer's clock says {event.clock}, the vehicle's GPS {event.gps}: "
+        "left as it is, {event.why}",
+    },
+    Tone.ALARM: {
+        schema.SafeEnd: "{now.doing}: {event.why}",
+        schema.LeftHovering: LEFT_HOVERING,
+        schema.Stopping: "stopping: {event.why} (Ctrl-C from now on ends the program at once, and leaves "
+        "the vehicle to itself)",
+        schema.LeftToPilot: "nothing more is sent to the vehicle: {event.why}",
+        schema.FollowingEnded: "following ended: {event.why}",
+    },
+}
+_LINE_OF = {kind: (words, tone) for tone, lines in _LINES.items() for kind, words in lines.items()}
 
 
-def _vehicle_report(event: Event) -> Sentence | None:
-    """Texts and settings of the vehicle. Its reasons not to arm are left to `arming_delayed`."""
+def _sentence(event: Event) -> Sentence | None:
+    """The sentence of an event whose words depend on its content."""
     match event:
+        case schema.ServerStep(server=server, before=before, after=after, why=why):
+            return Sentence(f"{server}: {before} → {after}" + (f" ({why})" if why else ""), tone_of(after))
+        case schema.Notified(message=message):
+            return Sentence(f"told the user: {in_one_line(message)}", Tone.FOUND)
+        case schema.Planned(order_why=str(why)) if why:
+            return Sentence(f"order of the waypoints: {why}")
+        case schema.Demanded(waypoint=waypoint, failed=failed):
+            if failed:
+                return Sentence(f"the call at {named(waypoint)} failed: {failed}", Tone.TROUBLE)
+            return Sentence(f"the answer at {named(waypoint)} demands something", Tone.FOUND)
+        case schema.TurnedBack(waypoint=waypoint):
+            return Sentence(f"turning back to {named(waypoint)}, for its answer", Tone.FOUND)
+        case schema.Foreseen():
+            return _foreseen(event)
+        case schema.MissionEnded(why=why):
+            return Sentence(f"mission ended: {why.removeprefix('mission: ')}", Tone.ALARM)
+        case schema.Shortened(of=of, why=why):
+            said = f"the log has no more than a part of what it was told ({of.replace('_', ' ')}): {why}"
+            return Sentence(said, Tone.TROUBLE)
+        case schema.ClockSet(before=before, after=after):
+            said = f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}"
+            return Sentence(f"{said}, as the vehicle's GPS has it")
+    return _vehicle_sentence(event)
+
+
+def _vehicle_sentence(event: Event) -> Sentence | None:
+    """The sentence of a report of the vehicle. Its reasons not to arm are left to `arming_delayed`."""
+    match event:
+        case schema.ControlChanged(owner=Owner.PROGRAM, why=why):
+            return Sentence(f"the program has the vehicle: {why}", Tone.ASIDE)
+        case schema.ControlChanged(owner=owner, why=why):
+            said = f"{who_has_it(owner)} has the vehicle: {why}; nothing is sent to it any more"
+            return Sentence(said, Tone.ALARM)
+        case schema.VehicleFound(system=system, component=component, firmware=firmware):
+            version = event.version or "of an unknown version"
+            return Sentence(
+                f"the vehicle is system {system}, component {component} ({firmware} {version}, {event.type})",
+                Tone.ASIDE if event.version else Tone.TROUBLE,
+            )
         case schema.VehicleSaid(severity=severity, text=text) if severity <= WARNING:
-            if text.startswith(("PreArm: ", "Arm: ")):
-                return None
-            return Sentence(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
+            if not text.startswith(("PreArm: ", "Arm: ")):
+                return Sentence(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             return Sentence(f"the vehicle's {name} is {known(value)}: {advice}", Tone.TROUBLE)
+        case schema.PositionDoubted(jumped_m=0):
+            return Sentence("the vehicle's position can be true again")
         case schema.PositionDoubted(jumped_m=jumped_m):
-            return _doubt(jumped_m)
+            jump = f"jumped {jumped_m:.0f} m, farther than it can fly: no arrival counts"
+            return Sentence(f"the vehicle's reported position {jump}", Tone.TROUBLE)
         case schema.HomeMoved(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
-            there = f"{east_m:.0f} m east, {north_m:.0f} m north, {abs(altitude_m):.0f} m "
-            there += "higher" if altitude_m >= 0 else "lower"
-            return Sentence(
-                f"the vehicle's home was moved to {there}: the vehicle returns there", Tone.TROUBLE
-            )
+            up = f"{abs(altitude_m):.0f} m {'higher' if altitude_m >= 0 else 'lower'}"
+            there = f"{east_m:.0f} m east, {north_m:.0f} m north, {up}"
+            said = f"the vehicle's home was moved to {there}: the vehicle returns there"
+            return Sentence(said, Tone.TROUBLE)
         case schema.DeadManSet(silence_s=silence_s, action=action):
             doing = "returns" if action == "return" else "lands"
             said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
@@ -307,69 +321,6 @@ def known(value: float | None) -> str:
 def who_has_it(owner: str) -> str:
     """The owner of the vehicle as text."""
     return _OWNERS[Owner(owner)]
-
-
-def _doubt(jumped_m: float) -> Sentence:
-    if not jumped_m:
-        return Sentence("the vehicle's position can be true again")
-    said = (
-        f"the vehicle's reported position jumped {jumped_m:.0f} m, farther than it can fly: no arrival counts"
-    )
-    return Sentence(said, Tone.TROUBLE)
-
-
-def _control(owner: str, why: str) -> Sentence:
-    if owner == Owner.PROGRAM:
-        return Sentence(f"the program has the vehicle: {why}", Tone.ASIDE)
-    return Sentence(f"{who_has_it(owner)} has the vehicle: {why}; nothing is sent to it any more", Tone.ALARM)
-
-
-def _ending(event: Event) -> Sentence | None:
-    match event:
-        case schema.Stopping(why=why):
-            return Sentence(
-                f"stopping: {why} (Ctrl-C from now on ends the program at once, and leaves the vehicle to itself)",
-                Tone.ALARM,
-            )
-        case schema.LeftToPilot(why=why):
-            return Sentence(f"nothing more is sent to the vehicle: {why}", Tone.ALARM)
-        case schema.MissionEnded(why=why):
-            return Sentence(f"mission ended: {why.removeprefix('mission: ')}", Tone.ALARM)
-        case schema.FollowingEnded(why=why):
-            return Sentence(f"{event.kind.replace('_', ' ')}: {why}", Tone.ALARM)
-    return None
-
-
-def _clock(event: Event) -> Sentence | None:
-    match event:
-        case schema.WaitingForTheTime(why=why):
-            return Sentence(f"waiting for the vehicle's GPS to tell the time: {why}", Tone.TROUBLE)
-        case schema.ClockSet(before=before, after=after):
-            return Sentence(
-                f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}, as the vehicle's GPS "
-                "has it"
-            )
-        case schema.ClockDiffers(clock=clock, gps=gps, why=why):
-            return Sentence(
-                f"this computer's clock says {clock}, the vehicle's GPS {gps}: left as it is, {why}",
-                Tone.TROUBLE,
-            )
-    return None
-
-
-def _failure(event: Event) -> Sentence | None:
-    if isinstance(event, _FAILURES):
-        return Sentence(f"{event.kind.replace('_', ' ')}: {event.why}", Tone.TROUBLE)
-    match event:
-        case schema.Shortened(of=of, why=why):
-            said = f"the log has no more than a part of what it was told ({of.replace('_', ' ')}): {why}"
-            return Sentence(said, Tone.TROUBLE)
-        case schema.RemoteRaised(server=server, operation=operation, raised=raised):
-            said = f"{server} says that {operation} raised {raised}; making the call on the drone"
-            return Sentence(said, Tone.TROUBLE)
-        case schema.LocalEnded(service=service, how=how):
-            return Sentence(f"{service} on the drone ended ({how}); starting it again", Tone.TROUBLE)
-    return None
 
 
 def _foreseen(event: schema.Foreseen) -> Sentence:
