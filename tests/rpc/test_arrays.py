@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 from upwash.errors import DeclarationError, GarbledReply, UsageError
+from upwash.rpc.arrays import require_arrays
 from upwash.rpc.service import make_stub, service, spec_of
 from upwash.sim.runtime import reply_to
 
@@ -176,6 +178,17 @@ def test_a_type_hint_without_a_dtype_of_numbers_is_refused_with_its_place(hint: 
         DeclarationError, match=r"service Camera, method look: parameter 'photo' cannot be sent: an array"
     ):
         service(type("Camera", (), {"look": look}))
+
+
+def test_an_array_without_a_dtype_is_found_behind_a_type_alias() -> None:
+    scalar = TypeVar("scalar", bound=np.generic)
+    array = TypeAliasType(
+        "array", np.ndarray[Any, np.dtype[scalar]], type_params=(scalar,)
+    )  # numpy 2.5's NDArray
+    require_arrays(list[array[np.uint8]], "it")
+    for hint in (array[np.str_], list[TypeAliasType("photo", np.ndarray)]):  # type: ignore[misc]
+        with pytest.raises(DeclarationError, match="it cannot be sent: an array"):
+            require_arrays(hint, "it")
 
 
 def test_an_array_without_a_dtype_is_found_within_a_dataclass() -> None:

@@ -44,6 +44,13 @@ def is_array(cls: object) -> bool:
 def require_arrays(hint: Any, what: str, seen: set[Any] | None = None) -> None:
     """Raises DeclarationError where an array in the type hint, or in a class within it, says no dtype."""
     seen = set() if seen is None else seen
+    alias = typing.get_origin(hint) or hint
+    if hasattr(alias, "__value__"):  # a type alias of Python 3.12; numpy 2.5 declares NDArray as one
+        if hint not in seen:
+            seen.add(hint)
+            arguments = typing.get_args(hint)
+            require_arrays(alias.__value__[arguments] if arguments else alias.__value__, what, seen)
+        return
     if is_array(hint) or is_array(typing.get_origin(hint)):
         try:
             array_hint(hint)
