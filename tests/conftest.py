@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
 import signal
 import subprocess
@@ -31,6 +32,18 @@ def pytest_configure() -> None:
     """Has the tests, and what they start, hear of Ctrl-C, which a shell keeps from what it runs in the background."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Leaves the thousands of tests, which stay until the end, out of each later search for garbage."""
+    gc.freeze()
+    gc.enable()
+
+
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Keeps values of up to ten million characters out of the names that go with each report."""
+    return f"{argname}-of-{len(val)}" if isinstance(val, str | bytes) and len(val) > 150 else None
 
 
 @pytest.hookimpl(tryfirst=True)
