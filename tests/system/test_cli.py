@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import signal
@@ -14,10 +15,13 @@ import threading
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
+
+from upwash.cli.main import main
 
 pytestmark = pytest.mark.system
 
@@ -49,13 +53,36 @@ remote_call_s = { light = 0.3, heavy = 0.3 }
 """
 
 
-def upwash(*arguments: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Runs the command to its end, in the folder."""
+class Ended(NamedTuple):
+    """The exit code of a command, and what it printed."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def upwash(*arguments: str, folder: Path | None = None) -> Ended:
+    """Runs the command to its end in the folder, in this process: a program of its own would import it all anew."""
+    stdout, stderr = io.StringIO(), io.StringIO()
+    with (
+        contextlib.chdir(folder or Path.cwd()),
+        contextlib.redirect_stdout(stdout),
+        contextlib.redirect_stderr(stderr),
+    ):
+        try:
+            code = main(arguments)
+        except SystemExit as end:  # of argparse
+            code = int(end.code or 0)
+    return Ended(code, stdout.getvalue(), stderr.getvalue())
+
+
+def program(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs the command to its end, as a shell does."""
     command = [sys.executable, "-m", "upwash", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=folder, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
-def complaint(ended: subprocess.CompletedProcess[str], code: int = 2) -> str:
+def complaint(ended: Ended | subprocess.CompletedProcess[str], code: int = 2) -> str:
     """The one line that a command which could not do its work says, and nothing else."""
     assert (ended.stdout, ended.returncode) == ("", code), ended.stderr
     assert ended.stderr.startswith("upwash: ")
@@ -83,7 +110,7 @@ def loaded_by(code: str) -> set[str]:
 
 
 def test_help_names_every_command() -> None:
-    done = upwash("--help")
+    done = program("--help")
     assert (done.returncode, done.stderr) == (0, "")
     for command in COMMANDS:
         assert f"\n    {command} " in done.stdout
@@ -103,7 +130,7 @@ def test_the_version_is_the_installed_one() -> None:
 def test_the_installed_command_is_the_same() -> None:
     script = Path(sys.executable).with_name("upwash")
     done = subprocess.run([script, "--help"], capture_output=True, text=True, check=True)
-    assert done.stdout == upwash("--help").stdout
+    assert done.stdout == program("--help").stdout
 
 
 def test_the_package_and_its_help_load_nothing_heavy() -> None:
@@ -241,7 +268,7 @@ def test_what_grpc_says_of_a_failed_handshake_is_printed_only_for_who_wants_it(
     if wish:
         monkeypatch.setenv("GRPC_VERBOSITY", wish)
     with another_programs_port() as address:
-        ended = upwash("status", address, "--server", "s1", "--operator", "heron", "--keys", str(keys))
+        ended = program("status", address, "--server", "s1", "--operator", "heron", "--keys", str(keys))
     assert ended.stderr.splitlines()[-1].startswith(f"upwash: s1 at {address}: ")
     assert ("ssl_transport_security" in ended.stderr) == is_said
     assert (ended.stderr.count("\n") > 1) == is_said
@@ -323,13 +350,8 @@ def test_a_vehicle_that_cannot_listen_says_so() -> None:
     ids=" ".join,
 )
 def test_a_vehicle_that_could_not_fly_is_refused(arguments: tuple[str, ...]) -> None:
-    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", "udp:127.0.0.1:0", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as vehicle:
-        assert vehicle.stdout is not None
-        said = vehicle.stdout.readline()
-        vehicle.terminate()
-        assert vehicle.wait(timeout=10.0) == 2
-        assert said == ""
+    ended = upwash("vehicle", "--listen", "udp:127.0.0.1:0", *arguments)
+    assert (ended.returncode, ended.stdout) == (2, "")
 
 
 # --- keys ---------------------------------------------------------------------------------------------------
