@@ -67,7 +67,7 @@ def test_a_shell_takes_a_shown_command_as_it_is_meant() -> None:
 
 def test_the_way_to_free_an_interface_names_whatever_is_active_there() -> None:
     device = Device("/d", "wlan1", DeviceKind.WIFI, 100, True, "/a")
-    active = NetworkConnection("/a", "u", NAME, "802-11-wireless", 2, ("/d",), ())
+    active = NetworkConnection("/a", "u", NAME, "802-11-wireless", ("/d",), ())
     trouble = interface_trouble("wlan1", ["s1-net"], NetworkState([device], [active], []))
     assert [shlex.split(shown) for shown in re.findall(r"`(.*?)`", trouble)] == [
         ["nmcli", "connection", "modify", NAME, "connection.autoconnect", "no"],

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography import x509
 from tests.events import written
 
 from upwash.config.drone_file import drone_config
@@ -105,7 +106,8 @@ def test_a_stale_clock_that_may_not_be_set_is_refused_with_its_dates_and_the_rem
     heron = credentials("heron")
     with pytest.raises(CredentialsError) as refused:
         agreed(time.time(), heron, OwnClock(STALE_S, may=False))
-    said, starts = str(refused.value), heron.lifetimes[0].starts
+    said = str(refused.value)
+    starts = x509.load_pem_x509_certificate(heron.certificate).not_valid_before_utc
     assert said.startswith(
         f"the certificate of heron is not valid yet: it is valid from {starts:%Y-%m-%d %H:%M:%S} UTC"
     )

@@ -10,14 +10,10 @@ from upwash.errors import NetworkError, UsageError
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.real.network.networkmanager import (
-    CarrierChanged,
-    ConnectionChanged,
     ConnectionState,
     Device,
-    DeviceChanged,
     DeviceKind,
     DeviceState,
-    ManagerGone,
     NetworkManager,
     ObjectGoneError,
     Signal,
@@ -202,7 +198,7 @@ class ManagedNetwork:
         return self._manager
 
     def _on_signal(self, signal: Signal) -> None:
-        if isinstance(signal, ManagerGone):
+        if not signal.path:
             self._is_untidy = True  # once it is back, what was active may be so again, under another path
         if self._activation is not None:
             self._activation.take_in(signal)
@@ -219,7 +215,7 @@ class _Activation:
         self.ended = asyncio.Event()  # cannot be used, or no longer: `why` says it
         self.down = asyncio.Event()  # the manager has deactivated it
         self.why = ""
-        self._early: list[ConnectionChanged] = []  # from before it had a path: of it, or of another
+        self._early: list[Signal] = []  # from before it had a path: of it, or of another
         self._device = ""  # its path
         self._has_carrier = True
         self._state = 0  # of the device
@@ -245,23 +241,23 @@ class _Activation:
     def take_in(self, signal: Signal) -> None:
         """Takes in one signal, which may be of another network."""
         match signal:
-            case DeviceChanged(self._device, state, before, reason):
+            case Signal(""):
+                self._end("NetworkManager has stopped")
+            case Signal(self._device, None):
+                self._has_carrier = signal.has_carrier
+                if self.settled.is_set() and not signal.has_carrier:
+                    self._end("its carrier is gone")
+            case Signal(self._device, int(state), before, reason):
                 self._state = state
                 if reason and before >= DeviceState.PREPARE:  # earlier ones are about what was before
                     self._reason = reason
-            case CarrierChanged(self._device, has_carrier):
-                self._has_carrier = has_carrier
-                if self.settled.is_set() and not has_carrier:
-                    self._end("its carrier is gone")
-            case ConnectionChanged() if not self.connection:
+            case _ if not self.connection:
                 self._early.append(signal)
-            case ConnectionChanged(self.connection, ConnectionState.ACTIVATED):
+            case Signal(self.connection, ConnectionState.ACTIVATED):
                 self.settled.set()
-            case ConnectionChanged(self.connection, ConnectionState.DEACTIVATED, reason):
-                self._end(self._explanation(reason))
+            case Signal(self.connection, ConnectionState.DEACTIVATED):
+                self._end(self._explanation(signal.reason))
                 self.down.set()
-            case ManagerGone():
-                self._end("NetworkManager has stopped")
 
     def _end(self, why: str) -> None:
         self.why = self.why or why

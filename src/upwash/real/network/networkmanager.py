@@ -103,7 +103,6 @@ class NetworkConnection:
     uuid: str
     name: str
     kind: str
-    state: int
     devices: tuple[str, ...]
     addresses: tuple[str, ...]
 
@@ -122,38 +121,18 @@ class NetworkState:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceChanged:
-    """An interface got from one state to another, with the manager's reason or 0."""
+class Signal:
+    """The new state of the device or active connection at that path, with the manager's reason or 0.
 
-    device: str
-    state: int
-    before: int
-    reason: int
+    Signals of a carrier have no state. Without a path the manager, or the bus, is gone: after a restart all paths
+    differ.
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class CarrierChanged:
-    """An interface has a carrier now, or none."""
-
-    device: str
-    has_carrier: bool
-
-
-@dataclass(frozen=True, slots=True)
-class ConnectionChanged:
-    """An active connection got to a state."""
-
-    connection: str
-    state: int
-    reason: int
-
-
-@dataclass(frozen=True, slots=True)
-class ManagerGone:
-    """The manager left the bus, or the bus is gone; after a restart all paths are other ones."""
-
-
-Signal = DeviceChanged | CarrierChanged | ConnectionChanged | ManagerGone
+    path: str = ""
+    state: int | None = None
+    before: int = 0  # the former state of a device
+    reason: int = 0
+    has_carrier: bool = False
 
 
 class ObjectGoneError(NetworkError):
@@ -230,15 +209,8 @@ class NetworkManager:
             if (config := about.get(f"Ip{version}Config", NO_OBJECT)) != NO_OBJECT:
                 data = (await self._properties(config, f"{_NAME}.IP{version}Config"))["AddressData"]
                 addresses += [entry["address"] for entry in data if not entry["address"].startswith("fe80:")]
-        return NetworkConnection(
-            path,
-            about["Uuid"],
-            printable(about["Id"]),
-            about["Type"],
-            about["State"],
-            tuple(about["Devices"]),
-            tuple(addresses),
-        )
+        uuid, kind, devices = about["Uuid"], about["Type"], tuple(about["Devices"])
+        return NetworkConnection(path, uuid, printable(about["Id"]), kind, devices, tuple(addresses))
 
     async def activate(self, profile: Profile, device: Device | None) -> str:
         """Begins to activate a profile, on a device unless it makes its own; returns the connection's path."""
@@ -259,23 +231,17 @@ class NetworkManager:
     async def listen(self) -> None:
         """Lets the bus pass on the signals."""
         for rule in _SIGNALS:
-            await self._call("/org/freedesktop/DBus", _BUS, "AddMatch", "s", rule, destination=_BUS)
+            await self._call("/org/freedesktop/DBus", _BUS, "AddMatch", "s", rule)
 
     async def _properties(self, path: str, interface: str) -> dict[str, Any]:
         (properties,) = await self._call(path, _PROPERTIES, "GetAll", "s", interface)
         return dict(properties)
 
     async def _call(
-        self,
-        path: str,
-        interface: str,
-        member: str,
-        signature: str = "",
-        *arguments: object,
-        destination: str = _NAME,
+        self, path: str, interface: str, member: str, signature: str = "", *arguments: object
     ) -> list[Any]:
         message = Message(
-            destination=destination,
+            destination=_BUS if interface == _BUS else _NAME,
             path=path,
             interface=interface,
             member=member,
@@ -303,23 +269,23 @@ class NetworkManager:
         path = message.path or ""
         match message.interface, message.member, message.body:
             case name, "StateChanged", [int(state), int(before), int(reason)] if name == _DEVICE:
-                self._on_signal(DeviceChanged(path, state, before, reason))
+                self._on_signal(Signal(path, state, before, reason))
             case name, "StateChanged", [int(state), int(reason)] if name == _ACTIVE:
-                self._on_signal(ConnectionChanged(path, state, reason))
+                self._on_signal(Signal(path, state, reason=reason))
             case _, "PropertiesChanged", [_, {"InterfaceFlags": Variant(value=int(flags))}, _]:
-                self._on_signal(CarrierChanged(path, bool(flags & _LOWER_UP)))
+                self._on_signal(Signal(path, has_carrier=bool(flags & _LOWER_UP)))
             case _, "NameOwnerChanged", [str(name), str(before), _] if name == _NAME and before:
-                self._on_signal(ManagerGone())
+                self._on_signal(Signal())
 
     def _lose(self, _: Exception) -> None:
         self._bus.disconnect()  # so that the next call connects again
-        self._on_signal(ManagerGone())
+        self._on_signal(Signal())
 
     async def _await_end(self) -> None:
         try:
             await self._bus.wait_for_disconnect()  # type: ignore[no-untyped-call]
         except (OSError, EOFError, DBusFastError):
-            self._on_signal(ManagerGone())
+            self._on_signal(Signal())
 
 
 async def connect_networkmanager(on_signal: Callable[[Signal], None]) -> NetworkManager:

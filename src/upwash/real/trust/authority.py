@@ -10,8 +10,8 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -48,16 +48,14 @@ _REVOKED_HEAD = (
 
 
 @dataclass(frozen=True)
-class _Signer:
+class _Holder:
     certificate: Certificate
     key: ec.EllipticCurvePrivateKey
 
-
-@dataclass(frozen=True)
-class _NewFile:
-    file: Path
-    content: bytes = field(repr=False)
-    mode: int
+    def files(self, certificate: Path, key: Path, *, former: bytes = b"") -> dict[Path, bytes]:
+        """The contents of the two files, with `former` certificates in the first."""
+        key_pem = self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+        return {certificate: _pem(self.certificate) + former, key: key_pem}
 
 
 def keys_in(folder: Path, name: str) -> KeysConfig:
@@ -96,9 +94,10 @@ def make_keys(
             raise _already_there(file)
     signer, files = _signer(folder)
     for role, names in holders:
-        files += _issue(folder, signer, names, role, lasts or _CERTIFICATE_LASTS)
+        issued = _issue(signer, names, role, lasts or _CERTIFICATE_LASTS)
+        files |= issued.files(folder / f"{names[0]}.pem", folder / f"{names[0]}.key")
     _write_together(folder, files)
-    return [new.file for new in files]
+    return list(files)
 
 
 def renew_authority(folder: Path) -> list[Path]:
@@ -110,17 +109,10 @@ def renew_authority(folder: Path) -> list[Path]:
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     former, former_key = read_public(certificate_file), read_secret(key_file)
     signer = _signer_among(certificate_file, former, key_file, former_key)
-    new = _self_signed()
     kept = folder / f"authority-{fingerprint(_pem(signer.certificate))[:8]}.key"
     new_certificate, new_key = folder / "authority.pem.new", folder / "authority.key.new"
-    _write_together(
-        folder,
-        [
-            _NewFile(new_certificate, _pem(new.certificate) + former, 0o644),
-            _NewFile(new_key, _key_pem(new.key), 0o600),
-            _NewFile(kept, former_key, 0o600),
-        ],
-    )
+    new_files = _self_signed().files(new_certificate, new_key, former=former)
+    _write_together(folder, {**new_files, kept: former_key})
     new_certificate.replace(certificate_file)
     new_key.replace(key_file)  # until here the former authority signs
     return [certificate_file, key_file, kept]
@@ -208,46 +200,44 @@ def _already_there(file: Path) -> UsageError:
     return UsageError(f"{file}: already there, and keys are never overwritten: move it away first")
 
 
-def _signer(folder: Path) -> tuple[_Signer, list[_NewFile]]:
+def _signer(folder: Path) -> tuple[_Holder, dict[Path, bytes]]:
     """The folder's authority, and the files that it needs if it has none."""
     certificate, key, revoked = folder / "authority.pem", folder / "authority.key", folder / _REVOKED_FILE
     if certificate.exists() and key.exists():
         kept = _signer_among(certificate, read_public(certificate), key, read_secret(key))
         refuse_outdated(certificate, kept.certificate)
-        return kept, []
+        return kept, {}
     for there, missing in ((certificate, key), (key, certificate)):
         if there.exists():
             raise UsageError(f"{missing}: missing beside {there}: restore it, or move {there.name} away")
     signer = _self_signed()
-    files = _files(folder, "authority", signer.certificate, signer.key)
+    files = signer.files(certificate, key)
     if not revoked.exists():
-        files.append(_NewFile(revoked, _REVOKED_HEAD, 0o644))
+        files[revoked] = _REVOKED_HEAD
     return signer, files
 
 
-def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> _Signer:
+def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> _Holder:
     """The one of the authorities in a file that has this key."""
     private = parsed_key(key, key_pem)
     for authority in parsed_certificates(certificate, pem):
         if isinstance(private, ec.EllipticCurvePrivateKey) and private.public_key() == authority.public_key():
-            return _Signer(authority, private)
+            return _Holder(authority, private)
     raise CredentialsError(
         f"{key}: not the elliptic-curve key of {certificate}: restore the two that were made together"
     )
 
 
-def _self_signed() -> _Signer:
+def _self_signed() -> _Holder:
     key = ec.generate_private_key(ec.SECP256R1())
     extensions = [
         (x509.BasicConstraints(ca=True, path_length=0), True),
         (_key_usage(signs_certificates=True), True),
     ]
-    return _Signer(_signed("upwash authority", key, extensions, issuer=None, lasts=_AUTHORITY_LASTS), key)
+    return _Holder(_signed("upwash authority", key, extensions, issuer=None, lasts=_AUTHORITY_LASTS), key)
 
 
-def _issue(
-    folder: Path, issuer: _Signer, names: Sequence[str], role: Role, lasts: timedelta
-) -> list[_NewFile]:
+def _issue(issuer: _Holder, names: Sequence[str], role: Role, lasts: timedelta) -> _Holder:
     key = ec.generate_private_key(ec.SECP256R1())
     serving = [ExtendedKeyUsageOID.SERVER_AUTH] if role is Role.SERVER else []
     extensions = [
@@ -258,8 +248,7 @@ def _issue(
         (x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.key.public_key()), False),
     ]
     unit = UNITS.get(role, "")
-    certificate = _signed(names[0], key, extensions, issuer=issuer, lasts=lasts, unit=unit)
-    return _files(folder, names[0], certificate, key)
+    return _Holder(_signed(names[0], key, extensions, issuer=issuer, lasts=lasts, unit=unit), key)
 
 
 def _signed(
@@ -267,7 +256,7 @@ def _signed(
     key: ec.EllipticCurvePrivateKey,
     extensions: Sequence[tuple[x509.ExtensionType, bool]],
     *,
-    issuer: _Signer | None,
+    issuer: _Holder | None,
     lasts: timedelta,
     unit: str = "",
 ) -> Certificate:
@@ -305,25 +294,12 @@ def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
     )
 
 
-def _files(
-    folder: Path, name: str, certificate: Certificate, key: ec.EllipticCurvePrivateKey
-) -> list[_NewFile]:
-    return [
-        _NewFile(folder / f"{name}.pem", _pem(certificate), 0o644),
-        _NewFile(folder / f"{name}.key", _key_pem(key), 0o600),
-    ]
-
-
 def _pem(certificate: Certificate) -> bytes:
     return certificate.public_bytes(Encoding.PEM)
 
 
-def _key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
-    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-
-
-def _write_together(folder: Path, files: Sequence[_NewFile]) -> None:
-    """Writes files that were not there, all or none of them; other users can read one only if its mode allows it."""
+def _write_together(folder: Path, files: Mapping[Path, bytes]) -> None:
+    """Writes files that were not there, all or none of them; other users can never read a key."""
     is_new = not folder.exists()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -332,16 +308,17 @@ def _write_together(folder: Path, files: Sequence[_NewFile]) -> None:
     with contextlib.ExitStack() as undoing:
         if is_new:
             undoing.callback(folder.rmdir)
-        for new in files:
+        for file, content in files.items():
+            mode = 0o600 if b"PRIVATE KEY" in content else 0o644
             try:
-                descriptor = os.open(new.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, new.mode)
-                undoing.callback(new.file.unlink)
+                descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+                undoing.callback(file.unlink)
                 with os.fdopen(descriptor, "wb") as opened:
-                    opened.write(new.content)
+                    opened.write(content)
                     opened.flush()
                     flush_to_disk(opened.fileno())
             except FileExistsError:
-                raise _already_there(new.file) from None
+                raise _already_there(file) from None
             except OSError as error:
-                raise NotWritten(new.file, error, "none of the files were made") from None
+                raise NotWritten(file, error, "none of the files were made") from None
         undoing.pop_all()

@@ -26,25 +26,6 @@ UNITS = {Role.OPERATOR: "operator", Role.SERVER: "server"}  # the organizational
 _LONGEST_NAME = 255
 
 
-@dataclass(frozen=True, slots=True)
-class Lifetime:
-    """The validity of a holder's certificate."""
-
-    holder: str
-    starts: datetime
-    ends: datetime
-
-    def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
-        """Why it is not valid at that time of that clock, with the dates; "" where it is."""
-        if self.starts <= now <= self.ends:
-            return ""
-        what = "is not valid yet" if now < self.starts else "has expired"
-        return (
-            f"the certificate of {self.holder} {what}: it is valid from {at_second(self.starts)} to "
-            f"{at_second(self.ends)}, and {by} says {at_second(now)}"
-        )
-
-
 @dataclass(frozen=True)
 class Credentials:
     """PEM texts: what a party shows of itself, and what it checks others by.
@@ -86,22 +67,22 @@ class Credentials:
         return wanted in usage
 
     @property
-    def lifetimes(self) -> tuple[Lifetime, ...]:
-        """Of the certificate, by its first name, and of the authority that issued it."""
+    def expiries(self) -> dict[str, datetime]:
+        """Until when the certificate, by its first name, and its authority are valid."""
+        return {holder: certificate.not_valid_after_utc for holder, certificate in self._chain()}
+
+    def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
+        """Which certificate is not valid at that time of that clock, with its dates; "" where both are."""
+        problems = (_problem(holder, known, now, by) for holder, known in self._chain())
+        return next(filter(None, problems), "")
+
+    def _chain(self) -> tuple[tuple[str, Certificate], ...]:
+        """The certificate, by its first name, and its authority's."""
         from cryptography import x509
 
         authorities = x509.load_pem_x509_certificates(self.authority)
         issuer = _issuer_among(authorities, self._certificate) or authorities[0]
-        return _lifetime(self.names[0], self._certificate), _lifetime("authority", issuer)
-
-    @property
-    def expiries(self) -> dict[str, datetime]:
-        """Until when the certificate, by its first name, and its authority are valid."""
-        return {lifetime.holder: lifetime.ends for lifetime in self.lifetimes}
-
-    def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
-        """Which certificate is not valid at that time of that clock, with its dates; "" where both are."""
-        return next(filter(None, (lifetime.problem_at(now, by=by) for lifetime in self.lifetimes)), "")
+        return (self.names[0], self._certificate), ("authority", issuer)
 
 
 def at_second(time: datetime) -> str:
@@ -194,7 +175,7 @@ def parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
 def refuse_outdated(file: Path, certificate: Certificate) -> None:
     """Raises CredentialsError for a certificate that is not valid by this computer's clock."""
     now = datetime.now(UTC)
-    if problem := _lifetime(file.stem, certificate).problem_at(now):
+    if problem := _problem(file.stem, certificate, now, "this computer's clock"):
         remedy = "make a new one"
         if now < certificate.not_valid_before_utc:
             remedy = (
@@ -203,8 +184,16 @@ def refuse_outdated(file: Path, certificate: Certificate) -> None:
         raise CredentialsError(f"{file}: {problem}: {remedy}")
 
 
-def _lifetime(holder: str, certificate: Certificate) -> Lifetime:
-    return Lifetime(holder, certificate.not_valid_before_utc, certificate.not_valid_after_utc)
+def _problem(holder: str, certificate: Certificate, now: datetime, by: str) -> str:
+    """Why the holder's certificate is not valid at that time of that clock; "" if it is."""
+    starts, ends = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    if starts <= now <= ends:
+        return ""
+    what = "is not valid yet" if now < starts else "has expired"
+    return (
+        f"the certificate of {holder} {what}: it is valid from {at_second(starts)} to "
+        f"{at_second(ends)}, and {by} says {at_second(now)}"
+    )
 
 
 def _common_names(certificate: Certificate) -> list[str]:
