@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Iterator
+from functools import partial
 from typing import Any, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
@@ -38,32 +39,16 @@ class DaemonMetrics:
 
     def __init__(self) -> None:
         self.registry = registry = CollectorRegistry()
-        self._requests = Counter(
-            "upwash_requests",
-            "Requests of drones, peers and operators",
-            ["request", "outcome"],
-            registry=registry,
-        )
-        self.starts = Histogram(
-            "upwash_instance_start_seconds",
-            "What the start of an instance took, of those that became ready",
-            ["server", "service"],
-            buckets=_START_S,
-            registry=registry,
-        )
-        self.calls = Histogram(
-            "upwash_service_seconds",
-            "What services took for calls, from their turn to their answer",
-            ["server", "service", "method"],
-            buckets=CALL_S,
-            registry=registry,
-        )
-        self.failures = Counter(
-            "upwash_instance_failures",
-            "Instances that did not start, or ended by themselves",
-            ["server", "service"],
-            registry=registry,
-        )
+        counter, seconds = partial(Counter, registry=registry), partial(Histogram, registry=registry)
+        instance = ["server", "service"]
+        requests = "Requests of drones, peers and operators"
+        self._requests = counter("upwash_requests", requests, ["request", "outcome"])
+        starts = "What the start of an instance took, of those that became ready"
+        self.starts = seconds("upwash_instance_start_seconds", starts, instance, buckets=_START_S)
+        calls = "What services took for calls, from their turn to their answer"
+        self.calls = seconds("upwash_service_seconds", calls, [*instance, "method"], buckets=CALL_S)
+        failures = "Instances that did not start, or ended by themselves"
+        self.failures = counter("upwash_instance_failures", failures, instance)
 
     def daemon(self, handle: Handle) -> Handle:
         """The same handler, with each request counted."""
@@ -84,24 +69,24 @@ class DaemonMetrics:
 
     def observer(self) -> Observer:
         """Counts the starts, failures and calls of instances."""
-        return Observer(self._started, self._failed, self._answered)
+
+        def answered(spec: InstanceSpec, call: AnsweredCall) -> None:
+            if call.outcome != "dropped":
+                self.calls.labels(spec.server, spec.service, call.method).observe(call.took_s)
+
+        return Observer(
+            started=lambda spec, took_s: self.starts.labels(spec.server, spec.service).observe(took_s),
+            failed=lambda spec: self.failures.labels(spec.server, spec.service).inc(),
+            answered=answered,
+        )
 
     def look_at(self, edge: EdgeServer) -> None:
         """Read the daemon's state at each scrape from now on; must be called on its event loop."""
         self.registry.register(_DaemonState(edge, asyncio.get_running_loop()))
 
-    def _started(self, spec: InstanceSpec, took_s: float) -> None:
-        self.starts.labels(spec.server, spec.service).observe(took_s)
-
-    def _failed(self, spec: InstanceSpec) -> None:
-        self.failures.labels(spec.server, spec.service).inc()
-
-    def _answered(self, spec: InstanceSpec, call: AnsweredCall) -> None:
-        if call.outcome != "dropped":
-            self.calls.labels(spec.server, spec.service, call.method).observe(call.took_s)
-
 
 _G, _C = GaugeMetricFamily, CounterMetricFamily
+_DRONE, _TEAM = ["server", "drone", "team"], ["server", "team"]
 _FAMILIES = (
     (_G, "slots", "Drones that the server takes at once", ["server"]),
     (_G, "leases", "Drones that have a slot", ["server"]),
@@ -112,24 +97,17 @@ _FAMILIES = (
     (_C, "instances_replaced", "Instances that were of no use, and were stopped", ["server", "service"]),
     (_C, "instances_renewed", "Instances that took over in another version", ["server", "service"]),
     (_G, "service_paused_seconds", "Time for which a failing service is left alone", ["server", "service"]),
-    (_C, "drone_slot_seconds", "Time with a slot", ["server", "drone", "team"]),
-    (_C, "drone_calls", "Answered calls", ["server", "drone", "team"]),
-    (_C, "drone_computing_seconds", "What services took for calls", ["server", "drone", "team"]),
-    (_C, "team_slot_seconds", "Time with a slot, of forgotten drones too", ["server", "team"]),
-    (_C, "team_calls", "Answered calls, of forgotten drones too", ["server", "team"]),
-    (
-        _C,
-        "team_computing_seconds",
-        "What services took for calls, of forgotten drones too",
-        ["server", "team"],
-    ),
+    (_C, "drone_slot_seconds", "Time with a slot", _DRONE),
+    (_C, "drone_calls", "Answered calls", _DRONE),
+    (_C, "drone_computing_seconds", "What services took for calls", _DRONE),
+    (_C, "team_slot_seconds", "Time with a slot, of forgotten drones too", _TEAM),
+    (_C, "team_calls", "Answered calls, of forgotten drones too", _TEAM),
+    (_C, "team_computing_seconds", "What services took for calls, of forgotten drones too", _TEAM),
     (_C, "refusals", "Clients refused, with a reason", ["server"]),
     (_C, "door_refusals", "Connections refused before any request", ["reason"]),
     (_G, "certificate_expiry_timestamp_seconds", "When the certificate ends, since 1970", ["holder"]),
 )
-StateSample = tuple[
-    str, float, tuple[str, ...]
-]  # the name of its family, and the values of the family's labels
+StateSample = tuple[str, float, tuple[str, ...]]  # its family's name, and the values of the family's labels
 
 
 class _DaemonState(Collector):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
@@ -19,47 +20,22 @@ class DroneMetrics:
 
     def __init__(self, servers: Iterable[str]) -> None:
         self.registry = registry = CollectorRegistry()
-        self._calls = Counter(
-            "upwash_calls",
-            "Service calls that were answered",
-            ["operation", "place", "outcome"],
-            registry=registry,
-        )
-        self._call_s = Histogram(
-            "upwash_call_seconds",
-            "What a service call took, waiting included",
-            ["operation", "place"],
-            buckets=CALL_S,
-            registry=registry,
-        )
-        self._wait_s = Histogram(
-            "upwash_wait_seconds",
-            "How long calls waited for a server to be ready",
-            ["outcome"],
-            buckets=CALL_S,
-            registry=registry,
-        )
-        self._failures = Counter(
-            "upwash_failures", "Attempts at a call that had no answer", ["place"], registry=registry
-        )
-        self._states = Gauge(
-            "upwash_server_state",
-            "1 for the state that the server is in",
-            ["server", "state"],
-            registry=registry,
-        )
-        self._steps = Counter(
-            "upwash_server_steps",
-            "Steps of servers through their states",
-            ["server", "step"],
-            registry=registry,
-        )
-        self._photos = Counter("upwash_photos", "Photos taken", registry=registry)
-        self._planned = Gauge("upwash_waypoints", "Waypoints of the mission", registry=registry)
-        self._reached = Gauge(
-            "upwash_waypoints_reached", "Waypoints that the mission has reached", registry=registry
-        )
-        self._under_way = Gauge("upwash_mission_under_way", "1 while the mission is flown", registry=registry)
+        counter, gauge = partial(Counter, registry=registry), partial(Gauge, registry=registry)
+        seconds = partial(Histogram, registry=registry, buckets=CALL_S)
+        by_call, by_place = ["operation", "place"], ["place"]
+        self._calls = counter("upwash_calls", "Service calls that were answered", [*by_call, "outcome"])
+        self._call_s = seconds("upwash_call_seconds", "What a service call took, waiting included", by_call)
+        waits = "How long calls waited for a server to be ready"
+        self._wait_s = seconds("upwash_wait_seconds", waits, ["outcome"])
+        self._failures = counter("upwash_failures", "Attempts at a call that had no answer", by_place)
+        in_state = "1 for the state that the server is in"
+        self._states = gauge("upwash_server_state", in_state, ["server", "state"])
+        steps = "Steps of servers through their states"
+        self._steps = counter("upwash_server_steps", steps, ["server", "step"])
+        self._photos = counter("upwash_photos", "Photos taken")
+        self._planned = gauge("upwash_waypoints", "Waypoints of the mission")
+        self._reached = gauge("upwash_waypoints_reached", "Waypoints that the mission has reached")
+        self._under_way = gauge("upwash_mission_under_way", "1 while the mission is flown")
         self._waypoints: set[int] = set()  # reached
         for server in servers:
             self._be_in(server, State.AVL)
