@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import gc
+import inspect
 import shutil
 import signal
 import subprocess
@@ -20,6 +23,7 @@ from tests.system.radios import Field, field_below
 from upwash.cli.main import main
 from upwash.real.trust.authority import make_keys
 from upwash.real.trust.credentials import Credentials, read_credentials
+from upwash.sim.loop import run_virtually
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
@@ -65,6 +69,28 @@ def _shares_with_its_module(item: pytest.Item) -> bool:
     known = getattr(item, "_fixtureinfo", None)
     found = known.name2fixturedefs.values() if known is not None else ()
     return any(definition.scope == "module" for definitions in found for definition in definitions)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Runs a test that is a coroutine: on virtual time if it is marked so, else in real time.
+
+    A fixture that is an asynchronous context manager is entered, and the test gets what that yields.
+    """
+    test = pyfuncitem.obj
+    if not inspect.iscoroutinefunction(test):
+        return None
+
+    async def enter_and_test() -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            given = {name: pyfuncitem.funcargs[name] for name in inspect.signature(test).parameters}
+            for name, value in given.items():
+                if isinstance(value, contextlib.AbstractAsyncContextManager):
+                    given[name] = await stack.enter_async_context(value)
+            await test(**given)
+
+    (run_virtually if pyfuncitem.get_closest_marker("virtual") else asyncio.run)(enter_and_test())
+    return True
 
 
 @pytest.fixture(scope="session")

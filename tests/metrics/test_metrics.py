@@ -35,7 +35,6 @@ from upwash.report.palette import DARK, LIGHT
 from upwash.rpc.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
 from upwash.server.daemon import EdgeServer, Image
 from upwash.sim.link import ModelDialer, Switchboard
-from upwash.sim.loop import run_virtually
 from upwash.sim.world import Wire
 
 ROOT = Path(__file__).parents[2]
@@ -159,71 +158,59 @@ class Edge:
         return total(self.metrics.registry, sample, **labels)
 
 
-def test_starts_are_timed_and_what_fails_is_counted() -> None:
-    async def story() -> None:
-        runtime = Runtime()
-        at = Edge(runtime)
-        await at.start("heron")
-        assert at.total("upwash_instance_start_seconds_sum", service="detector") == pytest.approx(
-            COLD_START_S
-        )
-        runtime.instances[0].ended.set_result("it crashed")
-        await asyncio.sleep(5.0)
-        assert at.total("upwash_instance_failures_total", server="s1") == 1
-        runtime.broken = "no memory"
-        await at.start("heron")
-        assert at.total("upwash_instance_failures_total") == 2
-        assert at.total("upwash_instance_start_seconds_count") == 1
-        await at.edge.close()
-        assert at.total("upwash_instance_failures_total") == 2, "an end that was asked for is no failure"
-
-    run_virtually(story())
+@pytest.mark.virtual
+async def test_starts_are_timed_and_what_fails_is_counted() -> None:
+    runtime = Runtime()
+    at = Edge(runtime)
+    await at.start("heron")
+    assert at.total("upwash_instance_start_seconds_sum", service="detector") == pytest.approx(COLD_START_S)
+    runtime.instances[0].ended.set_result("it crashed")
+    await asyncio.sleep(5.0)
+    assert at.total("upwash_instance_failures_total", server="s1") == 1
+    runtime.broken = "no memory"
+    await at.start("heron")
+    assert at.total("upwash_instance_failures_total") == 2
+    assert at.total("upwash_instance_start_seconds_count") == 1
+    await at.edge.close()
+    assert at.total("upwash_instance_failures_total") == 2, "an end that was asked for is no failure"
 
 
-def test_a_start_that_the_daemon_breaks_off_is_no_failure() -> None:
-    async def story() -> None:
-        at = Edge(Runtime())
-        starting = asyncio.create_task(at.start("heron"))
-        await asyncio.sleep(COLD_START_S / 2)
-        await at.edge.close()
-        await starting
-        assert at.total("upwash_instance_failures_total") == 0
-
-    run_virtually(story())
+@pytest.mark.virtual
+async def test_a_start_that_the_daemon_breaks_off_is_no_failure() -> None:
+    at = Edge(Runtime())
+    starting = asyncio.create_task(at.start("heron"))
+    await asyncio.sleep(COLD_START_S / 2)
+    await at.edge.close()
+    await starting
+    assert at.total("upwash_instance_failures_total") == 0
 
 
-def test_what_services_take_is_told_by_instances() -> None:
-    async def story() -> None:
-        runtime = Runtime()
-        at = Edge(runtime)
-        await at.start("heron")
-        for took_s in (0.2, 3.0):
-            runtime.answered[0](AnsweredCall("heron", "process_photo", 60.0, took_s))
-        took_s = at.total(
-            "upwash_service_seconds_sum", server="s1", service="detector", method="process_photo"
-        )
-        assert took_s == pytest.approx(3.2)
-        assert at.total("upwash_service_seconds_bucket", le="0.5") == 1
-        await at.edge.close()
-
-    run_virtually(story())
+@pytest.mark.virtual
+async def test_what_services_take_is_told_by_instances() -> None:
+    runtime = Runtime()
+    at = Edge(runtime)
+    await at.start("heron")
+    for took_s in (0.2, 3.0):
+        runtime.answered[0](AnsweredCall("heron", "process_photo", 60.0, took_s))
+    took_s = at.total("upwash_service_seconds_sum", server="s1", service="detector", method="process_photo")
+    assert took_s == pytest.approx(3.2)
+    assert at.total("upwash_service_seconds_bucket", le="0.5") == 1
+    await at.edge.close()
 
 
-def test_requests_are_counted_by_their_outcome() -> None:
-    async def story() -> None:
-        at = Edge(Runtime())
-        await at.ask("heron")
-        with pytest.raises(Refused):
-            await at.handle(AVAILABILITY, b"garbage", Client("heron"))
-        with pytest.raises(Refused):
-            await at.handle("/upwash.Daemon/Nonsense", b"", Client("heron"))
-        requests = "upwash_requests_total"
-        assert at.total(requests, request="availability", outcome="answered") == 1
-        assert at.total(requests, request="availability", outcome="refused") == 1
-        assert at.total(requests, request="unknown", outcome="refused") == 1
-        assert at.total(requests) == 3
-
-    run_virtually(story())
+@pytest.mark.virtual
+async def test_requests_are_counted_by_their_outcome() -> None:
+    at = Edge(Runtime())
+    await at.ask("heron")
+    with pytest.raises(Refused):
+        await at.handle(AVAILABILITY, b"garbage", Client("heron"))
+    with pytest.raises(Refused):
+        await at.handle("/upwash.Daemon/Nonsense", b"", Client("heron"))
+    requests = "upwash_requests_total"
+    assert at.total(requests, request="availability", outcome="answered") == 1
+    assert at.total(requests, request="availability", outcome="refused") == 1
+    assert at.total(requests, request="unknown", outcome="refused") == 1
+    assert at.total(requests) == 3
 
 
 class Ready:
@@ -246,64 +233,55 @@ class _Running:
         raise InstanceError("never")
 
 
-def test_how_the_daemon_stands_is_looked_at_when_it_is_asked() -> None:
-    async def story() -> None:
-        at = Edge(Ready())
-        at.metrics.look_at(at.edge)
-        assert await offered(at) == {"slots": 1, "leases": 0, "absent": 1, "running": 0, "refused": 0}
-        await at.start("heron")
-        assert await offered(at) == {"slots": 1, "leases": 1, "absent": 0, "running": 1, "refused": 0}
+async def test_how_the_daemon_stands_is_looked_at_when_it_is_asked() -> None:
+    at = Edge(Ready())
+    at.metrics.look_at(at.edge)
+    assert await offered(at) == {"slots": 1, "leases": 0, "absent": 1, "running": 0, "refused": 0}
+    await at.start("heron")
+    assert await offered(at) == {"slots": 1, "leases": 1, "absent": 0, "running": 1, "refused": 0}
+    await at.ask("stork")
+    await at.ask("stork", server="s7")
+    assert await offered(at) == {"slots": 1, "leases": 1, "absent": 0, "running": 1, "refused": 1}
+    elsewhere = await asyncio.to_thread(at.total, "upwash_refusals_total", server="")
+    assert elsewhere == 1, "whatever server strangers name, there is one number for it"
+    expiry = await asyncio.to_thread(at.total, "upwash_certificate_expiry_timestamp_seconds", holder="s1")
+    assert expiry == EXPIRES.timestamp()
+    await at.edge.close()
+
+
+async def test_a_drone_that_waits_is_told_as_such_and_refused_once_however_often_it_asks() -> None:
+    at = Edge(Ready())
+    at.metrics.look_at(at.edge)
+    await at.ask("heron")
+    for _ in range(3):
         await at.ask("stork")
-        await at.ask("stork", server="s7")
-        assert await offered(at) == {"slots": 1, "leases": 1, "absent": 0, "running": 1, "refused": 1}
-        elsewhere = await asyncio.to_thread(at.total, "upwash_refusals_total", server="")
-        assert elsewhere == 1, "whatever server strangers name, there is one number for it"
-        expiry = await asyncio.to_thread(at.total, "upwash_certificate_expiry_timestamp_seconds", holder="s1")
-        assert expiry == EXPIRES.timestamp()
-        await at.edge.close()
-
-    asyncio.run(story())
-
-
-def test_a_drone_that_waits_is_told_as_such_and_refused_once_however_often_it_asks() -> None:
-    async def story() -> None:
-        at = Edge(Ready())
-        at.metrics.look_at(at.edge)
-        await at.ask("heron")
-        for _ in range(3):
-            await at.ask("stork")
-        assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_refusals_total") == [
-            1,
-            0,
-            1,
-        ]
-        at_once = ServerOffer(frozenset({"detector"}), slots=1, turn_s=0.0)
-        await at.edge.reload({"s1": at_once}, images=IMAGES, revoked=frozenset())
-        await at.ask("stork")
-        assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_leases") == [0, 1, 1]
-
-    asyncio.run(story())
+    assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_refusals_total") == [
+        1,
+        0,
+        1,
+    ]
+    at_once = ServerOffer(frozenset({"detector"}), slots=1, turn_s=0.0)
+    await at.edge.reload({"s1": at_once}, images=IMAGES, revoked=frozenset())
+    await at.ask("stork")
+    assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_leases") == [0, 1, 1]
 
 
-def test_what_drones_and_teams_used_is_offered_by_name() -> None:
-    async def story() -> None:
-        runtime = Runtime()
-        at = Edge(runtime)
-        at.metrics.look_at(at.edge)
-        await at.start("north-1")
-        for took_s in (0.5, 0.25):
-            runtime.answered[0](AnsweredCall("north-1", "process_photo", 1.0, took_s))
-        found = await asyncio.to_thread(generate_latest, at.metrics.registry)
-        of_drone = 'drone="north-1",server="s1",team="north"'
-        for line in (
-            f"upwash_drone_calls_total{{{of_drone}}} 2.0",
-            f"upwash_drone_computing_seconds_total{{{of_drone}}} 0.75",
-            'upwash_team_calls_total{server="s1",team="north"} 2.0',
-        ):
-            assert line in found.decode()
-        await at.edge.close()
-
-    asyncio.run(story())
+async def test_what_drones_and_teams_used_is_offered_by_name() -> None:
+    runtime = Runtime()
+    at = Edge(runtime)
+    at.metrics.look_at(at.edge)
+    await at.start("north-1")
+    for took_s in (0.5, 0.25):
+        runtime.answered[0](AnsweredCall("north-1", "process_photo", 1.0, took_s))
+    found = await asyncio.to_thread(generate_latest, at.metrics.registry)
+    of_drone = 'drone="north-1",server="s1",team="north"'
+    for line in (
+        f"upwash_drone_calls_total{{{of_drone}}} 2.0",
+        f"upwash_drone_computing_seconds_total{{{of_drone}}} 0.75",
+        'upwash_team_calls_total{server="s1",team="north"} 2.0',
+    ):
+        assert line in found.decode()
+    await at.edge.close()
 
 
 async def told(at: Edge, *samples: str) -> list[float]:
@@ -390,14 +368,11 @@ def test_a_prometheus_by_a_name_that_was_added_is_answered() -> None:
     assert asked(request, hosts=["host.docker.internal"]).startswith(b"HTTP/1.1 200 ")
 
 
-def test_an_address_in_use_is_named() -> None:
-    async def story() -> None:
-        async with exposed(CollectorRegistry(), "127.0.0.1:0") as address:
-            with pytest.raises(UsageError, match=f"cannot be offered at {address}: .*choose another address"):
-                async with exposed(CollectorRegistry(), address):
-                    pass
-
-    asyncio.run(story())
+async def test_an_address_in_use_is_named() -> None:
+    async with exposed(CollectorRegistry(), "127.0.0.1:0") as address:
+        with pytest.raises(UsageError, match=f"cannot be offered at {address}: .*choose another address"):
+            async with exposed(CollectorRegistry(), address):
+                pass
 
 
 @pytest.mark.parametrize(("listen", "warned"), [("0.0.0.0:0", True), ("127.0.0.1:0", False)])

@@ -36,7 +36,6 @@ from upwash.real.trust import authority as module
 from upwash.real.trust.authority import keys_in, make_keys
 from upwash.real.trust.credentials import Credentials, Trust, fingerprint, read_credentials
 from upwash.real.trust.secrets import load_secret
-from upwash.sim.loop import run_virtually
 from upwash.support.background import never
 
 ReadCredentials = Callable[[str], Credentials]
@@ -459,44 +458,39 @@ def test_frames_are_counted_however_they_are_cut(kinds: list[int], size: int, pa
     assert whole == Counter(names[kind] for kind in kinds)
 
 
-def test_the_oldest_of_a_crowded_group_goes_and_of_the_largest_where_all_are_too_many() -> None:
-    async def scenario() -> None:
-        limits = ConnectionLimits(3, per_group=2)
-        a1, a2, b1, a3, c1 = tasks = [asyncio.create_task(never()) for _ in range(5)]
-        for task, group in ((a1, "a"), (a2, "a"), (b1, "b")):
-            limits.add(task, group)
-        assert not any(task.cancelling() for task in tasks)
-        limits.add(a3, "a")
-        assert [task.cancelling() for task in tasks] == [1, 0, 0, 0, 0]
-        limits.add(c1, "c")
-        assert [task.cancelling() for task in tasks] == [1, 1, 0, 0, 0]
-        limits.remove(b1)
-        limits.remove(b1)
-        assert len(limits) == 2
-        for task in tasks:
-            task.cancel()
-
-    asyncio.run(scenario())
+async def test_the_oldest_of_a_crowded_group_goes_and_of_the_largest_where_all_are_too_many() -> None:
+    limits = ConnectionLimits(3, per_group=2)
+    a1, a2, b1, a3, c1 = tasks = [asyncio.create_task(never()) for _ in range(5)]
+    for task, group in ((a1, "a"), (a2, "a"), (b1, "b")):
+        limits.add(task, group)
+    assert not any(task.cancelling() for task in tasks)
+    limits.add(a3, "a")
+    assert [task.cancelling() for task in tasks] == [1, 0, 0, 0, 0]
+    limits.add(c1, "c")
+    assert [task.cancelling() for task in tasks] == [1, 1, 0, 0, 0]
+    limits.remove(b1)
+    limits.remove(b1)
+    assert len(limits) == 2
+    for task in tasks:
+        task.cancel()
 
 
-def test_who_asks_again_and_again_keeps_nobody_else_out() -> None:
-    async def scenario() -> None:
-        limit, now_s = RateLimit(20.0), asyncio.get_running_loop().time
+@pytest.mark.virtual
+async def test_who_asks_again_and_again_keeps_nobody_else_out() -> None:
+    limit, now_s = RateLimit(20.0), asyncio.get_running_loop().time
 
-        async def ask_again_and_again() -> None:
-            while True:
-                await limit.wait()
-
-        crowd = [asyncio.create_task(ask_again_and_again()) for _ in range(10)]
-        for _ in range(100):
-            await asyncio.sleep(0.05)
-            asked_s = now_s()
+    async def ask_again_and_again() -> None:
+        while True:
             await limit.wait()
-            assert now_s() - asked_s < 12 / 20
-        for task in crowd:
-            task.cancel()
 
-    run_virtually(scenario())
+    crowd = [asyncio.create_task(ask_again_and_again()) for _ in range(10)]
+    for _ in range(100):
+        await asyncio.sleep(0.05)
+        asked_s = now_s()
+        await limit.wait()
+        assert now_s() - asked_s < 12 / 20
+    for task in crowd:
+        task.cancel()
 
 
 def test_a_way_in_that_fails_ends_the_door_with_its_failure(

@@ -8,7 +8,8 @@ import runpy
 import shutil
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -97,87 +98,68 @@ while call := read():
             write({"id": call["id"]})
 """
 Call = Callable[..., Awaitable[Any]]
-Use = Callable[[Call, LocalInstance], Awaitable[None]]
 
 
-def with_started(
-    folder: Path,
-    use: Use,
-    *,
-    sandboxed: bool = False,
-    **settings: object,
-) -> None:
+def started(
+    folder: Path, *, sandboxed: bool = False, **settings: object
+) -> AbstractAsyncContextManager[tuple[Call, LocalInstance]]:
     (folder / "declared.py").write_text(DECLARED)
     (folder / "program.py").write_text(PROGRAM)
     command = (sys.executable, str(folder / "program.py"))
-    run_service(Program(f"{folder}/declared.py:Foreign", settings, command), folder, use, sandboxed=sandboxed)
+    return run_service(
+        Program(f"{folder}/declared.py:Foreign", settings, command), folder, sandboxed=sandboxed
+    )
 
 
-def run_service(
-    program: Program,
-    folder: Path,
-    use: Use,
-    *,
-    sandboxed: bool = False,
-) -> None:
+@asynccontextmanager
+async def run_service(
+    program: Program, folder: Path, *, sandboxed: bool = False
+) -> AsyncIterator[tuple[Call, LocalInstance]]:
     try:
         sandbox = find_sandbox(readable=()) if sandboxed else None
     except UsageError as why:
         pytest.skip(str(why))
     spec = spec_of(load_service(program.path))
+    runtime = ProcessRuntime(
+        lambda _: f"unix:{folder}/s.sock", max_message_bytes=MAX_MESSAGE_BYTES, sandbox=sandbox
+    )
+    instance = await runtime.start(
+        InstanceSpec("s1", spec.name, program, methods=frozenset(spec.methods)), called=lambda _: None
+    )
+    link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(instance.endpoint, server="s1")
 
-    async def story() -> None:
-        runtime = ProcessRuntime(
-            lambda _: f"unix:{folder}/s.sock", max_message_bytes=MAX_MESSAGE_BYTES, sandbox=sandbox
-        )
-        instance = await runtime.start(
-            InstanceSpec("s1", spec.name, program, methods=frozenset(spec.methods)), called=lambda _: None
-        )
-        link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(
-            instance.endpoint, server="s1"
-        )
+    async def call(name: str, *arguments: object) -> Any:
+        method = spec.methods[name]
+        _, request = method.encode(arguments, {})
+        reply = await link.request(service_path(spec.name, name), request, timeout_s=10.0)
+        return method.result(method.decode(reply))
 
-        async def call(name: str, *arguments: object) -> Any:
-            method = spec.methods[name]
-            _, request = method.encode(arguments, {})
-            return method.result(
-                method.decode(await link.request(service_path(spec.name, name), request, timeout_s=10.0))
-            )
-
-        try:
-            await instance.admit(frozenset({"heron"}))
-            await use(call, instance)
-        finally:
-            await link.close()
-            await instance.stop()
-
-    asyncio.run(story())
+    try:
+        await instance.admit(frozenset({"heron"}))
+        yield call, instance
+    finally:
+        await link.close()
+        await instance.stop()
 
 
-def test_calls_are_computed_by_the_program_with_its_settings(tmp_path: Path) -> None:
-    async def use(call: Call, _: LocalInstance) -> None:
+async def test_calls_are_computed_by_the_program_with_its_settings(tmp_path: Path) -> None:
+    async with started(tmp_path, factor=3) as (call, _):
         assert [await call("times", number) for number in (1, -2, 2**40)] == [3, -6, 3 * 2**40]
-
-    with_started(tmp_path, use, factor=3)
 
 
 @pytest.mark.sandbox
-def test_in_a_sandbox_too(tmp_path: Path) -> None:
-    async def use(call: Call, _: LocalInstance) -> None:
+async def test_in_a_sandbox_too(tmp_path: Path) -> None:
+    async with started(tmp_path, sandboxed=True, factor=3) as (call, _):
         assert await call("times", 14) == 42
 
-    with_started(tmp_path, use, sandboxed=True, factor=3)
 
-
-def test_as_many_calls_are_under_way_as_declared_and_answers_come_in_any_order(tmp_path: Path) -> None:
-    async def use(call: Call, _: LocalInstance) -> None:
+async def test_as_many_calls_are_under_way_as_declared_and_answers_come_in_any_order(tmp_path: Path) -> None:
+    async with started(tmp_path) as (call, _):
         assert list(await asyncio.gather(call("meet", 1), call("meet", 2))) == [1, 2]
 
-    with_started(tmp_path, use)
 
-
-def test_a_fault_is_an_exception_of_its_class_or_the_services_own(tmp_path: Path) -> None:
-    async def use(call: Call, _: LocalInstance) -> None:
+async def test_a_fault_is_an_exception_of_its_class_or_the_services_own(tmp_path: Path) -> None:
+    async with started(tmp_path) as (call, _):
         with pytest.raises(KeyError, match="lost"):
             await call("misbehave", "raise")
         with pytest.raises(ServiceError, match="Panic: index out of bounds"):
@@ -187,8 +169,6 @@ def test_a_fault_is_an_exception_of_its_class_or_the_services_own(tmp_path: Path
         ):
             await call("misbehave", "another type")
         assert await call("times", 2) == 2
-
-    with_started(tmp_path, use)
 
 
 @pytest.mark.parametrize(
@@ -206,16 +186,14 @@ def test_a_fault_is_an_exception_of_its_class_or_the_services_own(tmp_path: Path
         ),
     ],
 )
-def test_a_program_that_ends_or_says_what_is_no_answer_ends_the_instance_with_the_reason(
+async def test_a_program_that_ends_or_says_what_is_no_answer_ends_the_instance_with_the_reason(
     tmp_path: Path, how: str, end: str
 ) -> None:
-    async def use(call: Call, instance: LocalInstance) -> None:
+    async with started(tmp_path) as (call, instance):
         with pytest.raises(LinkError):
             await call("misbehave", how)
         async with asyncio.timeout(10.0):
             assert end in await instance.exited()
-
-    with_started(tmp_path, use)
 
 
 @pytest.mark.parametrize(
@@ -225,12 +203,12 @@ def test_a_program_that_ends_or_says_what_is_no_answer_ends_the_instance_with_th
         (-1, r"python\S* did not answer to its settings: .*code 4"),
     ],
 )
-def test_a_program_that_does_not_take_its_settings_says_why(tmp_path: Path, factor: int, said: str) -> None:
-    async def use(_: Call, __: LocalInstance) -> None:
-        pytest.fail("it started")
-
+async def test_a_program_that_does_not_take_its_settings_says_why(
+    tmp_path: Path, factor: int, said: str
+) -> None:
     with pytest.raises(InstanceError, match=said):
-        with_started(tmp_path, use, factor=factor)
+        async with started(tmp_path, factor=factor):
+            pytest.fail("it started")
 
 
 REFUSES = """
@@ -255,13 +233,12 @@ def test_a_program_that_does_not_start_leaves_no_process_and_no_pipe(program: st
     assert len(os.listdir("/proc/self/fd")) == len(before)  # noqa: PTH208
 
 
-def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
-    async def use(_: Call, __: LocalInstance) -> None:
-        pytest.fail("it started")
-
+async def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
     (tmp_path / "declared.py").write_text(DECLARED)
+    nowhere = Program(f"{tmp_path}/declared.py:Foreign", {}, ("nowhere",))
     with pytest.raises(InstanceError, match="nowhere cannot be run: No such file"):
-        run_service(Program(f"{tmp_path}/declared.py:Foreign", {}, ("nowhere",)), tmp_path, use)
+        async with run_service(nowhere, tmp_path):
+            pytest.fail("it started")
 
 
 # --- the example in C++ -------------------------------------------------------------------------------------
@@ -291,19 +268,16 @@ def test_the_program_in_cpp_answers_as_the_test_vectors_say(detail: Path) -> Non
 
 
 @pytest.mark.sandbox
-def test_the_example_in_cpp_answers_as_its_class_does(detail: Path, tmp_path: Path) -> None:
+async def test_the_example_in_cpp_answers_as_its_class_does(detail: Path, tmp_path: Path) -> None:
     for name in ("detail.py", "server.toml"):
         shutil.copy(EXAMPLE / name, tmp_path)
     shutil.copy(detail, tmp_path / "detail")
     program = load_services(read_daemon_config(tmp_path / "server.toml").images)["detail"].program
     twin = load_service(program.path)()
-
-    async def use(call: Call, _: LocalInstance) -> None:
+    async with run_service(program, tmp_path) as (call, _):
         for photo in (bytes(range(256)) * 3, bytes(50_000), b"photo"):
             found, expected = await call("measure", photo), twin.measure(photo)
             assert found.bits_per_byte == pytest.approx(expected.bits_per_byte)
             assert found.is_blank == expected.is_blank
         with pytest.raises(ValueError, match="the photo is empty"):
             await call("measure", b"")
-
-    run_service(program, tmp_path, use)

@@ -224,23 +224,20 @@ def test_nobody_at_the_address_is_said_at_once(tmp_path: Path) -> None:
         assert time.monotonic() - began_s < 5.0
 
 
-def test_a_server_that_stops_ends_the_request_under_way() -> None:
-    async def ask() -> None:
-        handler = Stuck()
-        stuck = Listener(
-            "127.0.0.1:0", Requests(handler, max_message_bytes=MAX_MESSAGE_BYTES, concurrent=4, each=4)
-        )
-        with started(stuck) as listener:
-            async with linked(listener.address) as link:
-                asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
-                await entering(handler)
-                stopping = asyncio.create_task(asyncio.to_thread(listener.stop))
-                with pytest.raises(Unreachable):
-                    await asyncio.wait_for(asking, 5.0)
-                handler.let_go.set()
-                await stopping
-
-    asyncio.run(ask())
+async def test_a_server_that_stops_ends_the_request_under_way() -> None:
+    handler = Stuck()
+    stuck = Listener(
+        "127.0.0.1:0", Requests(handler, max_message_bytes=MAX_MESSAGE_BYTES, concurrent=4, each=4)
+    )
+    with started(stuck) as listener:
+        async with linked(listener.address) as link:
+            asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
+            await entering(handler)
+            stopping = asyncio.create_task(asyncio.to_thread(listener.stop))
+            with pytest.raises(Unreachable):
+                await asyncio.wait_for(asking, 5.0)
+            handler.let_go.set()
+            await stopping
 
 
 def test_a_cancelled_request_tells_the_server() -> None:

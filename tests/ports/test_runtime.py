@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -99,16 +99,6 @@ async def running(
     expect_no_child()
 
 
-def with_bench(
-    services: Path, folder: Path, use: Callable[[Bench], Coroutine[Any, Any, None]], **settings: Any
-) -> None:
-    async def run() -> None:
-        async with running(services, folder, **settings) as bench:
-            await use(bench)
-
-    asyncio.run(run())
-
-
 def gone(*process_ids: int) -> bool:
     """Whether all of these end within a few seconds."""
     give_up_s = time.monotonic() + 5.0
@@ -122,34 +112,31 @@ def gone(*process_ids: int) -> bool:
 # --- starting -----------------------------------------------------------------------------------------------
 
 
-def test_an_instance_answers_from_a_process_in_a_session_of_its_own(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_an_instance_answers_from_a_process_in_a_session_of_its_own(
+    services: Path, tmp_path: Path
+) -> None:
+    async with running(services, tmp_path) as bench:
         assert await bench.call("echo", b"photo") == b"photo"
         process_id = await bench.call("process_id")
         assert process_id != os.getpid()
         assert os.getsid(process_id) == os.getpgid(process_id) == process_id
 
-    with_bench(services, tmp_path, use)
 
-
-def test_an_instance_with_certificates_is_told_by_its_port(
+async def test_an_instance_with_certificates_is_told_by_its_port(
     services: Path, credentials: Callable[[str], Credentials]
 ) -> None:
-    async def use() -> None:
-        async with certified_processes(credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES) as certified:
-            instance = await certified.start(spec(services), called=lambda _: None)
-            dialer = GrpcDialer("stork", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
-            link = dialer.dial(reached(instance.endpoint), server="s1")
-            try:
-                assert int(instance.endpoint.removeprefix(":")) > 0
-                await instance.admit(frozenset({fingerprint(credentials("heron").certificate)}))
-                bench = Bench(instance, link, spec(services).program.path)
-                assert await bench.call("echo", b"photo") == b"photo"
-            finally:
-                await link.close()
-                await instance.stop()
-
-    asyncio.run(use())
+    async with certified_processes(credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES) as certified:
+        instance = await certified.start(spec(services), called=lambda _: None)
+        dialer = GrpcDialer("stork", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+        link = dialer.dial(reached(instance.endpoint), server="s1")
+        try:
+            assert int(instance.endpoint.removeprefix(":")) > 0
+            await instance.admit(frozenset({fingerprint(credentials("heron").certificate)}))
+            bench = Bench(instance, link, spec(services).program.path)
+            assert await bench.call("echo", b"photo") == b"photo"
+        finally:
+            await link.close()
+            await instance.stop()
 
 
 @pytest.mark.parametrize(
@@ -159,28 +146,22 @@ def test_an_instance_with_certificates_is_told_by_its_port(
         ("Tuner", {"note": "a", "tuned": {"gain": 2.5, "mode": "heavy"}}, "a: 2.5 heavy None"),
     ],
 )
-def test_an_instance_is_made_with_its_settings_and_those_of_what_it_uses(
+async def test_an_instance_is_made_with_its_settings_and_those_of_what_it_uses(
     services: Path, tmp_path: Path, cls: str, settings: dict[str, object], made: str
 ) -> None:
     what = spec(services, cls, settings=settings)
-
-    async def use() -> None:
-        instance = await runtime(tmp_path).start(what, called=lambda _: None)
-        link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(
-            instance.endpoint, server="s1"
+    instance = await runtime(tmp_path).start(what, called=lambda _: None)
+    link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(instance.endpoint, server="s1")
+    method = spec_of(load_service(what.program.path)).methods["made"]
+    try:
+        await instance.admit(HERON)
+        reply = await link.request(
+            service_path(cls.lower(), "made"), method.encode((), {})[1], timeout_s=10.0
         )
-        method = spec_of(load_service(what.program.path)).methods["made"]
-        try:
-            await instance.admit(HERON)
-            reply = await link.request(
-                service_path(cls.lower(), "made"), method.encode((), {})[1], timeout_s=10.0
-            )
-            assert method.result(method.decode(reply)) == made
-        finally:
-            await link.close()
-            await instance.stop()
-
-    asyncio.run(use())
+        assert method.result(method.decode(reply)) == made
+    finally:
+        await link.close()
+        await instance.stop()
 
 
 @pytest.mark.parametrize(
@@ -192,54 +173,43 @@ def test_an_instance_is_made_with_its_settings_and_those_of_what_it_uses(
         ("Overheated", "overheated@s1 did not start: .*put @service above"),
     ],
 )
-def test_a_service_that_cannot_start_says_why_and_leaves_nothing(
+async def test_a_service_that_cannot_start_says_why_and_leaves_nothing(
     services: Path, tmp_path: Path, cls: str, said: str
 ) -> None:
     def left() -> tuple[int, list[Path]]:
         return len(os.listdir("/proc/self/fd")), list(tmp_path.glob("*.sock*"))  # noqa: PTH208
 
-    async def use() -> None:
-        with pytest.raises(InstanceError, match=said):
-            await runtime(tmp_path).start(spec(services, cls), called=lambda _: None)
-        before = left()  # the loop has opened what it needs
-        with pytest.raises(InstanceError, match=said):
-            await runtime(tmp_path).start(spec(services, cls), called=lambda _: None)
-        expect_no_child()
-        assert left() == before == (before[0], [])
-
-    asyncio.run(use())
+    with pytest.raises(InstanceError, match=said):
+        await runtime(tmp_path).start(spec(services, cls), called=lambda _: None)
+    before = left()  # the loop has opened what it needs
+    with pytest.raises(InstanceError, match=said):
+        await runtime(tmp_path).start(spec(services, cls), called=lambda _: None)
+    expect_no_child()
+    assert left() == before == (before[0], [])
 
 
-def test_a_reason_of_any_length_is_an_instance_error(tmp_path: Path) -> None:
+async def test_a_reason_of_any_length_is_an_instance_error(tmp_path: Path) -> None:
     program = tmp_path / "wordy.py"
     program.write_text("raise ValueError('x' * 200_000)")
-
-    async def use() -> None:
-        with pytest.raises(InstanceError, match="did not start"):
-            await runtime(tmp_path).start(
-                InstanceSpec("s1", "wordy", Program(f"{program}:Wordy")), called=lambda _: None
-            )
-
-    asyncio.run(use())
+    with pytest.raises(InstanceError, match="did not start"):
+        await runtime(tmp_path).start(
+            InstanceSpec("s1", "wordy", Program(f"{program}:Wordy")), called=lambda _: None
+        )
 
 
-def test_a_start_that_is_cancelled_leaves_nothing(
+async def test_a_start_that_is_cancelled_leaves_nothing(
     services: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = tmp_path / "process_id"
     monkeypatch.setenv("PROCESS_ID_FILE", str(told))
-
-    async def use() -> None:
-        starting = asyncio.create_task(
-            runtime(tmp_path).start(spec(services, "SlowToStart"), called=lambda _: None)
-        )
-        process_id = await asyncio.to_thread(read_when_written, told)
-        starting.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await starting
-        assert not is_alive(process_id)
-
-    asyncio.run(use())
+    starting = asyncio.create_task(
+        runtime(tmp_path).start(spec(services, "SlowToStart"), called=lambda _: None)
+    )
+    process_id = await asyncio.to_thread(read_when_written, told)
+    starting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await starting
+    assert not is_alive(process_id)
 
 
 @pytest.mark.parametrize("turns", range(1, 6))
@@ -292,10 +262,10 @@ def read_when_written(file: Path) -> int:
 # --- admitting and calling ----------------------------------------------------------------------------------
 
 
-def test_only_admitted_drones_are_answered_from_the_moment_that_admit_returns(
+async def test_only_admitted_drones_are_answered_from_the_moment_that_admit_returns(
     services: Path, tmp_path: Path
 ) -> None:
-    async def use(bench: Bench) -> None:
+    async with running(services, tmp_path, admitted=frozenset()) as bench:
         for _ in range(50):
             for admitted in (frozenset({"stork"}), frozenset({"stork", "heron"}), frozenset[str]()):
                 await bench.instance.admit(admitted)
@@ -305,24 +275,20 @@ def test_only_admitted_drones_are_answered_from_the_moment_that_admit_returns(
                     with pytest.raises(Refused, match="drone heron has no lease here"):
                         await bench.call("echo", b"photo")
 
-    with_bench(services, tmp_path, use, admitted=frozenset())
 
-
-def test_admissions_at_the_same_time_end_in_the_order_in_which_they_began(
+async def test_admissions_at_the_same_time_end_in_the_order_in_which_they_began(
     services: Path, tmp_path: Path
 ) -> None:
-    async def use(bench: Bench) -> None:
+    async with running(services, tmp_path) as bench:
         admitted = [frozenset({"stork"}), HERON] * 20
         await asyncio.gather(*(bench.instance.admit(each) for each in admitted))
         assert await bench.call("echo", b"photo") == b"photo"
 
-    with_bench(services, tmp_path, use)
 
-
-def test_a_drone_whose_calls_are_let_in_is_reported_at_least_every_other_second(
+async def test_a_drone_whose_calls_are_let_in_is_reported_at_least_every_other_second(
     services: Path, tmp_path: Path
 ) -> None:
-    async def use(bench: Bench) -> None:
+    async with running(services, tmp_path, admitted=frozenset()) as bench:
         with pytest.raises(Refused):
             await bench.call("echo", b"photo")
         await bench.instance.admit(HERON)  # what the instance reported before it has been heard by now
@@ -332,11 +298,9 @@ def test_a_drone_whose_calls_are_let_in_is_reported_at_least_every_other_second(
         await bench.instance.admit(HERON)
         assert bench.called == ["heron", "heron"]
 
-    with_bench(services, tmp_path, use, admitted=frozenset())
 
-
-def test_a_call_that_nobody_waits_for_any_more_is_not_run(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_call_that_nobody_waits_for_any_more_is_not_run(services: Path, tmp_path: Path) -> None:
+    async with running(services, tmp_path) as bench:
         first = asyncio.create_task(bench.call("pause", 0.5))
         await asyncio.sleep(0.1)
         second = asyncio.create_task(bench.call("crash"))
@@ -345,34 +309,26 @@ def test_a_call_that_nobody_waits_for_any_more_is_not_run(services: Path, tmp_pa
         await first
         assert await bench.call("echo", b"still here") == b"still here"
 
-    with_bench(services, tmp_path, use)
 
-
-def test_a_call_of_a_method_that_is_not_there_is_refused(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_call_of_a_method_that_is_not_there_is_refused(services: Path, tmp_path: Path) -> None:
+    async with running(services, tmp_path) as bench:
         for path in (service_path("workbench", "__init__"), service_path("another", "echo")):
             with pytest.raises(Refused, match="no method"):
                 await bench.link.request(path, b"", timeout_s=5.0)
 
-    with_bench(services, tmp_path, use)
 
-
-def test_the_services_own_exception_arrives_as_its_class(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_the_services_own_exception_arrives_as_its_class(services: Path, tmp_path: Path) -> None:
+    async with running(services, tmp_path) as bench:
         with pytest.raises(Exception, match=r"91\.5 °C") as caught:
             await bench.call("fail")
         assert type(caught.value).__name__ == "Overheated"
 
-    with_bench(services, tmp_path, use)
 
-
-def test_a_service_that_wants_to_exit_answers_and_goes_on(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_service_that_wants_to_exit_answers_and_goes_on(services: Path, tmp_path: Path) -> None:
+    async with running(services, tmp_path) as bench:
         with pytest.raises(Exception, match="the service wants to end"):
             await bench.call("leave", timeout_s=2.0)
         assert await bench.call("echo", b"photo") == b"photo"
-
-    with_bench(services, tmp_path, use)
 
 
 def test_a_paced_start_takes_its_time(services: Path, tmp_path: Path) -> None:
@@ -388,39 +344,37 @@ def test_a_paced_start_takes_its_time(services: Path, tmp_path: Path) -> None:
     expect_no_child()
 
 
-def test_a_paced_call_takes_its_time_and_no_longer(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_paced_call_takes_its_time_and_no_longer(services: Path, tmp_path: Path) -> None:
+    async with running(services, tmp_path, pace_s={"heavy": 0.3}) as bench:
         for mode, at_least_s, at_most_s in (("heavy", 0.3, 1.0), ("light", 0.0, 0.25)):
             began_s = time.monotonic()
             assert await bench.call("work", mode) == mode
             assert at_least_s <= time.monotonic() - began_s < at_most_s
 
-    with_bench(services, tmp_path, use, pace_s={"heavy": 0.3})
 
-
-def test_a_paced_call_takes_longer_in_air_that_is_too_hot(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_paced_call_takes_longer_in_air_that_is_too_hot(services: Path, tmp_path: Path) -> None:
+    async with running(
+        services, tmp_path, pace_s={"heavy": 0.3}, heats=Surroundings(ambient_c=85.0, load_w=4.0)
+    ) as bench:
         began_s = time.monotonic()
         assert await bench.call("work", "heavy") == "heavy"
         assert time.monotonic() - began_s >= 0.45  # at two thirds of the frequency
 
-    with_bench(services, tmp_path, use, pace_s={"heavy": 0.3}, heats=Surroundings(ambient_c=85.0, load_w=4.0))
-
 
 @pytest.mark.parametrize("length", [10, 1_000_000])
-def test_a_service_may_print_without_ending_the_line(services: Path, tmp_path: Path, length: int) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_service_may_print_without_ending_the_line(
+    services: Path, tmp_path: Path, length: int
+) -> None:
+    async with running(services, tmp_path) as bench:
         await bench.call("print_without_end", length, timeout_s=3.0)
         assert await bench.call("echo", b"photo", timeout_s=3.0) == b"photo"
-
-    with_bench(services, tmp_path, use)
 
 
 # --- ending -------------------------------------------------------------------------------------------------
 
 
-def test_a_killed_instance_says_so_with_its_last_words(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_killed_instance_says_so_with_its_last_words(services: Path, tmp_path: Path) -> None:
+    async with running(services, tmp_path) as bench:
         await bench.call("say", "the camera is wet")
         os.kill(await bench.call("process_id"), signal.SIGKILL)
         how = await asyncio.wait_for(bench.instance.exited(), 5.0)
@@ -428,20 +382,20 @@ def test_a_killed_instance_says_so_with_its_last_words(services: Path, tmp_path:
         with pytest.raises(Unreachable):
             await bench.call("echo", b"photo")
 
-    with_bench(services, tmp_path, use)
 
-
-def test_a_crash_in_a_call_ends_the_call_and_is_told_by_its_code(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_a_crash_in_a_call_ends_the_call_and_is_told_by_its_code(
+    services: Path, tmp_path: Path
+) -> None:
+    async with running(services, tmp_path) as bench:
         with pytest.raises(Unreachable):
             await bench.call("crash")
         assert await asyncio.wait_for(bench.instance.exited(), 5.0) == "ended with code 3"
 
-    with_bench(services, tmp_path, use)
 
-
-def test_an_instance_that_is_gone_admits_nobody_and_says_so_at_once(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_an_instance_that_is_gone_admits_nobody_and_says_so_at_once(
+    services: Path, tmp_path: Path
+) -> None:
+    async with running(services, tmp_path) as bench:
         os.kill(await bench.call("process_id"), signal.SIGKILL)
         for _ in range(2):
             with pytest.raises(InstanceError, match="gone"):
@@ -450,12 +404,10 @@ def test_an_instance_that_is_gone_admits_nobody_and_says_so_at_once(services: Pa
         with pytest.raises(InstanceError, match="gone"):
             await asyncio.wait_for(bench.instance.admit(HERON), 2.0)
 
-    with_bench(services, tmp_path, use)
-
 
 @pytest.mark.parametrize("crash", [True, False])
-def test_what_a_service_started_ends_with_it(services: Path, tmp_path: Path, crash: bool) -> None:
-    async def use(bench: Bench) -> None:
+async def test_what_a_service_started_ends_with_it(services: Path, tmp_path: Path, crash: bool) -> None:
+    async with running(services, tmp_path) as bench:
         child = await bench.call("spawn")
         assert is_alive(child)
         if crash:
@@ -465,11 +417,9 @@ def test_what_a_service_started_ends_with_it(services: Path, tmp_path: Path, cra
             await bench.instance.stop()
         assert await asyncio.to_thread(gone, child)
 
-    with_bench(services, tmp_path, use)
 
-
-def test_stopping_ends_the_call_under_way_and_can_be_repeated(services: Path, tmp_path: Path) -> None:
-    async def use(bench: Bench) -> None:
+async def test_stopping_ends_the_call_under_way_and_can_be_repeated(services: Path, tmp_path: Path) -> None:
+    async with running(services, tmp_path) as bench:
         calling = asyncio.create_task(bench.call("pause", 60.0))
         await bench.busy.wait()
         began_s = time.monotonic()
@@ -480,8 +430,6 @@ def test_stopping_ends_the_call_under_way_and_can_be_repeated(services: Path, tm
         with pytest.raises(Unreachable):
             await calling
         assert "SIGTERM" in await bench.instance.exited()
-
-    with_bench(services, tmp_path, use)
 
 
 PARENT = """

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
+import itertools
 import mmap
 import os
 import platform
@@ -13,7 +13,8 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,67 +55,57 @@ def sandbox() -> Sandbox:
         pytest.skip(str(error))
 
 
-def in_sandbox(sandbox: Sandbox, folder: Path, do: Callable[[Call, LocalInstance], Awaitable[None]]) -> None:
-    """Does something with an instance of the mischief, beside a neighbour that must answer before and after."""
+@asynccontextmanager
+async def in_sandbox(sandbox: Sandbox, folder: Path) -> AsyncIterator[tuple[Call, LocalInstance]]:
+    """An instance of the mischief and its calls, beside a neighbour that must answer before and after."""
+    runtime = processes(sandbox, folder)
+    dialer = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES)
+    methods = spec_of(load_service(PROGRAM)).methods
+    instances = [await runtime.start(SPEC, called=lambda _: None) for _ in range(2)]
+    links = [dialer.dial(instance.endpoint, server="s1") for instance in instances]
 
-    async def run() -> None:
-        numbers = iter(range(100))
-        runtime = ProcessRuntime(
-            lambda _: f"unix:{folder}/{next(numbers)}.sock",
-            max_message_bytes=MAX_MESSAGE_BYTES,
-            sandbox=sandbox,
-        )
-        dialer = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES)
-        methods = spec_of(load_service(PROGRAM)).methods
-        instances = [await runtime.start(SPEC, called=lambda _: None) for _ in range(2)]
-        links = [dialer.dial(instance.endpoint, server="s1") for instance in instances]
+    async def call(name: str, *arguments: object, at: int = 0, **named: object) -> Any:
+        method = methods[name]
+        _, request = method.encode(arguments, named)
+        reply = await links[at].request(service_path("mischief", name), request, timeout_s=CALL_S)
+        return method.result(method.decode(reply))
 
-        async def call(name: str, *arguments: object, at: int = 0, **named: object) -> Any:
-            method = methods[name]
-            _, request = method.encode(arguments, named)
-            reply = await links[at].request(service_path("mischief", name), request, timeout_s=CALL_S)
-            return method.result(method.decode(reply))
-
-        try:
-            for instance in instances:
-                await instance.admit(frozenset({"heron"}))
-            seen = await call("processes", at=1)
-            await do(call, instances[0])
-            assert set(await call("processes", at=1)) >= set(seen), "the neighbour is not as before"
-        finally:
-            for link, instance in zip(links, instances, strict=True):
-                await link.close()
-                await instance.stop()
-        expect_no_child()
-
-    asyncio.run(run())
+    try:
+        for instance in instances:
+            await instance.admit(frozenset({"heron"}))
+        seen = await call("processes", at=1)
+        yield call, instances[0]
+        assert set(await call("processes", at=1)) >= set(seen), "the neighbour is not as before"
+    finally:
+        for link, instance in zip(links, instances, strict=True):
+            await link.close()
+            await instance.stop()
+    expect_no_child()
 
 
-def test_it_gets_no_more_memory_than_its_limit_and_goes_on(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def eat(call: Call, _: LocalInstance) -> None:
+def processes(sandbox: Sandbox, folder: Path) -> ProcessRuntime:
+    numbers = itertools.count()
+    return ProcessRuntime(
+        lambda _: f"unix:{folder}/{next(numbers)}.sock", max_message_bytes=MAX_MESSAGE_BYTES, sandbox=sandbox
+    )
+
+
+async def test_it_gets_no_more_memory_than_its_limit_and_goes_on(sandbox: Sandbox, tmp_path: Path) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         assert await call("eat_memory", 2**30) < LIMITS.memory_bytes
         assert await call("eat_memory", 2**25) == 2**25
 
-    in_sandbox(sandbox, tmp_path, eat)
-
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one processor")
-def test_instances_that_may_use_one_processor_are_spread_over_all(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def run() -> list[set[int]]:
-        numbers, before = iter(range(9)), set(children(os.getpid()))
-        runtime = ProcessRuntime(
-            lambda _: f"unix:{tmp_path}/{next(numbers)}.sock",
-            max_message_bytes=MAX_MESSAGE_BYTES,
-            sandbox=sandbox,
-        )
-        spec = replace(SPEC, limits=replace(LIMITS, cpus=1))
-        instances = [await runtime.start(spec, called=lambda _: None) for _ in range(2)]
-        found = [os.sched_getaffinity(each) for each in set(children(os.getpid())) - before]
-        for instance in instances:
-            await instance.stop()
-        return found
-
-    first, second = asyncio.run(run())
+async def test_instances_that_may_use_one_processor_are_spread_over_all(
+    sandbox: Sandbox, tmp_path: Path
+) -> None:
+    before, runtime = set(children(os.getpid())), processes(sandbox, tmp_path)
+    spec = replace(SPEC, limits=replace(LIMITS, cpus=1))
+    instances = [await runtime.start(spec, called=lambda _: None) for _ in range(2)]
+    first, second = (os.sched_getaffinity(each) for each in set(children(os.getpid())) - before)
+    for instance in instances:
+        await instance.stop()
     assert len(first) == len(second) == 1
     assert first != second
 
@@ -141,23 +132,19 @@ def test_all_that_follows_holds_for_a_daemon_of_a_user_without_rights() -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="Linux does not limit the processes of root")
-def test_it_gets_no_more_processes_than_its_limit(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def fork(call: Call, _: LocalInstance) -> None:
+async def test_it_gets_no_more_processes_than_its_limit(sandbox: Sandbox, tmp_path: Path) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         with contextlib.suppress(LinkError):  # gRPC in it could start no thread any more, or ended it
             assert await call("fork", 500) < LIMITS.processes
         assert await call("fork", 10, at=1) == 10, "its neighbour has processes of its own"
 
-    in_sandbox(sandbox, tmp_path, fork)
 
-
-def test_processes_that_it_left_behind_end_with_it(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def fork(call: Call, instance: LocalInstance) -> None:
+async def test_processes_that_it_left_behind_end_with_it(sandbox: Sandbox, tmp_path: Path) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, instance):
         assert await call("fork", 10) == 10
         assert len(await call("processes")) >= 12
         await instance.stop()
         assert sleeping_here(str(tmp_path)) == []
-
-    in_sandbox(sandbox, tmp_path, fork)
 
 
 def sleeping_here(folder: str) -> list[str]:
@@ -173,34 +160,29 @@ def sleeping_here(folder: str) -> list[str]:
     return found
 
 
-def test_it_can_write_nowhere_but_into_its_own_tmp_and_no_more_than_its_limit(
+async def test_it_can_write_nowhere_but_into_its_own_tmp_and_no_more_than_its_limit(
     sandbox: Sandbox, tmp_path: Path
 ) -> None:
-    async def fill(call: Call, _: LocalInstance) -> None:
+    before = sorted(tmp_path.iterdir())
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         assert 0 < await call("fill", "/tmp", 2**26) <= LIMITS.disk_bytes
         assert await call("fill", "/dev/shm", 2**26) <= LIMITS.disk_bytes
         for folder in ("/", "/dev", "/usr", "/etc", str(Path(PROGRAM).parent), str(tmp_path), sys.prefix):
             assert await call("fill", folder, 2**26) == 0, folder
-
-    before = sorted(tmp_path.iterdir())
-    in_sandbox(sandbox, tmp_path, fill)
     assert [each for each in tmp_path.iterdir() if each.suffix != ".sock"] == before
 
 
-def test_it_reads_its_own_code_and_what_it_is_given_and_no_other_file_of_the_user(
+async def test_it_reads_its_own_code_and_what_it_is_given_and_no_other_file_of_the_user(
     sandbox: Sandbox, tmp_path: Path, keys: Path
 ) -> None:
     model = tmp_path / "model.bin"
     model.write_text("weights")
     given = Sandbox(sandbox.bubblewrap, readable=(model,))
-
-    async def read(call: Call, _: LocalInstance) -> None:
+    async with in_sandbox(given, tmp_path) as (call, _):
         assert "class Mischief" in await call("read", PROGRAM.rpartition(":")[0])
         assert await call("read", str(model)) == "weights"
         for secret in (keys / "s1.key", keys / "authority.key", Path.home() / ".profile", Path(__file__)):
             assert await call("read", str(secret)) == "FileNotFoundError", secret
-
-    in_sandbox(given, tmp_path, read)
 
 
 def test_it_uses_the_devices_that_it_is_given_and_no_others(sandbox: Sandbox) -> None:
@@ -229,8 +211,8 @@ def can_open(device: str) -> bool:
     return True
 
 
-def test_it_reaches_nobody(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def connect(call: Call, _: LocalInstance) -> None:
+async def test_it_reaches_nobody(sandbox: Sandbox, tmp_path: Path) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         with (
             socket.create_server(("127.0.0.1", 0)) as server,
             socket.socket(socket.AF_UNIX) as abstract,
@@ -242,57 +224,47 @@ def test_it_reaches_nobody(sandbox: Sandbox, tmp_path: Path) -> None:
             assert await call("connect", f"\0{tmp_path}") == "ConnectionRefusedError"
             assert await call("connect", f"{tmp_path}/1.sock") == "FileNotFoundError"
 
-    in_sandbox(sandbox, tmp_path, connect)
 
-
-def test_it_sees_no_process_and_no_variable_of_the_daemon(
+async def test_it_sees_no_process_and_no_variable_of_the_daemon(
     sandbox: Sandbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SECRET_TOKEN", "1234")
-
-    async def look(call: Call, _: LocalInstance) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         assert len(await call("processes")) <= 3
         assert "SECRET_TOKEN" not in await call("environment")
 
-    in_sandbox(sandbox, tmp_path, look)
 
-
-def test_it_sees_nothing_of_the_daemons_environment_in_any_process(
+async def test_it_sees_nothing_of_the_daemons_environment_in_any_process(
     sandbox: Sandbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SECRET_TOKEN", "1234")
-
-    async def look(call: Call, _: LocalInstance) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         for process in await call("processes"):
             assert not any("SECRET" in each for each in await call("environment_of", process)), process
         assert set(await call("environment_of", 1)) <= {""}
 
-    in_sandbox(sandbox, tmp_path, look)
 
-
-def test_it_can_write_nothing_of_the_kernels_and_sees_none_of_its_secrets(
+async def test_it_can_write_nothing_of_the_kernels_and_sees_none_of_its_secrets(
     sandbox: Sandbox, tmp_path: Path
 ) -> None:
-    async def write(call: Call, _: LocalInstance) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         assert await call("writable", "/proc/sys") == []
         assert [each for each in await call("writable", "/proc") if "/fd/" not in each] == []
         assert await call("writable", "/sys") == []
         for name in ("kcore", "keys", "kmsg", "kallsyms", "sysrq-trigger", "timer_list"):
             assert await call("read", f"/proc/{name}") in ("", "FileNotFoundError", "PermissionError"), name
 
-    in_sandbox(sandbox, tmp_path, write)
 
-
-def test_it_inherits_what_it_needs_and_nothing_else(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def look(call: Call, _: LocalInstance) -> None:
-        files = [each for each in await call("open_files") if not each.startswith(("anon_inode:", "socket:"))]
-        assert not [each for each in files if not each.startswith(("pipe:", "/dev/null", "/proc/"))]
-        assert (await call("limits")) == [(1, 1), (4096, 4096)]
-        assert await call("first_to_be_killed") == 1000
-
+async def test_it_inherits_what_it_needs_and_nothing_else(sandbox: Sandbox, tmp_path: Path) -> None:
     with (tmp_path / "secret").open("w") as secret:
         os.set_inheritable(secret.fileno(), True)
-        in_sandbox(sandbox, tmp_path, look)
+        async with in_sandbox(sandbox, tmp_path) as (call, _):
+            files = [
+                each for each in await call("open_files") if not each.startswith(("anon_inode:", "socket:"))
+            ]
+            assert not [each for each in files if not each.startswith(("pipe:", "/dev/null", "/proc/"))]
+            assert (await call("limits")) == [(1, 1), (4096, 4096)]
+            assert await call("first_to_be_killed") == 1000
 
 
 NUMBERS = {  # on x86_64 and on aarch64
@@ -317,8 +289,8 @@ CLONE, GETPID = (56, 220)[COLUMN], (39, 172)[COLUMN]
 CLONE_NEWUSER = 0x10000000
 
 
-def test_it_may_not_ask_the_kernel_for_what_no_service_needs(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def ask(call: Call, _: LocalInstance) -> None:
+async def test_it_may_not_ask_the_kernel_for_what_no_service_needs(sandbox: Sandbox, tmp_path: Path) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         assert await call("ask_kernel", GETPID, []) == "done"
         for name, numbers in NUMBERS.items():
             arguments = [CLONE_NEWUSER if name == "unshare" else 0] * 6
@@ -327,14 +299,13 @@ def test_it_may_not_ask_the_kernel_for_what_no_service_needs(sandbox: Sandbox, t
         if platform.machine() == "x86_64":  # the numbers of another kind of processor's calls
             assert await call("ask_kernel", 0x40000000 + GETPID, []) == "ENOSYS"
 
-    in_sandbox(sandbox, tmp_path, ask)
 
-
-def test_its_sockets_are_of_families_that_its_network_holds_in(sandbox: Sandbox, tmp_path: Path) -> None:
+async def test_its_sockets_are_of_families_that_its_network_holds_in(
+    sandbox: Sandbox, tmp_path: Path
+) -> None:
     stream, raw = int(socket.SOCK_STREAM), int(socket.SOCK_RAW)
     vsock, alg, packet, netlink = 40, 38, 17, 16
-
-    async def open_sockets(call: Call, _: LocalInstance) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         for named in (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6):
             assert await call("open_socket", int(named), stream, 0, pair=False) == "done"
         assert await call("open_socket", int(socket.AF_UNIX), stream, 0, pair=True) == "done"
@@ -345,19 +316,14 @@ def test_its_sockets_are_of_families_that_its_network_holds_in(sandbox: Sandbox,
             for pair in (False, True):
                 assert await call("open_socket", family, kind, protocol, pair=pair) == "EAFNOSUPPORT", family
 
-    in_sandbox(sandbox, tmp_path, open_sockets)
 
-
-def test_it_gets_no_memory_that_its_limit_does_not_count(sandbox: Sandbox, tmp_path: Path) -> None:
+async def test_it_gets_no_memory_that_its_limit_does_not_count(sandbox: Sandbox, tmp_path: Path) -> None:
     shared, private, grows_down = mmap.MAP_SHARED, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, 0x100
-
-    async def take(call: Call, _: LocalInstance) -> None:
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
         assert await call("map_memory", shared | mmap.MAP_ANONYMOUS, "") == "ENOMEM"
         assert await call("map_memory", private | grows_down, "") == "ENOMEM"
         assert await call("map_memory", private, "") == "ENOMEM", "as much as its limit counts"
         assert await call("map_memory", shared, "/dev/zero") == "ENODEV"
-
-    in_sandbox(sandbox, tmp_path, take)
 
 
 def test_a_processor_of_which_no_calls_are_known_gets_no_sandbox() -> None:
@@ -375,19 +341,18 @@ def test_a_filter_goes_forward_and_ends_in_an_answer(machine: str) -> None:
     assert steps[-1] == (0x06, 0, 0, 0x7FFF0000)
 
 
-def test_a_crash_in_it_is_explained_as_outside(sandbox: Sandbox, services: Path, tmp_path: Path) -> None:
-    async def run() -> None:
-        runtime = ProcessRuntime(
-            lambda _: f"unix:{tmp_path}/s.sock",
-            max_message_bytes=MAX_MESSAGE_BYTES,
-            sandbox=sandbox,
-        )
-        with pytest.raises(InstanceError, match=r"did not start: .*model.onnx is missing"):
-            spec = InstanceSpec("s1", "unstartable", Program(f"{services}:Unstartable"))
-            await runtime.start(spec, called=lambda _: None)
-        expect_no_child()
-
-    asyncio.run(run())
+async def test_a_crash_in_it_is_explained_as_outside(
+    sandbox: Sandbox, services: Path, tmp_path: Path
+) -> None:
+    runtime = ProcessRuntime(
+        lambda _: f"unix:{tmp_path}/s.sock",
+        max_message_bytes=MAX_MESSAGE_BYTES,
+        sandbox=sandbox,
+    )
+    with pytest.raises(InstanceError, match=r"did not start: .*model.onnx is missing"):
+        spec = InstanceSpec("s1", "unstartable", Program(f"{services}:Unstartable"))
+        await runtime.start(spec, called=lambda _: None)
+    expect_no_child()
 
 
 @pytest.mark.parametrize(
@@ -397,7 +362,7 @@ def test_a_crash_in_it_is_explained_as_outside(sandbox: Sandbox, services: Path,
         ("from helper import labels", "helper.py"),
     ],
 )
-def test_what_lies_beside_a_program_is_named_with_the_key_that_shows_it(
+async def test_what_lies_beside_a_program_is_named_with_the_key_that_shows_it(
     sandbox: Sandbox, tmp_path: Path, body: str, hidden: str
 ) -> None:
     (tmp_path / "labels.txt").write_text("person")
@@ -410,16 +375,11 @@ def test_what_lies_beside_a_program_is_named_with_the_key_that_shows_it(
     load_service(f"{program}:Finder")  # as a daemon does
     spec = InstanceSpec("s1", "finder", Program(f"{program}:Finder"))
 
-    async def run(given: Sandbox) -> None:
-        runtime = ProcessRuntime(
-            lambda _: f"unix:{tmp_path}/s.sock", max_message_bytes=MAX_MESSAGE_BYTES, sandbox=given
-        )
-        await (await runtime.start(spec, called=lambda _: None)).stop()
-
     said = rf"the sandbox hides {tmp_path / hidden}: name what the service needs in runtime\.readable"
     with pytest.raises(InstanceError, match=said):
-        asyncio.run(run(sandbox))
-    asyncio.run(run(Sandbox(sandbox.bubblewrap, readable=(tmp_path / hidden,))))
+        await processes(sandbox, tmp_path).start(spec, called=lambda _: None)
+    showing = Sandbox(sandbox.bubblewrap, readable=(tmp_path / hidden,))
+    await (await processes(showing, tmp_path).start(spec, called=lambda _: None)).stop()
 
 
 def test_without_bubblewrap_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

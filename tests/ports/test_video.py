@@ -179,16 +179,12 @@ def test_a_stream_that_hangs_is_an_error_in_bounded_time(
     assert time.monotonic() - began_s < 10
 
 
-def test_a_stream_that_breaks_is_opened_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stream_that_breaks_is_opened_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "_REOPEN_S", 0.05)
     stream.breaks_after = 10
-
-    async def shoot() -> None:
-        async with camera_on(stream.address) as camera:
-            while stream.connections < 3:
-                await camera.take_photo(HERE)
-
-    asyncio.run(shoot())
+    async with camera_on(stream.address) as camera:
+        while stream.connections < 3:
+            await camera.take_photo(HERE)
 
 
 @pytest.mark.parametrize("source", [97, "/nowhere/video.avi", "http://127.0.0.1:9/none"])

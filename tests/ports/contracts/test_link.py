@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
 from pathlib import Path
 
@@ -18,12 +19,10 @@ from upwash.real.link.link import GrpcDialer
 from upwash.real.link.listener import Listener
 from upwash.real.link.requests import Caller, Requests
 from upwash.sim.link import ModelDialer, Switchboard
-from upwash.sim.loop import run_virtually
 from upwash.sim.world import Wire
 
 PATH = "/upwash.test/any"
-Talk = Callable[[Link], Awaitable[None]]
-Hold = Callable[[Talk, bool], None]
+Hold = Callable[..., AbstractAsyncContextManager[Link]]
 
 
 @asynccontextmanager
@@ -94,96 +93,68 @@ async def direct_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
     await asyncio.to_thread(listener.stop)
 
 
-LINKS: dict[str, Callable[..., AbstractAsyncContextManager[Link]]] = {
-    "model": model_link,
-    "grpc": grpc_link,
-    "direct": direct_link,
-}
-
-
-@pytest.fixture(params=LINKS)
+@pytest.fixture(
+    params=[pytest.param(model_link, marks=pytest.mark.virtual), grpc_link, direct_link],
+    ids=["model", "grpc", "direct"],
+)
 def hold(request: pytest.FixtureRequest, tmp_path: Path) -> Hold:
-    """Has a talk over a link of each kind, to a server that answers or to nobody."""
-    link = LINKS[request.param]
-    run = run_virtually if request.param == "model" else asyncio.run
-
-    def held(talk: Talk, answered: bool) -> None:
-        async def over_link() -> None:
-            async with link(tmp_path, answered=answered) as made:
-                await talk(made)
-
-        run(over_link())
-
-    return held
+    """A link of each kind to a server, which answers or is not there."""
+    return functools.partial(request.param, tmp_path)
 
 
-def test_requests_get_their_replies_several_at_once(hold: Hold) -> None:
-    async def talk(link: Link) -> None:
-        asked = [link.request(PATH, b"%d" % number, timeout_s=5.0) for number in range(4)]
-        assert await asyncio.gather(*asked) == [b"heron %d" % number for number in range(4)]
-
-    hold(talk, True)
+@pytest.fixture
+def link(hold: Hold) -> AbstractAsyncContextManager[Link]:
+    """A link of each kind to a server that answers."""
+    return hold(answered=True)
 
 
-def test_a_refusal_comes_with_its_reason(hold: Hold) -> None:
-    async def talk(link: Link) -> None:
-        with pytest.raises(Refused, match=r"s1 at .*not today"):
-            await link.request(PATH, b"refuse", timeout_s=5.0)
-        assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
-
-    hold(talk, True)
+async def test_requests_get_their_replies_several_at_once(link: Link) -> None:
+    asked = [link.request(PATH, b"%d" % number, timeout_s=5.0) for number in range(4)]
+    assert await asyncio.gather(*asked) == [b"heron %d" % number for number in range(4)]
 
 
-def test_no_answer_within_the_deadline(hold: Hold) -> None:
-    async def talk(link: Link) -> None:
-        began_s = asyncio.get_running_loop().time()
-        with pytest.raises(DeadlineExceeded, match=r"s1 at .*: no answer within 0\.2 s"):
-            await link.request(PATH, b"stuck", timeout_s=0.2)
-        assert 0.19 < asyncio.get_running_loop().time() - began_s < 2.0
-
-    hold(talk, True)
+async def test_a_refusal_comes_with_its_reason(link: Link) -> None:
+    with pytest.raises(Refused, match=r"s1 at .*not today"):
+        await link.request(PATH, b"refuse", timeout_s=5.0)
+    assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
 
 
-def test_nobody_there(hold: Hold) -> None:
-    async def talk(link: Link) -> None:
+async def test_no_answer_within_the_deadline(link: Link) -> None:
+    began_s = asyncio.get_running_loop().time()
+    with pytest.raises(DeadlineExceeded, match=r"s1 at .*: no answer within 0\.2 s"):
+        await link.request(PATH, b"stuck", timeout_s=0.2)
+    assert 0.19 < asyncio.get_running_loop().time() - began_s < 2.0
+
+
+async def test_nobody_there(hold: Hold) -> None:
+    async with hold(answered=False) as link:
         with pytest.raises(Unreachable, match="s1 at "):
             await link.request(PATH, b"hello", timeout_s=5.0)
 
-    hold(talk, False)
+
+async def test_closing_breaks_requests_off_and_ends_the_link(link: Link) -> None:
+    asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
+    await asyncio.sleep(0.2)
+    await link.close()
+    with pytest.raises(Unreachable):
+        await asked
+    with pytest.raises(Unreachable, match="closed"):
+        await link.request(PATH, b"hello", timeout_s=5.0)
 
 
-def test_closing_breaks_requests_off_and_ends_the_link(hold: Hold) -> None:
-    async def talk(link: Link) -> None:
-        asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
-        await asyncio.sleep(0.2)
-        await link.close()
-        with pytest.raises(Unreachable):
-            await asked
-        with pytest.raises(Unreachable, match="closed"):
-            await link.request(PATH, b"hello", timeout_s=5.0)
-
-    hold(talk, True)
+async def test_a_request_that_is_cancelled_leaves_the_link_as_it_was(link: Link) -> None:
+    asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
+    await asyncio.sleep(0.1)
+    asked.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await asked
+    assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
 
 
-def test_a_request_that_is_cancelled_leaves_the_link_as_it_was(hold: Hold) -> None:
-    async def talk(link: Link) -> None:
-        asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
-        await asyncio.sleep(0.1)
-        asked.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await asked
-        assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
-
-    hold(talk, True)
-
-
-def test_a_request_that_is_cancelled_as_its_link_closes_is_cancelled(hold: Hold) -> None:
-    async def talk(link: Link) -> None:
-        asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
-        await asyncio.sleep(0.1)
-        await link.close()
-        asked.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await asked
-
-    hold(talk, True)
+async def test_a_request_that_is_cancelled_as_its_link_closes_is_cancelled(link: Link) -> None:
+    asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
+    await asyncio.sleep(0.1)
+    await link.close()
+    asked.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await asked

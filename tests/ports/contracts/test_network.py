@@ -203,13 +203,11 @@ def test_a_network_of_several_servers_is_lost_with_the_last_of_them() -> None:
     assert run_virtually(scene()) == 9.0
 
 
-def test_without_a_network_everything_is_always_joined() -> None:
-    async def scene() -> None:
-        network = NoNetwork()
-        await network.join("a", timeout_s=0.0)
-        await network.leave()
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(1e6):
-                await network.lost()
-
-    run_virtually(scene())
+@pytest.mark.virtual
+async def test_without_a_network_everything_is_always_joined() -> None:
+    network = NoNetwork()
+    await network.join("a", timeout_s=0.0)
+    await network.leave()
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(1e6):
+            await network.lost()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from ipaddress import IPv4Network
@@ -31,7 +31,6 @@ from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
-from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.world import Wire
 
@@ -104,18 +103,22 @@ class Site:
         return method.result(method.decode(reply))
 
 
-Use = Callable[[Callable[[Site], Awaitable[None]]], None]
+Sites = AbstractAsyncContextManager[Site]
 
 
 def on(engine: str) -> tuple[pytest.MarkDecorator, ...]:
     return pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group(engine)
 
 
+MODEL = pytest.param("model", marks=pytest.mark.virtual)
+SANDBOX = pytest.param("sandbox", marks=pytest.mark.sandbox)
+
+
 @pytest.fixture(
     params=[
-        "model",
+        MODEL,
         "process",
-        pytest.param("sandbox", marks=pytest.mark.sandbox),
+        SANDBOX,
         *(
             pytest.param(f"{state} container of {engine}", marks=on(engine))
             for engine in ("podman", "lxd", "incus")
@@ -123,63 +126,36 @@ def on(engine: str) -> tuple[pytest.MarkDecorator, ...]:
         ),
     ]
 )
-def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
-    """Does something at a site of one of the twins."""
+def site(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Sites:
+    """A site of each of the twins."""
     program = Program(f"{services}:Workbench")
     spec = InstanceSpec("s1", "workbench", program, methods=frozenset({"work"}))
-
-    def site() -> AbstractAsyncContextManager[Site]:
-        match request.param:
-            case "model":
-                return modelled(spec, Sure())
-            case "process":
-                return processes(spec, tmp_path)
-            case "sandbox":
-                return processes(spec, tmp_path, found_sandbox())
-            case "stopped container of podman" | "frozen container of podman":
-                docker: tuple[OwnPodman, list[Path]] = (
-                    request.getfixturevalue("podman"),
-                    request.getfixturevalue("docker_images"),
-                )
-                return docker_containers(*docker, spec, tmp_path, freezes=request.param.startswith("frozen"))
-            case other:
-                state, _, _, kind = other.split()
-                engine, image = (request.getfixturevalue(name) for name in (kind, "workbench_image"))
-                shown: Callable[[str], Credentials] = request.getfixturevalue("credentials")
-                return containers(engine.socket, image, shown, spec, freezes=state == "frozen")
-
-    return lambda what: play(what, site, virtually=request.param == "model")
+    match request.param.split():
+        case ["model"]:
+            return modelled(spec, Sure())
+        case ["process"]:
+            return processes(spec, tmp_path)
+        case ["sandbox"]:
+            return processes(spec, tmp_path, found_sandbox())
+        case [state, _, _, "podman"]:
+            podman, images = map(request.getfixturevalue, ("podman", "docker_images"))
+            return docker_containers(podman, images, spec, tmp_path, freezes=state == "frozen")
+        case [state, _, _, kind]:
+            names = (kind, "workbench_image", "credentials")
+            engine, image, shown = map(request.getfixturevalue, names)
+            return containers(engine.socket, image, shown, spec, freezes=state == "frozen")
+        case _:
+            raise AssertionError(request.param)
 
 
-@pytest.fixture(params=["model", "process", pytest.param("sandbox", marks=pytest.mark.sandbox)])
-def use_duet(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
-    """Does something where the service is a duet, whose instances take two calls at a time."""
+@pytest.fixture(params=[MODEL, "process", SANDBOX])
+def duets(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Sites:
+    """A site where the service is a duet, whose instances take two calls at a time."""
     spec = InstanceSpec("s1", "duet", Program(f"{services}:Duet"), methods=frozenset({"play"}))
-
-    def site() -> AbstractAsyncContextManager[Site]:
-        match request.param:
-            case "model":
-                pairs = Pairs()
-                return modelled(spec, pairs, objects={"duet": Witness(pairs)}, arguments=())
-            case "process":
-                return processes(spec, tmp_path, arguments=())
-            case _:
-                return processes(spec, tmp_path, found_sandbox(), arguments=())
-
-    return lambda what: play(what, site, virtually=request.param == "model")
-
-
-def play(
-    what: Callable[[Site], Awaitable[None]],
-    site: Callable[[], AbstractAsyncContextManager[Site]],
-    *,
-    virtually: bool,
-) -> None:
-    async def at_site() -> None:
-        async with site() as there:
-            await what(there)
-
-    (run_virtually if virtually else asyncio.run)(at_site())
+    if request.param == "model":
+        pairs = Pairs()
+        return modelled(spec, pairs, objects={"duet": Witness(pairs)}, arguments=())
+    return processes(spec, tmp_path, found_sandbox() if request.param == "sandbox" else None, arguments=())
 
 
 @asynccontextmanager
@@ -257,130 +233,111 @@ async def docker_containers(
         await runtime.close()
 
 
-def test_an_instance_says_whose_a_call_was_and_what_it_took(use: Use) -> None:
-    async def visit(site: Site) -> None:
-        told: asyncio.Queue[AnsweredCall] = asyncio.Queue()
-        instance = await site.runtime.start(site.spec, called=lambda _: None, answered=told.put_nowait)
-        try:
-            await instance.admit(site.heron)
-            for _ in range(2):
-                began_s = asyncio.get_running_loop().time()
-                await site.call(instance.endpoint)
-                async with asyncio.timeout(5.0):
-                    call = await told.get()
-                assert (call.drone, call.method) == (*site.heron, "work")
-                assert min(call.queued_s, call.took_s) >= 0.0
-                assert call.queued_s + call.took_s <= asyncio.get_running_loop().time() - began_s
-            assert told.empty()
-        finally:
-            await instance.stop()
-
-    use(visit)
-
-
-def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use) -> None:
-    async def visit(site: Site) -> None:
-        callers: list[str] = []
-        told = asyncio.Event()
-
-        def called(drone: str) -> None:
-            callers.append(drone)
-            told.set()
-
-        instance = await site.runtime.start(site.spec, called=called)
-        try:
-            with pytest.raises(NoLease, match="heron"):
-                await site.call(instance.endpoint)
-            assert callers == []
-            await instance.admit(site.heron)
-            assert isinstance(await site.call(instance.endpoint), str)
-            async with asyncio.timeout(5.0):
-                await told.wait()
-            assert callers == list(site.heron)
-            await instance.admit(frozenset({"stork"}))
-            with pytest.raises(NoLease, match="heron"):
-                await site.call(instance.endpoint)
-        finally:
-            await instance.stop()
-
-    use(visit)
-
-
-def test_as_many_calls_as_the_service_declares_are_computed_at_once_and_no_more(use_duet: Use) -> None:
-    async def visit(site: Site) -> None:
-        told: asyncio.Queue[AnsweredCall] = asyncio.Queue()
-        instance = await site.runtime.start(site.spec, called=lambda _: None, answered=told.put_nowait)
-        try:
-            await instance.admit(site.heron)
-            most = await asyncio.gather(*(site.call(instance.endpoint) for _ in range(4)))
-            assert set(most) == {2}
-            async with asyncio.timeout(5.0):
-                calls = [await told.get() for _ in range(4)]
-            assert {call.drone for call in calls} == site.heron
-            assert all(min(call.queued_s, call.took_s) >= 0.0 for call in calls)
-        finally:
-            await instance.stop()
-
-    use_duet(visit)
-
-
-def test_an_instance_gives_a_sign_of_life_until_it_is_gone(use: Use) -> None:
-    async def visit(site: Site) -> None:
-        instance = await site.runtime.start(site.spec, called=lambda _: None)
-        try:
-            await instance.admit(site.heron)
-            for _ in range(2):
-                async with asyncio.timeout(10.0):
-                    await instance.health()
-            await site.call(instance.endpoint)
-            await instance.drain("replaced")  # also one that would be kept frozen ends
-        finally:
-            await instance.stop()
-        with pytest.raises(InstanceError):
-            await instance.health()
-
-    use(visit)
-
-
-def test_a_stopped_instance_is_gone_and_stopping_it_again_does_nothing(use: Use) -> None:
-    async def visit(site: Site) -> None:
-        instance = await site.runtime.start(site.spec, called=lambda _: None)
+async def test_an_instance_says_whose_a_call_was_and_what_it_took(site: Site) -> None:
+    told: asyncio.Queue[AnsweredCall] = asyncio.Queue()
+    instance = await site.runtime.start(site.spec, called=lambda _: None, answered=told.put_nowait)
+    try:
         await instance.admit(site.heron)
-        exited = asyncio.create_task(instance.exited())
-        await asyncio.sleep(0)
-        assert not exited.done()
-        await instance.stop()
-        assert await exited
-        await instance.stop()
-        with pytest.raises(LinkError):
-            await site.call(instance.endpoint)
-
-    use(visit)
-
-
-def test_it_can_be_started_again(use: Use) -> None:
-    async def visit(site: Site) -> None:
         for _ in range(2):
-            instance = await site.runtime.start(site.spec, called=lambda _: None)
-            await instance.admit(site.heron)
+            began_s = asyncio.get_running_loop().time()
             await site.call(instance.endpoint)
-            await instance.stop()
+            async with asyncio.timeout(5.0):
+                call = await told.get()
+            assert (call.drone, call.method) == (*site.heron, "work")
+            assert min(call.queued_s, call.took_s) >= 0.0
+            assert call.queued_s + call.took_s <= asyncio.get_running_loop().time() - began_s
+        assert told.empty()
+    finally:
+        await instance.stop()
 
-    use(visit)
+
+async def test_an_instance_answers_those_who_are_admitted_and_says_who_called(site: Site) -> None:
+    callers: list[str] = []
+    told = asyncio.Event()
+
+    def called(drone: str) -> None:
+        callers.append(drone)
+        told.set()
+
+    instance = await site.runtime.start(site.spec, called=called)
+    try:
+        with pytest.raises(NoLease, match="heron"):
+            await site.call(instance.endpoint)
+        assert callers == []
+        await instance.admit(site.heron)
+        assert isinstance(await site.call(instance.endpoint), str)
+        async with asyncio.timeout(5.0):
+            await told.wait()
+        assert callers == list(site.heron)
+        await instance.admit(frozenset({"stork"}))
+        with pytest.raises(NoLease, match="heron"):
+            await site.call(instance.endpoint)
+    finally:
+        await instance.stop()
 
 
-def test_an_instance_that_was_drained_answers_no_call_any_more_and_the_next_one_does(use: Use) -> None:
-    async def visit(site: Site) -> None:
+async def test_as_many_calls_as_the_service_declares_are_computed_at_once_and_no_more(duets: Site) -> None:
+    told: asyncio.Queue[AnsweredCall] = asyncio.Queue()
+    instance = await duets.runtime.start(duets.spec, called=lambda _: None, answered=told.put_nowait)
+    try:
+        await instance.admit(duets.heron)
+        most = await asyncio.gather(*(duets.call(instance.endpoint) for _ in range(4)))
+        assert set(most) == {2}
+        async with asyncio.timeout(5.0):
+            calls = [await told.get() for _ in range(4)]
+        assert {call.drone for call in calls} == duets.heron
+        assert all(min(call.queued_s, call.took_s) >= 0.0 for call in calls)
+    finally:
+        await instance.stop()
+
+
+async def test_an_instance_gives_a_sign_of_life_until_it_is_gone(site: Site) -> None:
+    instance = await site.runtime.start(site.spec, called=lambda _: None)
+    try:
+        await instance.admit(site.heron)
+        for _ in range(2):
+            async with asyncio.timeout(10.0):
+                await instance.health()
+        await site.call(instance.endpoint)
+        await instance.drain("replaced")  # also one that would be kept frozen ends
+    finally:
+        await instance.stop()
+    with pytest.raises(InstanceError):
+        await instance.health()
+
+
+async def test_a_stopped_instance_is_gone_and_stopping_it_again_does_nothing(site: Site) -> None:
+    instance = await site.runtime.start(site.spec, called=lambda _: None)
+    await instance.admit(site.heron)
+    exited = asyncio.create_task(instance.exited())
+    await asyncio.sleep(0)
+    assert not exited.done()
+    await instance.stop()
+    assert await exited
+    await instance.stop()
+    with pytest.raises(LinkError):
+        await site.call(instance.endpoint)
+
+
+async def test_it_can_be_started_again(site: Site) -> None:
+    for _ in range(2):
         instance = await site.runtime.start(site.spec, called=lambda _: None)
         await instance.admit(site.heron)
         await site.call(instance.endpoint)
-        await instance.drain("this server is shutting down")
-        with pytest.raises(LinkError):
-            await site.call(instance.endpoint)
         await instance.stop()
-        another = await site.runtime.start(site.spec, called=lambda _: None)
-        await another.admit(site.heron)
-        await site.call(another.endpoint)
-        await another.stop()
 
-    use(visit)
+
+async def test_an_instance_that_was_drained_answers_no_call_any_more_and_the_next_one_does(
+    site: Site,
+) -> None:
+    instance = await site.runtime.start(site.spec, called=lambda _: None)
+    await instance.admit(site.heron)
+    await site.call(instance.endpoint)
+    await instance.drain("this server is shutting down")
+    with pytest.raises(LinkError):
+        await site.call(instance.endpoint)
+    await instance.stop()
+    another = await site.runtime.start(site.spec, called=lambda _: None)
+    await another.admit(site.heron)
+    await site.call(another.endpoint)
+    await another.stop()
