@@ -7,30 +7,40 @@ RUNS := .venv/.runs
 READY := .venv/.ready
 PEERS := .venv-peers/bin
 PEERS_READY := .venv-peers/.ready
+PYTEST := $(BIN)/python -m pytest --dist loadgroup
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
     --no-emit-find-links --no-annotate --no-header
 
 # Without it each of the programs that a test starts would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-long test-system native lint format docs pictures bench bench-peers lock clean
+.PHONY: run test test-long test-system test-all search native lint format docs pictures bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
 run: $(RUNS)
 	$(BIN)/upwash demo $(ARGS)
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 5 --dist loadgroup -m "not root and not long"
+	$(PYTEST) -n 5 -m "not (root or long or search)"
 
-# Searches through many drawn worlds, attacks on running programs, flights in real time, each bench once.
+# Attacks on running programs, flights in real time, each bench once.
 test-long: $(READY)
-	$(BIN)/python -m pytest -n 4 --dist loadgroup -m "long and not root"
+	$(PYTEST) -n 4 -m "long and not root"
 
 # Needs root: network namespaces, containers, system services. Each test says why if it cannot run here.
 # Those of the sandbox are among them, as nothing brings bubblewrap before.
 test-system: $(READY)
 	tests/system/install-packages
-	$(BIN)/python -m pytest -n 4 --dist loadgroup -m "root or sandbox"
+	$(PYTEST) -n 4 -m "root or sandbox"
+
+# All of these at once, as continuous integration runs them: what waits for flights leaves the processors to the rest.
+test-all: $(READY)
+	tests/system/install-packages
+	$(PYTEST) -n 8 -m "not search"
+
+# Many more drawn worlds than the tests above search; some are those of the day.
+search: $(READY)
+	$(PYTEST) -n 2 -m search
 
 # The ns-3 programs of `upwash emulate --radio ns3` and `upwash goodput`; nothing else needs them.
 native:

@@ -6,10 +6,11 @@ import asyncio
 import contextlib
 import gc
 import inspect
+import os
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,17 @@ from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.sim.loop import run_virtually
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
+WAITING_GROUPS = (
+    *(f"flights-{number}" for number in range(4)),
+    "browser",
+    "emulate",
+    "ns3",
+    "podman",
+    "lxd",
+    "incus",
+)
+ON_VIRTUAL_TIME = {"core", "lab", "sim"}  # folders of tests
+PRIORITY = os.getpriority(os.PRIO_PROCESS, 0)
 
 # A busy machine breaks nothing.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -52,20 +64,45 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Lets flights in real time begin first, two at a time: each renders photos and detects, as real drones would."""
-    flights = [item for item in items if item.get_closest_marker("flight")]
-    for number, flight in enumerate(flights):
-        if flight.get_closest_marker("xdist_group") is None:
-            flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 2}"))
-    items[:] = flights + [item for item in items if item not in flights]
+    """Lets groups that mostly wait begin first; others that wait come among those that compute, and fill the gaps."""
+    flights = [item for item in items if item.get_closest_marker("flight") and _group(item) is None]
+    for number, flight in enumerate(
+        flights
+    ):  # four at a time: each renders photos and detects, as real drones would
+        flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 4}"))
     for item in items:  # what a module's tests share is made once, and not by every process
-        if _shares_with_its_module(item) and item.get_closest_marker("xdist_group") is None:
+        if _shares_with_its_module(item) and _group(item) is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+    others = [item for item in items if _group(item) not in WAITING_GROUPS]
+    waiting = [item for item in others if item.get_closest_marker("system")]
+    computing = [item for item in others if not item.get_closest_marker("system")]
+    grouped = [item for item in items if _group(item) in WAITING_GROUPS]
+    items[:] = sorted(grouped, key=lambda item: WAITING_GROUPS.index(_group(item))) + _merged(
+        waiting, computing
+    )
+
+
+def _group(item: pytest.Item) -> str | None:
+    mark = item.get_closest_marker("xdist_group")
+    return str(mark.args[0]) if mark is not None else None
+
+
+def _merged(*lists: list[pytest.Item]) -> list[pytest.Item]:
+    """All of them, so that each list is used up evenly."""
+    placed = [(place / len(each), item) for each in lists for place, item in enumerate(each)]
+    return [item for _, item in sorted(placed, key=lambda pair: pair[0])]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Lets tests on virtual time yield the processor to flights in real time, which run beside them."""
+    if os.geteuid() == 0:  # others cannot take their priority back
+        yields = item.path.relative_to(item.config.rootpath).parts[1] in ON_VIRTUAL_TIME
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY + 10 * yields)
+    return (yield)
 
 
 def _shares_with_its_module(item: pytest.Item) -> bool:
-    if item.get_closest_marker("system"):  # which wait for other programs most of the time
-        return False
     known = getattr(item, "_fixtureinfo", None)
     found = known.name2fixturedefs.values() if known is not None else ()
     return any(definition.scope == "module" for definitions in found for definition in definitions)

@@ -34,14 +34,19 @@ def assert_kept(seeds: range) -> None:
 
 @pytest.mark.parametrize(
     "first",
-    [1, *(pytest.param(first, marks=pytest.mark.long) for first in range(1 + CHUNK, WORLDS + 1, CHUNK))],
+    [1, *(pytest.param(first, marks=pytest.mark.search) for first in range(1 + CHUNK, WORLDS + 1, CHUNK))],
 )
 def test_promises_hold_in_known_worlds(first: int) -> None:
     assert_kept(range(first, first + CHUNK))
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("chunk", range(WORLDS // CHUNK))
+@pytest.mark.parametrize(
+    "chunk",
+    [
+        pytest.param(0, marks=pytest.mark.long),
+        *(pytest.param(chunk, marks=pytest.mark.search) for chunk in range(1, WORLDS // CHUNK)),
+    ],
+)
 def test_promises_hold_in_worlds_of_the_day(chunk: int) -> None:
     first = datetime.now(UTC).toordinal() * WORLDS + chunk * CHUNK + 1
     sys.stdout.write(f"seeds {first}..{first + CHUNK - 1}\n")
