@@ -10,9 +10,10 @@ import msgspec
 from rich.console import Console
 
 from upwash.cli.status import print_status
-from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client, DoorStatus, Role
 from upwash.core.admission.limits import Limits
+from upwash.core.admission.server import ServerOffer
 from upwash.rpc.protocol import StatusReply, decode_reply
 
 ALICE = Client("alice", "0c", role=Role.OPERATOR)
@@ -63,12 +64,12 @@ def test_it_says_how_often_another_version_took_over_and_why_the_last_one_did_no
     host = AdmissionController({"s1": ServerOffer(frozenset({"scale"}), slots=1)})
     drone, outdated = Client("heron"), frozenset({("s1", "scale")})
     host.start("s1", "scale", drone, now_s=0.0)
-    host.ready("s1", "scale", 1, ":1", now_s=1.0)
+    host.at("s1").ready("scale", 1, ":1", now_s=1.0)
     offers = {"s1": ServerOffer(frozenset({"scale"}), slots=1)}
     host.offer(offers, outdated=outdated)
-    host.ready("s1", "scale", 2, ":2", now_s=2.0)
+    host.at("s1").ready("scale", 2, ":2", now_s=2.0)
     host.offer(offers, outdated=outdated)
-    host.gone("s1", "scale", 3, "no such model", now_s=3.0)
+    host.at("s1").gone("scale", 3, "no such model", now_s=3.0)
     assert printed(host.servers(now_s=3.0))[-2:] == [
         "  scale: another version took over 1 time",
         "  scale: the former version serves on, as the new one did not start: no such model",
@@ -110,8 +111,8 @@ def test_what_drones_used_is_shown_with_holders_first_and_summed_by_team() -> No
     host = AdmissionController({"s1": ServerOffer(frozenset(), slots=2)})
     for drone in ("north-1", "north-2"):
         host.availability("s1", [], Client(drone), now_s=0.0)
-    host.used("s1", "north-1", took_s=1.25, outcome="value", now_s=3.0)
-    host.used("s1", "north-2", took_s=2.0, outcome="value", now_s=4.0)
+    host.at("s1").usage.called("north-1", took_s=1.25, is_answered=True, now_s=3.0)
+    host.at("s1").usage.called("north-2", took_s=2.0, is_answered=True, now_s=4.0)
     host.leave("s1", Client("north-1"), now_s=5.0)
     assert printed(host.servers(now_s=10.0))[5:] == [
         "  drone      slot for    slots in all    calls    computing    last call",
@@ -127,7 +128,7 @@ def test_of_many_drones_the_latest_are_shown() -> None:
     for number in range(30):
         drone = Client(f"d{number:02}")
         host.availability("s1", [], drone, now_s=float(number))
-        host.used("s1", drone.key, took_s=1.0, outcome="value", now_s=float(number))
+        host.at("s1").usage.called(drone.key, took_s=1.0, is_answered=True, now_s=float(number))
         host.leave("s1", drone, now_s=float(number))
     shown = printed(host.servers(now_s=30.0))[5:]
     assert shown[0].startswith("  d29 ") and shown[-1] == "  and 10 more: see --json"

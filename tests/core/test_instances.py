@@ -8,8 +8,6 @@ from upwash.core.admission.admission import (
     AdmissionController,
     AdmissionSettings,
     Available,
-    Denied,
-    ServerOffer,
     ServiceRunning,
     StartPending,
 )
@@ -25,6 +23,7 @@ from upwash.core.admission.clients import (
 )
 from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
 from upwash.core.admission.leases import Admit
+from upwash.core.admission.server import Denied, ServerOffer
 from upwash.core.admission.usage import LeaseEnded
 
 ABSENT, STARTING, RUNNING, STOPPING = InstanceState
@@ -43,8 +42,8 @@ def with_detector_running(*, slots: int = 1) -> AdmissionController:
     """The host with instance 1, a detector on s1 that drone d1 had started, ready at 8 s."""
     machine = host(slots=slots)
     machine.start("s1", "detector", Client("d1"), now_s=0.0)
-    machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=8.0)
-    assert machine.state("s1", "detector") is RUNNING
+    machine.at("s1").ready("detector", 1, "10.0.0.1:9000", now_s=8.0)
+    assert machine.at("s1").state("detector") is RUNNING
     return machine
 
 
@@ -89,7 +88,7 @@ def test_a_start_is_denied_for_the_same_reasons(server: str, service: str) -> No
     answer, commands = machine.start(server, service, Client("d2"), now_s=9.0)
     assert isinstance(answer, Denied)
     assert commands == []
-    assert machine.state("s1", "counter") is ABSENT
+    assert machine.at("s1").state("counter") is ABSENT
 
 
 def test_a_drone_that_holds_a_slot_needs_no_other() -> None:
@@ -113,7 +112,7 @@ def test_each_server_of_a_daemon_has_its_own_slots_and_instances() -> None:
     answer, commands = machine.start("s2", "detector", Client("d2"), now_s=9.0)
     assert isinstance(answer, StartPending)
     assert commands == [admit("d2", server="s2"), StartInstance("s2", "detector", 2)]
-    assert machine.state("s1", "detector") is RUNNING
+    assert machine.at("s1").state("detector") is RUNNING
 
 
 def test_the_lease_of_a_drone_that_is_heard_of_no_more_ends_by_itself() -> None:
@@ -147,34 +146,34 @@ def test_every_request_renews_the_lease_and_what_the_daemon_sees_and_nothing_tha
     assert machine.look(now_s=49.9) == []
     machine.start("s1", "detector", Client("d1"), now_s=49.9)
     assert machine.look(now_s=79.8) == []
-    machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=79.8)
-    machine.seen("s1", "d1", now_s=79.8)
+    machine.at("s1").ready("detector", 1, "10.0.0.1:9000", now_s=79.8)
+    machine.at("s1").seen("d1", now_s=79.8)
     assert machine.look(now_s=109.7) == []
-    machine.called("s1", "detector", "d1", now_s=109.7)
+    machine.at("s1").called("detector", 1, "d1", now_s=109.7)
     assert machine.look(now_s=109.8) == [ended(109.8), admit()]
 
 
 def test_a_call_gives_no_lease_to_a_drone_without_one() -> None:
     machine = with_detector_running(slots=2)
-    machine.called("s1", "detector", "d2", now_s=9.0)
-    machine.seen("s1", "d2", now_s=9.0)
+    machine.at("s1").called("detector", 1, "d2", now_s=9.0)
+    machine.at("s1").seen("d2", now_s=9.0)
     assert machine.leases("s1") == {"d1"}
 
 
 def test_drones_are_seen_by_their_certificates_and_no_others_lease_is_renewed() -> None:
     machine = host(slots=2)
     machine.availability("s1", ["detector"], Client("d1", "f1"), now_s=0.0)
-    machine.seen("s1", "d1", now_s=20.0)
+    machine.at("s1").seen("d1", now_s=20.0)
     assert machine.look(now_s=30.0) == [ended(30.0), admit()]
     machine.availability("s1", ["detector"], Client("d1", "f1"), now_s=30.0)
-    machine.seen("s1", "f1", now_s=50.0)
+    machine.at("s1").seen("f1", now_s=50.0)
     assert machine.look(now_s=79.9) == []
 
 
 def test_calls_of_drones_without_a_lease_keep_no_instance_from_being_stopped() -> None:
     machine = with_detector_running()
     machine.leave("s1", Client("d1"), now_s=0.0)
-    machine.called("s1", "detector", "d1", now_s=500.0)
+    machine.at("s1").called("detector", 1, "d1", now_s=500.0)
     assert machine.look(now_s=608.0) == [StopInstance("s1", "detector", 1)]
 
 
@@ -200,7 +199,7 @@ def test_a_start_makes_an_instance_and_holds_a_slot() -> None:
     answer, commands = machine.start("s1", "detector", Client("d1"), now_s=0.0)
     assert answer == StartPending(1, stopping=False)
     assert commands == [admit("d1"), StartInstance("s1", "detector", 1)]
-    assert machine.state("s1", "detector") is STARTING
+    assert machine.at("s1").state("detector") is STARTING
 
 
 def test_two_starts_of_one_service_make_one_instance() -> None:
@@ -215,7 +214,7 @@ def test_an_instance_that_starts_is_not_offered_before_it_is_ready() -> None:
     machine = host()
     machine.start("s1", "detector", Client("d1"), now_s=0.0)
     assert machine.availability("s1", ["detector"], Client("d1"), now_s=1.0)[0] == Available({})
-    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=8.0) == [admit("d1")]
+    assert machine.at("s1").ready("detector", 1, "10.0.0.1:9000", now_s=8.0) == [admit("d1")]
     endpoints = {"detector": "10.0.0.1:9000"}
     assert machine.availability("s1", ["detector", "counter"], Client("d1"), now_s=9.0)[0] == Available(
         endpoints
@@ -228,12 +227,12 @@ def test_an_instance_that_becomes_ready_after_the_drone_left_admits_nobody() -> 
     machine = host()
     machine.start("s1", "detector", Client("d1"), now_s=0.0)
     machine.leave("s1", Client("d1"), now_s=0.0)
-    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=8.0) == [admit()]
+    assert machine.at("s1").ready("detector", 1, "10.0.0.1:9000", now_s=8.0) == [admit()]
 
 
 def test_an_instance_that_crashed_is_absent_and_started_again_on_request() -> None:
     machine = with_detector_running()
-    machine.gone("s1", "detector", 1)
+    machine.at("s1").gone("detector", 1)
     assert machine.availability("s1", ["detector"], Client("d1"), now_s=9.0)[0] == Available({})
     answer, commands = machine.start("s1", "detector", Client("d1"), now_s=9.0)
     assert answer == StartPending(2, stopping=False)
@@ -243,33 +242,33 @@ def test_an_instance_that_crashed_is_absent_and_started_again_on_request() -> No
 def test_an_instance_that_did_not_start_can_be_started_again() -> None:
     machine = host()
     machine.start("s1", "detector", Client("d1"), now_s=0.0)
-    machine.gone("s1", "detector", 1)
+    machine.at("s1").gone("detector", 1)
     assert machine.start("s1", "detector", Client("d1"), now_s=1.0)[1] == [StartInstance("s1", "detector", 2)]
 
 
 def test_what_is_told_of_an_earlier_instance_changes_nothing() -> None:
     machine = with_detector_running()
-    machine.gone("s1", "detector", 1)
-    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=9.0) == []
-    assert machine.state("s1", "detector") is ABSENT
+    machine.at("s1").gone("detector", 1)
+    assert machine.at("s1").ready("detector", 1, "10.0.0.1:9000", now_s=9.0) == []
+    assert machine.at("s1").state("detector") is ABSENT
     machine.start("s1", "detector", Client("d1"), now_s=10.0)
-    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=11.0) == []
-    machine.gone("s1", "detector", 1)
-    assert machine.state("s1", "detector") is STARTING
-    machine.ready("s1", "detector", 2, "10.0.0.1:9001", now_s=12.0)
-    machine.gone("s1", "detector", 1)
+    assert machine.at("s1").ready("detector", 1, "10.0.0.1:9000", now_s=11.0) == []
+    machine.at("s1").gone("detector", 1)
+    assert machine.at("s1").state("detector") is STARTING
+    machine.at("s1").ready("detector", 2, "10.0.0.1:9001", now_s=12.0)
+    machine.at("s1").gone("detector", 1)
     assert machine.start("s1", "detector", Client("d1"), now_s=13.0)[0] == ServiceRunning("10.0.0.1:9001")
 
 
 def test_an_instance_that_nobody_uses_is_stopped_once() -> None:
     machine = with_detector_running()
     machine.availability("s1", ["detector"], Client("d1"), now_s=30.0)
-    machine.called("s1", "detector", "d1", now_s=50.0)
+    machine.at("s1").called("detector", 1, "d1", now_s=50.0)
     machine.leave("s1", Client("d1"), now_s=0.0)
     assert machine.look(now_s=649.9) == []
     assert machine.look(now_s=650.0) == [StopInstance("s1", "detector", 1)]
     assert machine.look(now_s=800.0) == []
-    assert machine.state("s1", "detector") is STOPPING
+    assert machine.at("s1").state("detector") is STOPPING
 
 
 def test_an_instance_that_was_never_called_is_idle_from_when_it_was_ready() -> None:
@@ -283,7 +282,7 @@ def test_an_instance_that_starts_for_long_is_not_idle() -> None:
     machine = host()
     machine.start("s1", "detector", Client("d1"), now_s=0.0)
     assert machine.look(now_s=1000.0) == [ended(1000.0), admit()]
-    assert machine.state("s1", "detector") is STARTING
+    assert machine.at("s1").state("detector") is STARTING
 
 
 def test_nothing_is_stopped_under_a_drone_with_a_lease() -> None:
@@ -311,7 +310,7 @@ def test_an_instance_that_stops_is_started_again_only_once_it_is_gone() -> None:
     answer, commands = machine.start("s1", "detector", Client("d1"), now_s=609.0)
     assert answer == StartPending(1, stopping=True)
     assert commands == []
-    machine.gone("s1", "detector", 1)
+    machine.at("s1").gone("detector", 1)
     assert machine.start("s1", "detector", Client("d1"), now_s=610.0)[1] == [
         StartInstance("s1", "detector", 2)
     ]
@@ -364,7 +363,7 @@ def test_a_service_that_is_withdrawn_is_stopped_and_one_of_another_version_start
     assert answer == Denied("s1 has no image of detector")
     _, commands = machine.start("s1", "mapper", Client("d1"), now_s=9.0)
     assert commands == [StartInstance("s1", "mapper", 2)]
-    machine.ready("s1", "mapper", 2, ":9001", now_s=10.0)
+    machine.at("s1").ready("mapper", 2, ":9001", now_s=10.0)
     outdated = frozenset({("s1", "mapper")})
     assert machine.offer(offers, outdated=outdated) == [StartInstance("s1", "mapper", 3)]
 
@@ -395,8 +394,8 @@ def test_a_daemon_that_closes_stops_what_runs_or_starts_and_serves_nobody_for_th
     for drone in ("d1", "d3"):
         answer, _ = machine.availability("s1", ["detector"], Client(drone), now_s=9.0)
         assert answer == Denied("shutting down")
-    assert machine.ready("s2", "detector", 2, ":9001", now_s=9.5) == []
-    assert machine.state("s2", "detector") is STOPPING
+    assert machine.at("s2").ready("detector", 2, ":9001", now_s=9.5) == []
+    assert machine.at("s2").state("detector") is STOPPING
 
 
 # ---- what operators see

@@ -17,16 +17,13 @@ from upwash.core.admission.admission import (
     AdmissionController,
     AdmissionSettings,
     Available,
-    Command,
-    Denied,
-    Held,
-    ServerOffer,
     ServiceRunning,
     StartPending,
 )
 from upwash.core.admission.clients import Client, Role
 from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
 from upwash.core.admission.leases import Admit
+from upwash.core.admission.server import Command, Denied, ServerOffer
 from upwash.core.admission.usage import LeaseEnded
 
 OFFERED = {"s1": ["counter", "detector"], "s2": ["detector"]}
@@ -124,7 +121,7 @@ class Daemon(RuleBasedStateMachine):
         answer, commands = self.host.hold(
             server, wanted, Client(drone), peer=PEER, for_s=for_s, now_s=self.now_s
         )
-        is_held = isinstance(answer, Held)
+        is_held = answer is None
         others = sum(
             each == server and name != drone and self.has_lease(each, name) for each, name in self.expected
         )
@@ -155,13 +152,13 @@ class Daemon(RuleBasedStateMachine):
     @rule(data=st.data(), drone=drones)
     def drone_calls(self, data: st.DataObject, drone: str) -> None:
         server, service = data.draw(st.sampled_from(sorted(self.serving)))
-        self.host.called(server, service, drone, now_s=self.now_s)
+        self.host.at(server).called(service, self.living[server, service], drone, now_s=self.now_s)
         if self.has_lease(server, drone):
             self.used_s[server, service] = self.now_s
 
     @rule(server=servers, drone=drones)
     def daemon_sees_the_drone(self, server: str, drone: str) -> None:
-        self.host.seen(server, drone, now_s=self.now_s)
+        self.host.at(server).seen(drone, now_s=self.now_s)
         if self.has_lease(server, drone):  # one that is over stays over
             ends_s = self.now_s + SETTINGS.lease_s
             self.lease_ends_s[server, drone] = max(ends_s, self.lease_ends_s[server, drone])
@@ -192,7 +189,7 @@ class Daemon(RuleBasedStateMachine):
     def instance_is_ready(self, data: st.DataObject) -> None:
         server, service, number = data.draw(st.sampled_from(self.born))
         place, endpoint = (server, service), f"{server}:{9000 + number}"
-        commands = self.host.ready(server, service, number, endpoint, now_s=self.now_s)
+        commands = self.host.at(server).ready(service, number, endpoint, now_s=self.now_s)
         is_next = self.coming.get(place) == number
         if is_next:
             self.former_s[*place, self.living[place]] = self.now_s + SETTINGS.lease_s
@@ -211,7 +208,7 @@ class Daemon(RuleBasedStateMachine):
     def instance_is_gone(self, data: st.DataObject) -> None:
         server, service, number = data.draw(st.sampled_from(self.born))
         place = (server, service)
-        self.host.gone(server, service, number)
+        self.host.at(server).gone(service, number)
         self.former_s.pop((server, service, number), None)
         if self.coming.get(place) == number:
             del self.coming[place]
@@ -324,7 +321,7 @@ class Daemon(RuleBasedStateMachine):
                     expected = InstanceState.RUNNING
                 elif place in self.living:
                     expected = InstanceState.STARTING
-                assert self.host.state(server, service) is expected
+                assert self.host.at(server).state(service) is expected
 
 
 class ManyDaemons(Daemon):

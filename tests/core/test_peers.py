@@ -6,18 +6,11 @@ import math
 
 import pytest
 
-from upwash.core.admission.admission import (
-    AdmissionController,
-    AdmissionSettings,
-    Available,
-    Command,
-    Denied,
-    Held,
-    ServerOffer,
-)
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings, Available
 from upwash.core.admission.clients import Client, LeaseStatus, Role
 from upwash.core.admission.instances import StartInstance
 from upwash.core.admission.leases import Admit
+from upwash.core.admission.server import Command, Denied, ServerOffer
 from upwash.core.admission.usage import LeaseEnded
 
 S1 = Client("s1", "51", Role.SERVER)
@@ -39,7 +32,7 @@ def hold(
     peer: Client = S1,
     for_s: float = 40.0,
     now_s: float = 0.0,
-) -> tuple[Held | Denied, list[Command]]:
+) -> tuple[Denied | None, list[Command]]:
     return machine.hold("s2", ["detector"], drone, peer=peer, for_s=for_s, now_s=now_s)
 
 
@@ -49,10 +42,10 @@ def hold(
 def test_a_slot_is_held_and_the_service_started_for_a_drone_that_is_expected() -> None:
     machine = peer_host()
     answer, commands = hold(machine)
-    assert answer == Held()
+    assert answer is None
     assert commands == [Admit("s2", frozenset({"d1"})), StartInstance("s2", "detector", 1)]
     assert isinstance(machine.availability("s2", [], D2, now_s=39.9)[0], Denied)
-    machine.ready("s2", "detector", 1, ":9000", now_s=12.0)
+    machine.at("s2").ready("detector", 1, ":9000", now_s=12.0)
     available, _ = machine.availability("s2", ["detector"], D1, now_s=39.9)
     assert available == Available({"detector": ":9000"}, waiting=1)
     machine.look(now_s=60.0)
@@ -78,7 +71,7 @@ def test_no_slot_is_held_for_longer_than_the_daemon_allows(for_s: float) -> None
 def test_word_may_come_again_and_the_services_are_started_once() -> None:
     machine = peer_host()
     hold(machine)
-    assert hold(machine, now_s=20.0) == (Held(), [])
+    assert hold(machine, now_s=20.0) == (None, [])
     machine.look(now_s=59.9)
     assert machine.leases("s2") == {"d1"}
 
@@ -121,26 +114,26 @@ def test_a_peer_gets_half_of_the_slots_and_leaves_the_others_to_drones_that_are_
     machine = peer_host(slots=4)
     invented = [Client(f"x{number}", f"x{number}") for number in range(4)]
     answers = [hold(machine, drone)[0] for drone in invented]
-    assert answers == [Held(), Held(), *[Denied("s1 has 2 slots held, half of all")] * 2]
-    assert hold(machine, invented[0])[0] == Held(), "again, for the same drone"
+    assert answers == [None, None, *[Denied("s1 has 2 slots held, half of all")] * 2]
+    assert hold(machine, invented[0])[0] is None, "again, for the same drone"
     assert isinstance(machine.availability("s2", [], D1, now_s=1.0)[0], Available)
-    assert hold(machine, D2, peer=Client("s3", "53", Role.SERVER))[0] == Held()
+    assert hold(machine, D2, peer=Client("s3", "53", Role.SERVER))[0] is None
 
 
 def test_a_peer_whose_drones_never_come_is_refused_for_a_while() -> None:
     machine = peer_host()
     for number in range(3):
-        assert hold(machine, Client(f"x{number}", f"x{number}"), now_s=50.0 * number)[0] == Held()
+        assert hold(machine, Client(f"x{number}", f"x{number}"), now_s=50.0 * number)[0] is None
     assert hold(machine, now_s=150.0)[0] == Denied("the last 3 drones that s1 expected did not come")
     assert isinstance(hold(machine, now_s=749.0)[0], Denied)
-    assert hold(machine, now_s=751.0)[0] == Held()
+    assert hold(machine, now_s=751.0)[0] is None
 
 
 def test_a_drone_that_comes_clears_the_peer() -> None:
     machine = peer_host()
     for number in range(6):
         invented = Client(f"x{number}", f"x{number}")
-        assert hold(machine, invented, now_s=50.0 * number)[0] == Held()
+        assert hold(machine, invented, now_s=50.0 * number)[0] is None
         if number == 2:
             machine.availability("s2", [], invented, now_s=50.0 * number + 1)
             machine.leave("s2", invented, now_s=0.0)

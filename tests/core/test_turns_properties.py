@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
+from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.turns import ASK_AGAIN_S
 
 RENEWED_S = 10.0  # a third of a lease

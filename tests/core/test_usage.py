@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings
 from upwash.core.admission.clients import Client, DroneUsage, Role, ServerStatus, TeamUsage
+from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.usage import LeaseEnded, Usage, team_of
 
 NORTH_1, NORTH_2, HERON = Client("north-1", "01"), Client("north-2", "02"), Client("heron", "03")
@@ -25,7 +26,7 @@ def host(*drones: Client, slots: int = 3) -> AdmissionController:
 def call(
     machine: AdmissionController, drone: Client, took_s: float, *, now_s: float, outcome: str = "value"
 ) -> None:
-    machine.used("s1", drone.key, took_s=took_s, outcome=outcome, now_s=now_s)
+    machine.at("s1").usage.called(drone.key, took_s=took_s, is_answered=outcome != "dropped", now_s=now_s)
 
 
 def status(machine: AdmissionController, now_s: float) -> ServerStatus:

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.admission.admission import (
-    AdmissionController,
-    AdmissionSettings,
-    Available,
-    Denied,
-    ServerOffer,
-    StartPending,
-)
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings, Available, StartPending
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
+from upwash.core.admission.server import Denied, ServerOffer
 from upwash.core.admission.watchdog import (
     CALL_LIMIT_S,
     DENIALS,
@@ -194,17 +188,17 @@ def host(*drones: Client, slots: int = 2) -> AdmissionController:
     )
     for drone in drones:
         machine.start("s1", "detector", drone, now_s=0.0)
-    machine.ready("s1", "detector", 1, ":1", now_s=0.0)
+    machine.at("s1").ready("detector", 1, ":1", now_s=0.0)
     return machine
 
 
 def hang(machine: AdmissionController, drone: Client, number: int, now_s: float) -> float:
     """A call of the drone keeps the instance of that number busy until it is gone, at the time returned."""
-    machine.called("s1", "detector", drone.key, now_s=now_s)
+    machine.at("s1").called("detector", number, drone.key, now_s=now_s)
     over_s = now_s + CALL_LIMIT_S
-    machine.heard("s1", "detector", now_s=over_s)
-    assert machine.watch("s1", "detector", now_s=over_s - 0.1) == []
-    stop = machine.watch("s1", "detector", now_s=over_s)[0]
+    machine.at("s1").heard("detector", number, now_s=over_s)
+    assert machine.at("s1").watch("detector", number, now_s=over_s - 0.1) == []
+    stop = machine.at("s1").watch("detector", number, now_s=over_s)[0]
     assert isinstance(stop, StopInstance) and stop.number == number and "kept it busy for 60 s" in stop.why
     return over_s
 
@@ -212,8 +206,8 @@ def hang(machine: AdmissionController, drone: Client, number: int, now_s: float)
 def test_an_instance_of_no_use_is_stopped_and_started_anew() -> None:
     machine = host(D1)
     now_s = hang(machine, D1, 1, 0.0)
-    assert machine.watch("s1", "detector", now_s=now_s + 5.0) == [], "it is being stopped"
-    assert machine.gone("s1", "detector", 1, now_s=now_s) == [StartInstance("s1", "detector", 2)]
+    assert machine.at("s1").watch("detector", 1, now_s=now_s + 5.0) == [], "it is being stopped"
+    assert machine.at("s1").gone("detector", 1, now_s=now_s) == [StartInstance("s1", "detector", 2)]
     (status,) = machine.servers(now_s=now_s)[0].instances
     assert (status.replaced, status.failures, status.paused_s) == (1, 1, 0.0)
 
@@ -221,11 +215,11 @@ def test_an_instance_of_no_use_is_stopped_and_started_anew() -> None:
 def test_a_drone_whose_calls_hang_again_and_again_is_shut_out_and_another_is_served() -> None:
     machine = host(D1, D2)
     now_s = hang(machine, D2, 1, 0.0)
-    machine.gone("s1", "detector", 1, now_s=now_s)
-    machine.ready("s1", "detector", 2, ":2", now_s=now_s)
+    machine.at("s1").gone("detector", 1, now_s=now_s)
+    machine.at("s1").ready("detector", 2, ":2", now_s=now_s)
     now_s = hang(machine, D2, 2, now_s)
     assert machine.leases("s1") == {"d1"}
-    assert machine.gone("s1", "detector", 2, now_s=now_s) == [StartInstance("s1", "detector", 3)]
+    assert machine.at("s1").gone("detector", 2, now_s=now_s) == [StartInstance("s1", "detector", 3)]
     answer, _ = machine.availability("s1", ["detector"], D2, now_s=now_s)
     assert isinstance(answer, Denied) and answer.pause_s == FIRST_PAUSE_S
     assert isinstance(machine.availability("s1", ["detector"], D1, now_s=now_s)[0], Available)
@@ -235,9 +229,9 @@ def test_a_drone_whose_calls_hang_again_and_again_is_shut_out_and_another_is_ser
 
 def test_a_service_that_does_not_start_is_offered_to_nobody_during_the_pause() -> None:
     machine = host(D1)
-    machine.gone("s1", "detector", 1, "killed by SIGKILL", now_s=0.0)
+    machine.at("s1").gone("detector", 1, "killed by SIGKILL", now_s=0.0)
     machine.start("s1", "detector", D1, now_s=1.0)
-    assert machine.gone("s1", "detector", 2, "no such model", now_s=2.0) == []
+    assert machine.at("s1").gone("detector", 2, "no such model", now_s=2.0) == []
     for drone in (D1, D2):
         answer, commands = machine.start("s1", "detector", drone, now_s=3.0)
         assert isinstance(answer, Denied) and answer.pause_s == 19.0 and commands == []
@@ -248,7 +242,7 @@ def test_an_instance_that_is_stopped_for_another_reason_has_not_failed() -> None
     machine = host(D1)
     machine.leave("s1", D1, now_s=0.0)
     assert machine.look(now_s=600.0) == [StopInstance("s1", "detector", 1)]
-    assert machine.gone("s1", "detector", 1, "stopped", now_s=601.0) == []
+    assert machine.at("s1").gone("detector", 1, "stopped", now_s=601.0) == []
     (status,) = machine.servers(now_s=601.0)[0].instances
     assert (status.replaced, status.failures) == (0, 0)
 
@@ -257,17 +251,17 @@ def test_a_daemon_that_closes_starts_nothing_anew() -> None:
     machine = host(D1)
     now_s = hang(machine, D1, 1, 0.0)
     machine.close("shutting down")
-    assert machine.gone("s1", "detector", 1, now_s=now_s) == []
-    assert machine.state("s1", "detector") is InstanceState.ABSENT
+    assert machine.at("s1").gone("detector", 1, now_s=now_s) == []
+    assert machine.at("s1").state("detector") is InstanceState.ABSENT
 
 
 def test_a_drone_without_a_lease_denies_nothing() -> None:
     machine = host(D1)
     for _ in range(DENIALS):
-        machine.answered("s1", "detector", "d1", took_s=0.1, queued_s=0.0, outcome="raised", now_s=1.0)
+        machine.at("s1").answered("detector", 1, "d1", took_s=0.1, queued_s=0.0, outcome="raised", now_s=1.0)
         assert machine.deny("s1", ["detector", "unknown"], D3, now_s=1.0) == []
         assert machine.deny("s9", ["detector"], D1, now_s=1.0) == []
-    assert machine.state("s1", "detector") is InstanceState.RUNNING
+    assert machine.at("s1").state("detector") is InstanceState.RUNNING
     for _ in range(DENIALS):
         commands = machine.deny("s1", ["detector", "unknown"], D1, now_s=1.0)
     assert isinstance(commands[0], StopInstance)

@@ -20,8 +20,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.events import event as made
 from tests.server.test_edge_server import COLD_START_S, Runtime
 
-from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
+from upwash.core.admission.server import ServerOffer
 from upwash.core.knowledge.servers import State
 from upwash.errors import InstanceError, Refused, UsageError
 from upwash.eventlog import schema
@@ -33,7 +34,8 @@ from upwash.metrics.exposition import exposed
 from upwash.ports import AnsweredCall, Instance, InstanceSpec, Program
 from upwash.report.palette import DARK, LIGHT
 from upwash.rpc.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
-from upwash.server.daemon import EdgeServer, Image
+from upwash.server.daemon import EdgeServer
+from upwash.server.instances import Image
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.world import Wire
 

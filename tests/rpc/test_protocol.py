@@ -13,8 +13,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings
 from upwash.core.admission.clients import Client
+from upwash.core.admission.server import ServerOffer
 from upwash.errors import GarbledReply, Refused
 from upwash.ports import AnsweredCall, Instance, InstanceSpec, Link, Program, ignored
 from upwash.real.instances.control import (

@@ -10,8 +10,9 @@ from typing import Any, TypeVar
 import msgspec
 import pytest
 
-from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings
 from upwash.core.admission.clients import Client, InstanceStatus, Role
+from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S, DENIALS
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
@@ -33,7 +34,8 @@ from upwash.rpc.protocol import (
     StatusReply,
     StatusRequest,
 )
-from upwash.server.daemon import EdgeServer, Image
+from upwash.server.daemon import EdgeServer
+from upwash.server.instances import Image
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.world import Wire
@@ -43,6 +45,7 @@ COLD_START_S = 8.0
 LEASE_S = 30.0
 DRAIN_S = 10.0
 STOP_S = 30.0
+IMAGES = {name: Image(Program(f"somewhere:{name}")) for name in ("detector", "counter")}
 
 
 class Instance:
@@ -117,10 +120,7 @@ class Daemon:
                 AdmissionSettings(lease_s=LEASE_S, idle_stop_s=100),
                 peers=["s2"],
             ),
-            images={
-                "detector": Image(Program("somewhere:Detector")),
-                "counter": Image(Program("somewhere:Counter")),
-            },
+            images=IMAGES,
             runtime=self.runtime,
             dialer=ModelDialer("s1", Switchboard({}), Wire()),
             start_timeout_s=start_timeout_s,
@@ -617,7 +617,7 @@ def test_a_certificate_that_is_revoked_is_admitted_to_no_instance_any_more() -> 
         (instance,) = daemon.runtime.instances
         assert instance.admitted == {"0a"}
         offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
-        await daemon.edge.reload(offers, images={}, revoked=frozenset({"0a"}))
+        await daemon.edge.reload(offers, images=IMAGES, revoked=frozenset({"0a"}))
         assert instance.admitted == frozenset()
 
     serve(story)

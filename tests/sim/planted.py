@@ -25,11 +25,11 @@ from tests.sim import planted_vehicle as vehicle
 
 from upwash.config import DroneConfig
 from upwash.core.admission.admission import AdmissionController
-from upwash.core.admission.admission import Command as AdmissionCommand
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import StartInstance
 from upwash.core.admission.leases import Admit, Leases
 from upwash.core.admission.peers import Peers
+from upwash.core.admission.server import Command as AdmissionCommand
 from upwash.core.admission.turns import Turns
 from upwash.core.admission.watchdog import InstanceFailures as DaemonFailures
 from upwash.core.admission.watchdog import Limit, Watch

@@ -7,12 +7,14 @@ import functools
 from collections.abc import AsyncIterator, Mapping
 
 from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
-from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
+from upwash.core.admission.server import ServerOffer
 from upwash.lab.observer import Seen, ServerObserver
 from upwash.missions.bundled import LoadedService
 from upwash.rpc.service import spec_of
-from upwash.server.daemon import EdgeServer, Image
+from upwash.server.daemon import EdgeServer
+from upwash.server.instances import Image
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults, FaultyServer
 from upwash.sim.link import ModelDialer, Switchboard

@@ -33,7 +33,8 @@ from upwash.real.link.listener import HealthCheck, Listener, cannot_listen
 from upwash.real.link.proxy import GrpcSocket
 from upwash.real.link.requests import Caller, Requests
 from upwash.real.link.streams import listening_socket
-from upwash.server.daemon import EdgeServer, Observer
+from upwash.server.daemon import EdgeServer
+from upwash.server.instances import Observer
 from upwash.support.background import beside, first, never
 from upwash.support.loading import extra
 

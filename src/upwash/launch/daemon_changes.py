@@ -11,9 +11,9 @@ from typing import NoReturn
 
 from upwash.config import DaemonConfig
 from upwash.config.daemon import ImageConfig
-from upwash.core.admission.admission import ServerOffer
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import InstanceState
+from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S
 from upwash.errors import UpwashError, UsageError
 from upwash.launch.daemon_keys import DaemonKeys
@@ -21,7 +21,8 @@ from upwash.launch.daemon_services import DaemonServices
 from upwash.real.host.service_manager import ServiceManager
 from upwash.real.link.door import Door
 from upwash.real.link.hand_over import HandedOver, Served, Used, hand_over
-from upwash.server.daemon import EdgeServer, Image
+from upwash.server.daemon import EdgeServer
+from upwash.server.instances import Image
 
 _log = logging.getLogger("upwash.serving")
 

@@ -27,7 +27,7 @@ from upwash.missions.bundled import load_configured
 from upwash.ports import Program
 from upwash.real.instances.versions import version_of, version_of_upwash
 from upwash.rpc.service import spec_of
-from upwash.server.daemon import Image
+from upwash.server.instances import Image
 from upwash.support.loading import look_here, module_command
 
 _log = logging.getLogger("upwash.serving")

@@ -17,7 +17,8 @@ from upwash.errors import Refused
 from upwash.metrics import CALL_S
 from upwash.ports import AnsweredCall, InstanceSpec
 from upwash.rpc.protocol import AVAILABILITY, DENY, HOLD, LEAVE, PREPARE, START, STATUS
-from upwash.server.daemon import EdgeServer, Observer, Snapshot
+from upwash.server.daemon import EdgeServer, Snapshot
+from upwash.server.instances import Observer
 
 _LOOK_S = 5.0  # longer than a daemon is ever busy at a stretch
 _START_S = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)

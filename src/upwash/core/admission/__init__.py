@@ -3,6 +3,7 @@
 Laws stand at the top of admission.py; those of turns, usage and failures in turns.py, usage.py and watchdog.py.
 
     admission       requests of drones, peers and operators → answers and commands
+    server          what one server gives: slots, instances
     leases, turns   who holds a slot and for how long; who is next
     slots           how many slots a server has, as measured
     instances       at most one instance of each service
@@ -12,6 +13,4 @@ Laws stand at the top of admission.py; those of turns, usage and failures in tur
     clients         who asks, and the values of the status page
     instance_gate   whom an instance answers
     limits          what an instance may use, and rates of untrusted input
-
-What is ugly: admission.py is long, because each refusal needs the state of several of these parts.
 """
