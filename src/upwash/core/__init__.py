@@ -7,7 +7,7 @@ Laws: no clock, socket, randomness, log or asyncio; time and position are argume
     planning/        the mission ahead: legs, calls, schedules, orders
     policies/        which server, and where a call runs
     selection/       the drone's machine: `Selection` takes events and returns commands
-    vehicle/         who has the vehicle, its fences, its battery
+    vehicle/         the vehicle's owner, fences and battery
     admission/       the server's machine: `AdmissionController`, and what it keeps
 
 Drive it by hand with docs/driving-the-core.md.

@@ -27,12 +27,12 @@ class Position(msgspec.Struct, frozen=True, gc=False):
     altitude_m: Metres = 0.0
 
     def at_altitude(self, altitude_m: float) -> Position:
-        """The place at that altitude above or below."""
+        """The same place over the ground, at that altitude above home."""
         return Position(self.east_m, self.north_m, altitude_m)
 
 
 class Velocity(msgspec.Struct, frozen=True, gc=False):
-    """Where to and how fast."""
+    """A velocity in metres per second: eastwards, northwards and upwards."""
 
     east_m_s: float = 0.0
     north_m_s: float = 0.0
@@ -40,18 +40,18 @@ class Velocity(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def speed_m_s(self) -> float:
-        """Its length."""
+        """The speed along the flight path."""
         return math.hypot(self.east_m_s, self.north_m_s, self.up_m_s)
 
     @property
     def ground_m_s(self) -> float:
-        """How fast that is over the ground."""
+        """The ground speed: the horizontal part alone."""
         return math.hypot(self.east_m_s, self.north_m_s)
 
 
 @dataclass(frozen=True, slots=True)
 class GeoPosition:
-    """A place on the Earth, in degrees, and metres above home."""
+    """A place on the Earth: latitude and longitude in degrees (WGS 84), altitude in metres above home."""
 
     latitude_deg: Annotated[float, msgspec.Meta(ge=-90, le=90)]
     longitude_deg: Annotated[float, msgspec.Meta(ge=-360, le=360)]
@@ -73,7 +73,7 @@ class EarthPosition:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """A place where the mission does something; `index` counts from 0 in flight order.
+    """A place where the mission calls a service; `index` counts from 0 in flight order.
 
     `ground_speed_m_s` is the speed of the way there, None for the current speed. `above_sea_m` is its altitude in a
     plan that counts from the sea, which is sure only with home's altitude above the sea. The drone first hovers for
@@ -99,7 +99,7 @@ class Circle:
         return ground_distance_m(self.centre, position) <= self.radius_m
 
     def corners(self, sides: int) -> list[Position]:
-        """The corners of a polygon on its border, anticlockwise from the east."""
+        """The `sides` corners of a regular polygon on its border, anticlockwise from the east."""
         angles = [math.tau * side / sides for side in range(sides)]
         return [
             Position(
@@ -115,7 +115,7 @@ class Measured:
     """The reach of a server without a radio range: it may answer everywhere, and calls measure how soon."""
 
     def contains(self, _position: Position) -> bool:
-        """True: nothing is known before a call was made there."""
+        """Always True, as nothing is known of a place before a call was made there."""
         return True
 
 
@@ -145,7 +145,7 @@ class LocalFrame:
         )
 
     def metres_per_degree(self) -> tuple[float, float]:
-        """Lengths at home's latitude of a degree eastwards and of one northwards."""
+        """The length in metres of one degree of longitude, and of one degree of latitude, at home."""
         latitude = math.radians(self.home.latitude_deg)
         flattening = 1 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
         normal_m = _EQUATORIAL_RADIUS_M / math.sqrt(flattening)
@@ -159,7 +159,7 @@ def ground_distance_m(a: Position, b: Position) -> float:
 
 
 def ahead(place: Position, velocity: Velocity, time_s: float) -> Position:
-    """Where that velocity leads in that time, but never below the ground."""
+    """The position after `time_s` at that velocity, never below the ground."""
     return Position(
         place.east_m + velocity.east_m_s * time_s,
         place.north_m + velocity.north_m_s * time_s,
@@ -173,5 +173,5 @@ def distance_m(a: Position, b: Position) -> float:
 
 
 def rounded(position: Position) -> Position:
-    """To the centimetre."""
+    """The position, each coordinate rounded to the centimetre."""
     return Position(round(position.east_m, 2), round(position.north_m, 2), round(position.altitude_m, 2))

@@ -12,17 +12,17 @@ ON_DRONE = "local"
 
 
 def name_of(server: str | None) -> str:
-    """The name of a place."""
+    """The name of a call's place: the server's, or "local" for the drone, given as None."""
     return ON_DRONE if server is None else server
 
 
 def server_of(name: str) -> str | None:
-    """The server at the place of that name, None where it is the drone."""
+    """The server of that name; None for "local", the drone."""
     return None if name == ON_DRONE else name
 
 
 class Operation(msgspec.Struct, frozen=True, order=True, gc=False):
-    """What an estimate belongs to: a service's method, split further by the value of its profile argument."""
+    """A service's method whose delay is estimated; `key` is the value of the method's profile argument, if any."""
 
     service: str
     method: str

@@ -126,12 +126,12 @@ class AdmissionController:
         return StartPending(place.number, place.state is InstanceState.STOPPING), [*commands, *starts]
 
     def deny(self, server: str, services: Iterable[str], drone: Client, *, now_s: float) -> list[Command]:
-        """These services raised in calls of the drone, but did not raise on the drone."""
+        """Note that these services raised in calls of the drone, but not on the drone; stop useless instances."""
         at = self._servers.get(server)
         return [] if at is None else at.deny(services, drone, now_s=now_s)
 
     def leave(self, server: str, drone: Client, *, now_s: float) -> list[Command]:
-        """Free the drone's slot, or its place in the queue."""
+        """Free the drone's slot, or its place in the queue; return the commands that follow."""
         at = self._servers.get(server)
         if at is None:
             return []
@@ -143,7 +143,10 @@ class AdmissionController:
     def send_ahead(
         self, server: str, peer: str, drone: Client, *, for_s: float, now_s: float
     ) -> tuple[Denied | None, list[Command]]:
-        """Have the peer hold a slot for a drone that is served here; a drone may have one slot held at a time."""
+        """Allow or deny that the peer is asked to hold a slot for a drone served here; None allows it.
+
+        A drone may have one slot held at a time.
+        """
         commands = self._end_leases(now_s)
         why = (
             self._mistrust(drone)
@@ -195,7 +198,7 @@ class AdmissionController:
     def take_up(
         self, server: str, drones: Iterable[Client], services: Iterable[str], *, now_s: float
     ) -> list[Command]:
-        """Serve the drones of a daemon that this daemon replaces, with the services that ran there."""
+        """Serve the drones of the daemon that this daemon replaces; start the services that ran there."""
         at = self._servers.get(server)
         if at is None:
             return []
@@ -210,7 +213,7 @@ class AdmissionController:
     def take_up_usage(
         self, server: str, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float
     ) -> None:
-        """Continue the usage that the former daemon counted, once its leases are taken up."""
+        """Continue the usage counts of the former daemon; call it after `take_up`."""
         if server in self._servers:
             self._servers[server].usage.take_up(drones, teams, now_s=now_s)
 
@@ -219,16 +222,17 @@ class AdmissionController:
     def offer(
         self, offers: Mapping[str, ServerOffer], *, outdated: frozenset[tuple[str, str]]
     ) -> list[Command]:
-        """Offer this from now on; stop running services that are withdrawn.
+        """Replace the offers of these servers; return the commands that stop withdrawn services.
 
-        New instances start before they replace `outdated` instances, given by server and service. A drone with a
-        slot too many keeps it until its lease ends.
+        `outdated` has the pairs of server and service whose image changed: each gets a new instance, and the old one
+        serves until the new one is ready. With fewer slots than before, each drone keeps its slot until its lease
+        ends.
         """
         changes = (self._servers[name].change(offer, outdated=outdated) for name, offer in offers.items())
         return list(itertools.chain.from_iterable(changes))
 
     def revoke(self, certificates: frozenset[str], *, now_s: float) -> list[Command]:
-        """Refuse exactly these certificates from now on; end the leases held by them."""
+        """Refuse exactly these certificates from now on; end their leases."""
         self._revoked = certificates
         ended = (server.leases.revoke(certificates, now_s=now_s) for server in self._servers.values())
         return list(itertools.chain.from_iterable(ended))
@@ -267,7 +271,7 @@ class AdmissionController:
     # --- the status page ------------------------------------------------------------------------------------
 
     def refused(self, server: str, client: str, why: str, *, now_s: float) -> None:
-        """Count a refused client; the controller need not know the reason."""
+        """Count a refused client, for a reason that the controller need not know."""
         self.refused_times[server if server in self._servers else _ELSEWHERE] += 1
         self._refusals.note(server, client, why, now_s=now_s)
 

@@ -32,7 +32,10 @@ class Client(Struct, frozen=True):
 
     @property
     def key(self) -> str:
-        """What instances know it by: a name may be given again after a theft, a fingerprint is never."""
+        """The identity that instances use: the certificate's fingerprint, or the name without certificates.
+
+        After a theft a name may be given again, a fingerprint never.
+        """
         return self.certificate or self.name
 
 
@@ -90,7 +93,7 @@ class DroneUsage(Struct, frozen=True):
 
 
 class TeamUsage(Struct, frozen=True):
-    """The same of all drones of a team, which have `slots` now."""
+    """What all drones of a team have used of a server; the fields of `DroneUsage`. The team has `slots` now."""
 
     team: str
     slots: int
@@ -101,7 +104,7 @@ class TeamUsage(Struct, frozen=True):
 
 
 class ServerStatus(Struct, frozen=True):
-    """One of the servers that a daemon acts as; `slots_why` says what the number of slots follows from.
+    """The status of one server of a daemon; `slots_why` explains the number of slots.
 
     A turn lasts `turn_s`, None without end; `turns_ended` turns ended for other drones. A daemon without turns
     leaves these out, and an earlier daemon leaves out `drones` and `teams`.
@@ -120,7 +123,7 @@ class ServerStatus(Struct, frozen=True):
 
 
 class RefusalStatus(Struct, frozen=True):
-    """What a client was refused, how often, and how long ago last."""
+    """Why a client was refused, `times` times, and the seconds since the last time."""
 
     server: str
     client: str
@@ -154,12 +157,12 @@ class _Refusal:
 
 @dataclass(slots=True)
 class Refusals:
-    """The last different refusals."""
+    """The last 20 different refusals."""
 
     _known: dict[tuple[str, str, str], _Refusal] = field(default_factory=dict)
 
     def note(self, server: str, client: str, why: str, *, now_s: float) -> None:
-        """Takes in one more; a repetition counts with the first."""
+        """Add a refusal; the same refusal again raises its count."""
         what = (server, client, why)
         refusal = self._known.pop(what, _Refusal(now_s))
         refusal.times += 1
@@ -169,7 +172,7 @@ class Refusals:
             del self._known[next(iter(self._known))]
 
     def status(self, *, now_s: float) -> list[RefusalStatus]:
-        """What is known, the latest first."""
+        """The refusals, the latest first."""
         return [
             RefusalStatus(*what, times=refusal.times, ago_s=now_s - refusal.last_s)
             for what, refusal in reversed(self._known.items())

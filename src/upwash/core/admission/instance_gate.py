@@ -1,4 +1,4 @@
-"""Whom a service instance answers, as its daemon has told it; every kind of instance asks here."""
+"""The drones that a service instance answers, as its daemon decides; every kind of instance asks here."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from upwash.errors import NoLease, Refused
 
 
 class InstanceGate:
-    """Lets the drones in that have a lease; closed before any is admitted, and for good once it is drained."""
+    """Lets calls of admitted drones through; none is admitted at first, and `close` refuses all for good."""
 
     def __init__(self) -> None:
         self._admitted: frozenset[str] = frozenset()
@@ -18,26 +18,26 @@ class InstanceGate:
 
     @property
     def closed(self) -> str:
-        """Why no call is answered any more; empty where some are."""
+        """Why no call is answered any more; "" before `close`."""
         return self._closed
 
     def admit(self, drones: Iterable[str], finishing: Iterable[str] = ()) -> None:
-        """From now on only these drones, known by `Client.key`, get an answer.
+        """Answer only these drones from now on, given by `Client.key`; `require` refuses all others.
 
-        Those that are `finishing` get one to the calls that have arrived.
+        The `finishing` drones get answers to calls that have already arrived, and to no new calls.
         """
         self._admitted, self._finishing = frozenset(drones), frozenset(finishing)
 
     def close(self, why: str) -> None:
-        """Refuse every call from now on, for that reason."""
+        """Refuse every call from now on, for the reason `why`."""
         self._closed = why
 
     def require(self, client: Client) -> None:
-        """Raises Refused where the client gets no answer to a call that arrives, NoLease where it lacks that."""
+        """Check a call that arrives: raises Refused after `close`, NoLease if the client is not admitted."""
         self._require(client, self._admitted)
 
     def require_still(self, client: Client) -> None:
-        """The same once a call that has arrived is about to be computed: the lease may have ended in between."""
+        """Check an arrived call before it is computed; as `require`, but `finishing` drones pass too."""
         self._require(client, self._admitted | self._finishing)
 
     def _require(self, client: Client, admitted: frozenset[str]) -> None:

@@ -19,7 +19,7 @@ from upwash.core.admission.watchdog import InstanceFailures, Limit, Useless, Wat
 
 
 class InstanceState(StrEnum):
-    """Where an instance is in its life."""
+    """The states of an instance."""
 
     ABSENT = "absent"
     STARTING = "starting"
@@ -36,9 +36,9 @@ class StartInstance(Struct, frozen=True):
 
 
 class StopInstance(Struct, frozen=True):
-    """Stop that instance; if there is a reason let the calls under way end first, and refuse every other for it.
+    """Stop that instance. With a reason `why`, calls under way may end first, and new calls are refused with it.
 
-    The calls of an instance that is of no use get little time.
+    If `is_useless`, calls under way get little time.
     """
 
     server: str
@@ -74,7 +74,7 @@ class InstancePlace:
         return self.state is InstanceState.RUNNING
 
     def begin(self) -> list[StartInstance]:
-        """Has an instance started, unless there is one."""
+        """Start an instance, unless one exists."""
         if self.state is not InstanceState.ABSENT:
             return []
         self.state = InstanceState.STARTING
@@ -83,9 +83,9 @@ class InstancePlace:
         return [StartInstance(self.server, self.service, self.number)]
 
     def renew(self, why: str) -> list[StartInstance | StopInstance]:
-        """Has an instance of another version take the place of a running one, once it is ready.
+        """Start an instance of another version, which replaces the running one once it is ready.
 
-        An instance that is starting is stopped for that reason; drones that wait for it wait for the next.
+        If no instance runs, stop the one that is starting, for the reason `why`; waiting drones wait for the next.
         """
         if not self.is_running:
             return [*self.stop(why)]
@@ -96,9 +96,9 @@ class InstancePlace:
     def ready(
         self, number: int, endpoint: str, *, lanes: int = 1, former_until_s: float = 0.0, now_s: float
     ) -> bool:
-        """The instance of that number can be called at the endpoint; returns whether that is news.
+        """Note that the instance of that number can be called at the endpoint; return whether that changed anything.
 
-        An instance whose place it takes serves until `former_until_s`.
+        An instance that it replaces serves until `former_until_s`.
         """
         if number == self.successor:
             if self.is_running:
@@ -115,7 +115,7 @@ class InstancePlace:
         return True
 
     def gone(self, number: int, why: str = "", *, now_s: float = 0.0) -> bool:
-        """The instance of that number has ended, for that reason if by itself; returns whether it was of no use."""
+        """Note that the instance ended; return whether it had been condemned. `why` is set if it ended by itself."""
         self.former_s.pop(number, None)
         if number == self.successor:
             self.successor, self.not_renewed = 0, why
@@ -140,7 +140,7 @@ class InstancePlace:
         return self.stop(f"{self.service} of {self.server} is replaced: {useless.why}", is_useless=True)
 
     def stop(self, why: str = "", *, is_useless: bool = False) -> list[StopInstance]:
-        """Has the instance stopped, if one runs or is starting, with those of other versions."""
+        """Stop the running or starting instance, and the instances of other versions."""
         numbers = [*self.former_s, *filter(None, [self.successor])]
         self.former_s, self.successor = {}, 0
         if self.is_running or self.state is InstanceState.STARTING:
@@ -150,7 +150,7 @@ class InstancePlace:
         return [self._stop(number, why, is_useless and number == self.number) for number in numbers]
 
     def stop_former(self, *, now_s: float) -> list[StopInstance]:
-        """Has those stopped that had the place, and whose time is over."""
+        """Stop replaced instances whose time is over."""
         over = [number for number, until_s in self.former_s.items() if until_s <= now_s]
         for number in over:
             del self.former_s[number]

@@ -1,7 +1,7 @@
 """The leases of one server: which drones hold a slot, and until when.
 
-A slot is held for a drone that is expected too, for the peer that asked for it, until the drone comes itself. A drone
-whose turn is over holds none any more, and its calls that are under way are still answered.
+At the request of a peer a slot is also held for a drone that is expected, until it comes. A drone whose turn is over
+has no slot any more; its calls under way are still answered.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _FINISH_S = 10.0  # after a turn, for calls under way
 
 
 class Admit(Struct, frozen=True):
-    """From now on the server's instances answer these drones, known by `Client.key`, and no others.
+    """The server's instances answer exactly these drones from now on, given by `Client.key`.
 
-    Of those that are `finishing` they answer the calls that are under way, and no further ones.
+    `finishing` drones get answers to calls under way, and to no new calls.
     """
 
     server: str
@@ -39,7 +39,7 @@ class Lease:
 
 
 class Leases:
-    """The slots of one server that are taken; what changes whom its instances answer returns that as a command."""
+    """The taken slots of one server; methods that change which drones its instances answer return an `Admit`."""
 
     def __init__(self, server: str, turns: Turns, usage: Usage) -> None:
         self._server = server
@@ -61,7 +61,7 @@ class Leases:
 
     @property
     def keys(self) -> frozenset[str]:
-        """The same drones, by `Client.key`."""
+        """The `Client.key` of each drone that holds a slot."""
         return frozenset(lease.drone.key for lease in self._leases.values())
 
     def of(self, drone: str) -> Lease | None:
@@ -69,26 +69,26 @@ class Leases:
         return self._leases.get(drone)
 
     def by_key(self, key: str, *, now_s: float) -> Lease | None:
-        """The lease of the drone with that `Client.key`, unless its time is over."""
+        """The lease of the drone with that `Client.key`; None without one, or if its time is over."""
         return next(
             (lease for lease in self._leases.values() if lease.drone.key == key and lease.until_s > now_s),
             None,
         )
 
     def held_by(self, peer: str, *, except_for: str) -> int:
-        """How many slots the peer has held for other drones."""
+        """How many slots are held at the peer's request, without the drone `except_for`."""
         return sum(lease.held_by == peer for name, lease in self._leases.items() if name != except_for)
 
     def until_s(self) -> list[float]:
-        """When each lease ends, and the time for the last calls of a turn."""
+        """When each lease ends, and when each drone's time for last calls after a turn ends."""
         return [*(lease.until_s for lease in self._leases.values()), *self._finishing.values()]
 
     def renew(self, drone: Client, until_s: float, *, now_s: float) -> list[Admit]:
-        """The drone itself is here, and has a lease until then."""
+        """Give the drone itself a lease until `until_s`, or extend it."""
         return self._put(Lease(drone, until_s), now_s)
 
     def hold(self, drone: Client, until_s: float, *, peer: str, now_s: float) -> list[Admit]:
-        """Hold a slot for an announced drone until then; a lease of its own never gets shorter."""
+        """Hold a slot for an announced drone until `until_s`; a lease of the drone itself never gets shorter."""
         known = self.of(drone.name)
         if known is not None and not known.held_by:
             known.until_s = max(known.until_s, until_s)
@@ -100,7 +100,7 @@ class Leases:
         return [lease for lease in self._leases.values() if lease.until_s <= now_s]
 
     def end(self, which: Callable[[Lease], bool], *, now_s: float) -> list[Admit | LeaseEnded]:
-        """End these leases, and finished grace periods after turns."""
+        """End the leases for which `which` is true, and last calls whose time is over."""
         ended = []
         for name, lease in [item for item in self._leases.items() if which(item[1])]:
             del self._leases[name]
@@ -112,20 +112,20 @@ class Leases:
         return [*ended, self.admitted()] if ended or finished else []
 
     def revoke(self, certificates: frozenset[str], *, now_s: float) -> list[Admit | LeaseEnded]:
-        """Ends the leases that were given for these certificates, and the time for last calls."""
+        """End the leases of these certificates, and their time for last calls."""
         for certificate in certificates & self._finishing.keys():
             self._finishing[certificate] = now_s
         return self.end(lambda lease: lease.drone.certificate in certificates, now_s=now_s)
 
     def end_turn(self, drone: str, *, now_s: float) -> list[Admit | LeaseEnded]:
-        """Ends the lease of the drone, whose calls that are under way are still answered."""
+        """End the drone's lease; its calls under way are answered for 10 s more."""
         lease = self._leases[drone]
         self._finishing[lease.drone.key] = now_s + _FINISH_S
         self._turns.yields(drone, expected_until_s=lease.until_s)
         return self.end(lambda lease: lease.drone.name == drone, now_s=now_s)
 
     def admitted(self) -> Admit:
-        """Whom the server's instances answer."""
+        """The drones that the server's instances answer now."""
         return Admit(self._server, self.keys, frozenset(self._finishing) - self.keys)
 
     def status(self, *, now_s: float) -> list[LeaseStatus]:

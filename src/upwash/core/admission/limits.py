@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """The most that an instance may use; None where no limit holds.
+    """The most that an instance may use; None means no limit.
 
-    Of a process in a sandbox, `memory_bytes` holds for each of its processes. `processes` counts threads too, `cpus`
-    processors, and `disk_bytes` the files that it writes.
+    In a sandbox `memory_bytes` limits each process. `processes` counts threads too, `cpus` processors, and
+    `disk_bytes` the files that the instance writes.
     """
 
     memory_bytes: int | None = None
@@ -24,7 +24,7 @@ DEFAULT_LIMITS = Limits(memory_bytes=2**31, processes=256, disk_bytes=2**28)
 
 
 class Allowance:
-    """A rate limit: `per_s` on average, and `at_once` after a rest."""
+    """A rate limit: `per_s` a second on average, and `at_once` after a rest."""
 
     def __init__(self, per_s: float, *, at_once: float) -> None:
         self._per_s = per_s
@@ -33,7 +33,7 @@ class Allowance:
         self._looked_s: float | None = None
 
     def take(self, amount: float, *, now_s: float) -> bool:
-        """Take that amount if it is left; return whether it was."""
+        """Take the amount if it is left; return whether it was."""
         self._refill(now_s)
         if amount > self._left:
             return False
@@ -41,7 +41,7 @@ class Allowance:
         return True
 
     def take_anyway_s(self, amount: float, *, now_s: float) -> float:
-        """Take that amount; return for how many seconds nothing more may be taken."""
+        """Take the amount in any case; return for how many seconds nothing more may be taken."""
         self._refill(now_s)
         self._left -= amount
         return max(0.0, -self._left / self._per_s)

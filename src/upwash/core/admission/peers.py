@@ -1,7 +1,7 @@
 """What daemons ask of each other: to hold a slot for a drone on its way.
 
-A peer whose drones do not come loses its credit: its key may be stolen, and its drones invented. A drone may have
-one slot held at a time.
+A peer whose announced drones do not come is refused for a time: its key may be stolen, and its drones invented. A
+drone may have one slot held at a time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ class _Missed:
 
 
 class _SentAhead(Struct, frozen=True):
-    """A slot that a peer was asked to hold for a drone; if it refuses, an earlier slot until `otherwise_s`."""
+    """A slot that `peer` was asked to hold for a drone until `until_s`.
+
+    If the peer refuses, its earlier hold still lasts until `otherwise_s`.
+    """
 
     peer: str
     until_s: float
@@ -33,7 +36,7 @@ class _SentAhead(Struct, frozen=True):
 
 
 class Peers:
-    """The servers that other daemons of the operator act as; a slot is held for `hold_s` at most."""
+    """The servers of the operator's other daemons; a slot is held for their drones for `hold_s` at most."""
 
     def __init__(self, names: Iterable[str], *, hold_s: float) -> None:
         self.names = tuple(names)
@@ -42,45 +45,45 @@ class Peers:
         self._sent_ahead: dict[str, _SentAhead] = {}  # by drone, until the slot is held no longer
 
     def unknown(self, peer: str) -> str:
-        """Why the peer is none; empty where it is one."""
+        """Why a server is no peer of this daemon; "" if it is one."""
         return "" if peer in self.names else f"{peer} is no peer of this daemon"
 
     # --- what peers ask of this daemon ------------------------------------------------------------------------
 
     def mistrust(self, peer: str, *, now_s: float) -> str:
-        """Why nothing is held for the peer now, after what became of the drones that it expected; may be empty."""
+        """Why nothing is held for the peer now: its last announced drones did not come; "" if it is trusted."""
         missed = self._missed.get(peer, _Missed())
         if missed.times >= _MOST_MISSED and now_s < missed.last_s + _MISTRUST_HOLDS * self._hold_s:
             return f"the last {missed.times} drones that {peer} expected did not come"
         return ""
 
     def came(self, peer: str) -> None:
-        """A drone came that the peer expected."""
+        """Note that a drone came that the peer had announced; the peer is trusted again."""
         self._missed.pop(peer, None)
 
     def missed(self, peer: str, *, now_s: float) -> None:
-        """A drone did not come that the peer expected."""
+        """Note that a drone announced by the peer did not come; three in a row have the peer refused for a time."""
         missed = self._missed.setdefault(peer, _Missed())
         missed.times, missed.last_s = missed.times + 1, now_s
 
     # --- what this daemon asks of peers -----------------------------------------------------------------------
 
     def elsewhere(self, drone: str, peer: str, *, now_s: float) -> str:
-        """Why the peer cannot hold a slot for the drone: another peer holds one; empty otherwise."""
+        """Why the peer cannot hold a slot for the drone: another peer holds one; "" if it can."""
         ahead = self._sent_ahead.get(drone)
         if ahead is not None and ahead.peer != peer and ahead.until_s > now_s:
             return f"{drone} has a slot of {ahead.peer} held for another {ahead.until_s - now_s:.0f} s"
         return ""
 
     def ask(self, drone: str, peer: str, *, for_s: float, now_s: float) -> None:
-        """The peer must hold a slot for the drone for `for_s`."""
+        """Note that the peer is asked to hold a slot for the drone for `for_s`."""
         ahead = self._sent_ahead.get(drone)
         known_s = ahead.until_s if ahead is not None else now_s
         until_s = max(known_s, now_s + min(self._hold_s, for_s))
         self._sent_ahead[drone] = _SentAhead(peer, until_s, otherwise_s=known_s)
 
     def refused(self, drone: str, peer: str) -> None:
-        """The peer refused the latest hold; earlier holds still count."""
+        """Note that the peer refused the latest hold; earlier holds still count."""
         ahead = self._sent_ahead.get(drone)
         if ahead is not None and ahead.peer == peer:
             self._sent_ahead[drone] = _SentAhead(peer, ahead.otherwise_s, ahead.otherwise_s)

@@ -1,4 +1,4 @@
-"""How many drones a server takes at the same time, if not configured: as many as keep its instances busy.
+"""How many drones a server takes at the same time, if not configured: as many as can keep its instances busy.
 
 A drone keeps an instance busy for a share of its time: the duration of a call, of the time between two of its calls.
 As many drones fit as there are such shares in the lanes of the instance. Waiting behind other calls is not counted,
@@ -20,14 +20,14 @@ _MOST_DRONES = 64  # whose shares count, the latest
 
 @dataclass(slots=True)
 class _Calls:
-    """One drone's calls of one service, while it holds a slot."""
+    """How busy one drone keeps one service: the share of the time between calls that a call computes."""
 
     ended_s: float | None  # the last one; None after a new arrival
     share: float = 0.0
     count: int = 0
 
     def answered(self, *, took_s: float, queued_s: float, now_s: float) -> None:
-        """One more call has ended."""
+        """Add a call that has ended."""
         if self.ended_s is not None:
             cycle_s = max(took_s, now_s - self.ended_s - queued_s)
             share = took_s / cycle_s if cycle_s > 0 else 1.0
@@ -37,25 +37,25 @@ class _Calls:
 
 
 class MeasuredSlots:
-    """The number of slots of one server, by what was measured of the calls that it answered."""
+    """The number of slots of one server, from the measured calls that it answered."""
 
     def __init__(self, lanes: Mapping[str, int]) -> None:
         self._lanes = dict(lanes)  # by service
         self._calls: dict[str, OrderedDict[str, _Calls]] = {}  # by service and drone, the latest last
 
     def offer(self, lanes: Mapping[str, int]) -> None:
-        """From now on these services are offered; what was measured of others is forgotten."""
+        """Replace the offered services, with the lanes of each; forget what was measured of others."""
         self._lanes = dict(lanes)
         self._calls = {service: calls for service, calls in self._calls.items() if service in lanes}
 
     def came(self, drone: str) -> None:
-        """The drone with that `Client.key` has a new slot: the time since its last call is not its pace."""
+        """Note that the drone with that `Client.key` has a new slot: the time since its last call does not count."""
         for calls in self._calls.values():
             if drone in calls:
                 calls[drone].ended_s = None
 
     def answered(self, service: str, drone: str, *, took_s: float, queued_s: float, now_s: float) -> None:
-        """A call of the drone has ended: it waited `queued_s` for others and computed for `took_s`."""
+        """Add a call of the drone that has ended: it waited `queued_s` for other calls and computed for `took_s`."""
         calls = self._calls.setdefault(service, OrderedDict())
         known = calls.setdefault(drone, _Calls(None))
         calls.move_to_end(drone)
@@ -65,12 +65,12 @@ class MeasuredSlots:
 
     @property
     def count(self) -> int:
-        """How many slots there are: those of the narrowest service, of the measured ones if there are any."""
+        """The number of slots: the smallest number over the measured services, or over all if none is measured."""
         return max(1, min((self._count_of(service) for service in self._known()), default=1))
 
     @property
     def why(self) -> str:
-        """What the number follows from, for an operator: the service that is the narrowest."""
+        """Why the number is what it is, in words: the service that allows the fewest drones."""
         service = min(self._known(), key=self._count_of, default="")
         share = self._share_of(service)
         if share is None:

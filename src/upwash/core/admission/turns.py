@@ -1,13 +1,15 @@
-"""Whose turn it is at one server: how long each drone has had a slot, who waits for one, and who yields it.
+"""The turns of drones at one server: how long each has had a slot, which wait, and which must yield.
 
 Laws:
 - only what the server measures counts: no message of a drone changes the order;
 - a drone that arrives starts with the least slot time of those present: absence saves nothing up;
 - a free slot goes to the waiting drone with the least slot time, then to the longest waiting, then by name;
-- after a turn a holder yields to a drone that has had less by more than half a turn; who has had most yields first;
-- as many holders yield as the drone that asks, and those waiting before it, need;
+- after a turn a holder yields to a drone that has had less by more than half a turn;
+- the drone that has had most yields first;
+- only so many holders yield as the asking drone, and the drones before it in the queue, need;
 - a drone that yields counts as present until its lease would have ended, as it may not know yet;
-- the drone that gains has asked twice, as a drone that asks once may be gone; after three missed questions it is out;
+- a holder yields only to a drone that has asked twice, as a drone that asks once may be gone;
+- a drone that misses three questions leaves the queue;
 - while there are slots for all drones, no drone waits and no turn ends.
 """
 
@@ -25,7 +27,7 @@ _MOST_ABSENT = 1000  # drones that are remembered while others are there
 
 @dataclass(slots=True)
 class Account:
-    """What the server measured of one drone: the slot time that it has had, and since when it holds or waits."""
+    """One drone's slot time in all, in seconds, and since when it holds a slot or waits for one."""
 
     drone: str
     had_s: float = 0.0  # without the turn that it is at
@@ -36,39 +38,39 @@ class Account:
     expected_until_s: float = -math.inf  # since it yielded
 
     def had_until_s(self, now_s: float) -> float:
-        """The slot time that it has had by now."""
+        """The slot time (s) that the drone has had in all, until `now_s`."""
         return self.had_s + (0.0 if self.holds_since_s is None else now_s - self.holds_since_s)
 
     @property
     def is_present(self) -> bool:
-        """Whether it holds a slot or waits for one."""
+        """Whether the drone holds a slot or waits for one."""
         return self.holds_since_s is not None or self.waits_since_s is not None
 
 
 class Turns:
-    """The accounts of one server, and the order that follows from them."""
+    """The accounts of the drones at one server, and the order of turns that follows."""
 
     def __init__(self, turn_s: float) -> None:
         self.turn_s = turn_s
         self._accounts: dict[str, Account] = {}
 
     def took(self, drone: str, *, now_s: float) -> None:
-        """The drone holds a slot from now on."""
+        """Note that the drone has got a slot."""
         account = self._arrived(drone, now_s)
         account.holds_since_s, account.waits_since_s = now_s, None
 
     def gave_back(self, drone: str, *, now_s: float) -> None:
-        """The drone holds its slot no more."""
+        """Note that the drone has given its slot back."""
         account = self._accounts[drone]
         account.had_s, account.holds_since_s = account.had_until_s(now_s), None
         self._forget()
 
     def yields(self, drone: str, *, expected_until_s: float) -> None:
-        """The drone's turn ends; it learns so by that time and asks again."""
+        """End the drone's turn; it counts as present until `expected_until_s`, when its lease would have ended."""
         self._accounts[drone].expected_until_s = expected_until_s
 
     def asked(self, drone: str, *, now_s: float) -> bool:
-        """The drone, which holds no slot, asks for one: it waits from its first question on, which this may be."""
+        """Note that a drone without a slot asks for one, and waits; return whether this is its first question."""
         self._dismiss(now_s)
         account = self._arrived(drone, now_s)
         if account.waits_since_s is None:
@@ -78,7 +80,7 @@ class Turns:
         return account.asks == 1
 
     def gave_up(self, drone: str) -> None:
-        """The drone waits no more."""
+        """Remove the drone from the queue."""
         account = self._accounts.get(drone)
         if account is not None:
             account.waits_since_s, account.expected_until_s = None, -math.inf
@@ -91,11 +93,11 @@ class Turns:
         return sorted(waiting, key=lambda account: (account.had_s, account.waits_since_s, account.drone))
 
     def rank(self, drone: str, *, now_s: float) -> int:
-        """How many of those that wait come before the drone, which waits too."""
+        """How many drones are before the waiting drone in the queue."""
         return [account.drone for account in self.waiting(now_s=now_s)].index(drone)
 
     def over(self, to: str, *, now_s: float) -> list[str]:
-        """The holders whose turn is over for that waiting drone, by slot time, most first."""
+        """The names of the holders that must yield to the waiting drone `to`, the longest slot time in all first."""
         waiting = self._accounts[to]
         if waiting.asks < 2:
             return []
@@ -137,14 +139,14 @@ class Turns:
         return account
 
     def _dismiss(self, now_s: float) -> None:
-        """Drop drones that missed three questions."""
+        """Remove drones from the queue that missed three questions."""
         for account in self._accounts.values():
             if account.waits_since_s is not None and now_s - account.asked_s > _PATIENCE_S:
                 account.waits_since_s = None
         self._forget()
 
     def _forget(self) -> None:
-        """Without drones all accounts are worth the same; of absent drones the longest absent are forgotten."""
+        """Forget all accounts if no drone is present, else those of the longest absent drones beyond 1,000."""
         absent = [name for name, account in self._accounts.items() if not account.is_present]
         if len(absent) == len(self._accounts):
             self._accounts.clear()

@@ -2,7 +2,7 @@
 
 Laws:
 - a team is the part of a drone's name before its first "-"; a drone without one is a team of its own;
-- slot time is measured here, calls and seconds of computing are the word of the instances;
+- slot time is measured here; instances report calls and seconds of computing;
 - a call counts when it has ended, whether or not the drone still has a slot, and a dropped call has no answer;
 - a drone with a slot is never forgotten; of the others the longest unseen are, and so are teams.
 """
@@ -22,14 +22,14 @@ _MOST_TEAMS = 100
 
 
 def team_of(drone: str) -> str:
-    """The team of the drone of that name: "north" of "north-1"."""
+    """The team of a drone: "north" for "north-1", the whole name without a "-"."""
     return drone.partition("-")[0] or drone
 
 
 class LeaseEnded(Struct, frozen=True):
-    """A drone has a slot of the server no more: how long it had one, and what it used meanwhile.
+    """A drone's slot ended: how long the drone had it, and what it used meanwhile.
 
-    The slot of a drone that was expected and did not come was `held_by` the peer that asked for it.
+    `held_by` names the peer at whose request the slot was held for a drone that did not come.
     """
 
     server: str
@@ -64,13 +64,13 @@ class _Slot:
 
 
 def _taken_up(used: DroneUsage | TeamUsage, held_s: float, now_s: float) -> _Use:
-    """Count the slot time until then: slots held now go on here."""
+    """The usage without the slots held now, which go on being counted here."""
     called_s = None if used.called_ago_s is None else now_s - used.called_ago_s
     return _Use(used.slot_s - held_s, used.calls, used.computed_s, called_s)
 
 
 class Usage:
-    """The drones and teams that used one server."""
+    """What drones and teams have used of one server."""
 
     def __init__(self, server: str) -> None:
         self._server = server
@@ -80,14 +80,14 @@ class Usage:
         self._names: dict[str, str] = {}  # of the drones, by `Client.key`
 
     def took(self, drone: Client, *, now_s: float) -> None:
-        """The drone has a slot, from now on or still."""
+        """Note that the drone has a slot, a new or an extended one."""
         use, _ = self._seen(drone.name)
         self._names[drone.key] = drone.name
         self._slots.setdefault(drone.name, _Slot(now_s, use.calls, use.computed_s))
         self._forget()
 
     def gave_back(self, drone: str, *, held_by: str, now_s: float) -> LeaseEnded:
-        """The drone has its slot no more."""
+        """Note that the drone's slot ended; return what was used of it."""
         use, team = self._seen(drone)
         slot = self._slots.pop(drone)
         slot_s = now_s - slot.since_s
@@ -100,7 +100,7 @@ class Usage:
         return ended
 
     def take_up(self, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float) -> None:
-        """Goes on from what the daemon before counted; a slot that a drone has here too began there."""
+        """Continue the counts of the former daemon; a slot that a drone has here began there."""
         held_s = dict.fromkeys((team_of(usage.drone) for usage in drones), 0.0)
         for drone in drones:
             holds_s = drone.holds_s or 0.0
@@ -113,7 +113,7 @@ class Usage:
         self._forget()
 
     def called(self, drone: str, *, took_s: float, is_answered: bool, now_s: float) -> None:
-        """A call of the drone, known by `Client.key`, has ended, which was computed for `took_s`."""
+        """Add a call of the drone with that `Client.key` that was computed for `took_s`."""
         name = self._names.get(drone)
         if name is not None:
             for use in self._seen(name):

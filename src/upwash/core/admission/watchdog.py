@@ -1,8 +1,8 @@
-"""Whether an instance is of use, and how long a service is left alone whose instances fail.
+"""Whether an instance still serves, and for how long a service whose instances fail is not started again.
 
 Laws:
 - an instance is of no use in three cases: a call keeps it busy for the limit of a call; it shows no sign of life for
-  as long, 20 s at least; it raises in three calls in a row which drones deny, as their own services did not raise;
+  as long, 20 s at least; it raises in three calls in a row that drones deny, as their own services did not raise;
 - the limit of a call is five times the longest answered call, between 20 s and what the operator allows; before any
   call is answered, and after a replacement, it is what the operator allows;
 - denials of one drone alone stop no instance while another drone has a slot;
@@ -29,7 +29,7 @@ _DOUBLINGS = 10  # which lead beyond the longest pause
 
 
 class Useless(Struct, frozen=True):
-    """Why an instance is of no use, and the drones, known by `Client.key`, whose calls have shown it."""
+    """Why an instance is of no use, and the `Client.key` of each drone whose call showed it."""
 
     why: str
     drones: frozenset[str]
@@ -37,25 +37,25 @@ class Useless(Struct, frozen=True):
 
 @dataclass(slots=True)
 class Limit:
-    """How long a call of one service may keep its instance busy."""
+    """The time that a call of one service may keep its instance busy."""
 
     longest_s: float = math.inf  # of its answered calls; infinite while that is not known
 
     def answered(self, took_s: float) -> None:
-        """A call was answered `took_s` after it began."""
+        """Add a call that was answered `took_s` after it began."""
         self.longest_s = took_s if math.isinf(self.longest_s) else max(self.longest_s, took_s)
 
     def cut(self, at_most_s: float) -> None:
-        """An instance was replaced: from now on a call may take as long as the operator allows."""
+        """Allow calls the operator's `at_most_s` again, as the instance was replaced."""
         self.longest_s = at_most_s
 
     def seconds(self, at_most_s: float) -> float:
-        """The limit, of `at_most_s` by the operator."""
+        """The limit in seconds: five times the longest answered call, from 20 s to the operator's `at_most_s`."""
         return min(at_most_s, max(LEAST_LIMIT_S, _LIMIT_FACTOR * self.longest_s))
 
 
 class Watch:
-    """What one instance has done since it was ready; it computes `lanes` calls at a time."""
+    """Follows one instance since it was ready; the instance computes `lanes` calls at a time."""
 
     def __init__(self, *, lanes: int = 1, now_s: float = 0.0) -> None:
         self.is_condemned = False
@@ -67,19 +67,19 @@ class Watch:
 
     @property
     def callers(self) -> frozenset[str]:
-        """The drones whose calls are computed."""
+        """The drones whose calls the instance computes now."""
         return frozenset(drone for _, drone in self._begun)
 
     def heard(self, now_s: float) -> None:
-        """It has given a sign of life."""
+        """Note a sign of life of the instance."""
         self._heard_s = now_s
 
     def began(self, drone: str, now_s: float) -> None:
-        """It computes a call of the drone."""
+        """Note that the instance began to compute a call of the drone."""
         self._begun = [*self._begun, (now_s, drone)][-self._lanes :]
 
     def ended(self, drone: str, *, took_s: float, outcome: str, now_s: float) -> None:
-        """The drone's call that began `took_s` ago has its outcome, one of `ports.Outcome`."""
+        """Note the `outcome` of the drone's call that began `took_s` ago, one of `ports.Outcome`."""
         own = [call for call in self._begun if call[1] == drone]
         if own:
             self._begun.remove(min(own, key=lambda call: abs(now_s - took_s - call[0])))
@@ -90,12 +90,12 @@ class Watch:
             self._denied.clear()
 
     def denied(self, drone: str) -> None:
-        """The instance raised in a call of the drone, whose own service did not raise."""
+        """Note that the drone's own service did not raise in a call in which the instance raised."""
         if drone in self._raised:
             self._denied = [*self._denied, drone][-DENIALS:]
 
     def verdict(self, limit_s: float, *, served: Set[str], now_s: float) -> Useless | None:
-        """Why it is of no use, if so; `served` are the drones that have a slot."""
+        """Why the instance is of no use, or None; `served` are the drones that have a slot."""
         overdue = frozenset(drone for began_s, drone in self._begun if now_s - began_s >= limit_s)
         if overdue:
             return Useless(f"a call has kept it busy for {limit_s:.0f} s", overdue)
@@ -110,7 +110,7 @@ class Watch:
 
 @dataclass(slots=True)
 class InstanceFailures:
-    """The failures in a row of a service's instances, and the pause after them."""
+    """The failures in a row of one service's instances, and the pause that follows."""
 
     count: int = 0
     why: str = ""  # of the last failure
@@ -118,7 +118,7 @@ class InstanceFailures:
     _drones: frozenset[str] = field(default_factory=frozenset)  # that were at each of them
 
     def add(self, why: str, drones: frozenset[str], *, had_started: bool, now_s: float) -> None:
-        """One more instance failed, with calls of these drones."""
+        """Add the failure of an instance that was computing calls of these drones."""
         forgotten = now_s - self._until_s > FORGOTTEN_S
         of_others = bool(self._drones) and not self._drones & drones
         self.count = 1 if forgotten or of_others else self.count + 1
@@ -129,9 +129,9 @@ class InstanceFailures:
         self._until_s = now_s + pause_s
 
     def pause_s(self, drone: str, *, now_s: float) -> float:
-        """How long the service is still left alone for the drone; 0 where it is not."""
+        """For how many seconds more the service is not started for the drone; 0 if it may be started."""
         return self.left_s(now_s=now_s) if not self._drones or drone in self._drones else 0.0
 
     def left_s(self, *, now_s: float) -> float:
-        """How long the pause still lasts, for all drones or for some."""
+        """How many seconds of the pause are left, for all drones or for some."""
         return max(0.0, self._until_s - now_s)

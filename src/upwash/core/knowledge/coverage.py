@@ -1,4 +1,4 @@
-"""What calls to a server without a range took, at each place.
+"""The measured delays of calls to a server without a range, at each place.
 
 A server that is reached over LTE, a mesh or a cable has no circle around it. Whether it answers at a place, and how
 soon, is only known from calls that were made there:
@@ -7,7 +7,7 @@ soon, is only known from calls that were made there:
     around it    the same as the nearest place, if it is near enough
     elsewhere    unknown: the server is believed to be as fast as in its last calls
 
-A failed call counts as its cost: the wait for it, and then the drone's own computing.
+A failed call counts with its cost: the wait for it, and then the drone's own computing.
 """
 
 from __future__ import annotations
@@ -43,27 +43,27 @@ class MeasuredPlace:
 
     @property
     def goodput_bit_s(self) -> float | None:
-        """The bits of the answered calls in each second that they took, computing included; None: not known."""
+        """Bits of answered calls per second of their delay, computing included; None if unknown."""
         return self.bits / self.transfer_s if self.bits > 0 and self.transfer_s > 0 else None
 
     @property
     def reached(self) -> bool:
-        """Whether half of the calls or more were answered."""
+        """Whether at least half of the calls from here were answered."""
         return 2 * self.answered >= self.tried
 
     def call_s(self, operation: Operation) -> float | None:
-        """The delay of a call of that operation here; None if none was made."""
+        """The mean delay (s) of the last three calls of the operation here; None if none was made."""
         known = self.came_to_s.get(operation)
         return None if known is None else sum(known) / len(known)
 
     def carry(self, size_bytes: int, transfer_s: float) -> None:
-        """Add the bytes of an answered call; a small call says nothing of the goodput."""
+        """Add an answered call of `size_bytes` that took `transfer_s`; calls below 10 kB do not count."""
         if size_bytes >= _LEAST_BYTES:
             self.bits += 8 * size_bytes
             self.transfer_s += transfer_s
 
     def note(self, operation: Operation, came_to_s: float) -> None:
-        """Add the delay of one more call."""
+        """Add a call of the operation that took `came_to_s` seconds; of each operation the last three count."""
         self.came_to_s[operation] = (*self.came_to_s.get(operation, ()), came_to_s)[-_LATEST:]
 
 
@@ -90,7 +90,7 @@ class Coverage:
             yield from here
 
     def at(self, server: str, position: Position) -> MeasuredPlace | None:
-        """The nearest measured place near enough to count; None for a server with a range."""
+        """The nearest measured place within 12 m; None if there is none, or for a server with a range."""
         squares = self._places.get(server)
         if not squares:
             return None
@@ -103,7 +103,7 @@ class Coverage:
         return nearest
 
     def asked(self, server: str, position: Position, *, answered: bool) -> MeasuredPlace:
-        """Count a question to the server from that position; return the place with it."""
+        """Count an attempt to reach the server from the position; return the place that counted it."""
         place = self._here(server, position)
         place.tried += 1
         place.answered += answered
@@ -131,5 +131,5 @@ class Coverage:
 
 
 def _square(position: Position) -> tuple[int, int]:
-    """The square of a grid so coarse that near places lie in the nine squares around."""
+    """The position's square in a grid of 12 m: places that count as near lie in it or in the eight around it."""
     return math.floor(position.east_m / NEAR_M), math.floor(position.north_m / NEAR_M)

@@ -1,4 +1,4 @@
-"""What the drone believes about delays: a moving mean per operation and place (thesis section 3.3).
+"""The delays that the drone expects: a moving mean for each operation and place (thesis section 3.3).
 
 Symbols of Table 3.1: `Call` is `local_s`, `Call_s` is `remote_s`, `Check_s` and `CheckR_s` are `check_s`.
 """
@@ -29,16 +29,16 @@ class Window:
     @classmethod
     @lru_cache(_WINDOWS_KEPT, typed=True)
     def filled(cls, estimate_s: float) -> Window:
-        """A window that has seen nothing but the offline estimate."""
+        """A window filled with the offline estimate."""
         return cls((estimate_s,) * WINDOW_LENGTH)
 
     def observe(self, delay_s: float) -> Window:
-        """The window after one more observation."""
+        """The window with `delay_s` in place of the oldest observation."""
         return Window((*self.values[1:], delay_s))
 
     @cached_property
     def mean_s(self) -> float:
-        """The estimate."""
+        """The estimate: the mean of the three delays, in seconds."""
         first = self.values[0]
         if all(value == first for value in self.values):
             return first  # so that an offline estimate is met to the last bit
@@ -49,10 +49,10 @@ _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
 
 
 class Beliefs(Struct, frozen=True):
-    """What is believed of one server before the first contact, from tests on the ground.
+    """The delays expected of one server before the first contact, from tests on the ground.
 
-    `remote_s` has an entry for every operation that the server hosts; `check_s` is the delay from selection to
-    READY when the services have to be started, `check_running_s` when they run already.
+    `remote_s` has an entry for every operation that the server hosts. A check takes from selection to READY:
+    `check_s` if services must be started, `check_running_s` if they run.
     """
 
     check_s: float
@@ -61,18 +61,19 @@ class Beliefs(Struct, frozen=True):
 
 
 def offline_remote_s(*, processing_s: float, data_bytes: int, bandwidth_bit_s: float) -> float:
-    """The first estimate of a remote call: processing plus transfer at the nominal bandwidth (eq. 3.1)."""
+    """The first estimate (s) of a remote call: processing, and transfer at the nominal bandwidth (eq. 3.1)."""
     return processing_s + 8 * data_bytes / bandwidth_bit_s
 
 
 class Estimates:
     """Every estimate of one drone, learnt from its calls and checks.
 
-    The operations are those of `local_s`; a server hosts those that its beliefs name. With `slow_apart` a call
-    slower than on the drone stays out of the mean: it is the least that the next call will take, until a faster call
-    or `forget_slow_calls`. A call that was cut short then teaches nothing.
+    The operations are the keys of `local_s`; a server hosts those that its beliefs name. With `slow_apart` a call
+    slower than on the drone stays out of the mean: it is the lower bound of the next call, until a faster call or
+    `forget_slow_calls`; a call that was cut short teaches nothing.
 
-    `coverage` of a place precedes what is believed everywhere. Methods take a place; None is where the drone is.
+    For servers without a range, measurements of `coverage` near a place replace the mean. `at` is a place; None is
+    where the drone is.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class Estimates:
         return self._local.keys()
 
     def locate(self, position: Position) -> bool:
-        """The drone is there now; returns whether servers were measured otherwise there than where it was."""
+        """Set where the drone is; return whether that changes the estimate of a server without a range."""
         if self.coverage is None:
             return False
         self._here = position
@@ -124,12 +125,12 @@ class Estimates:
         return any(one is not other for one, other in zip(before, self._seen, strict=True))
 
     def local_s(self, operation: Operation) -> float | None:
-        """Delay of a local call (`Call`); None for an operation without an offline estimate."""
+        """Expected delay (s) of a local call (`Call`); None for an operation without an offline estimate."""
         window = self._local.get(operation)
         return window.mean_s if window else None
 
     def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
-        """Delay of a remote call, transfer included (`Call_s`); None where the server does not host it."""
+        """Expected delay (s) of a remote call, transfer included (`Call_s`); None if the server does not host it."""
         window = self._remote[server].get(operation)
         if window is None:
             return None
@@ -139,11 +140,11 @@ class Estimates:
         )
 
     def is_hosted(self, server: str, operation: Operation) -> bool:
-        """Whether the server hosts the operation, as far as is believed."""
+        """Whether the server's beliefs name the operation."""
         return operation in self._remote[server]
 
     def usual_s(self, server: str, operation: Operation) -> float | None:
-        """As `remote_s`, but without the last slow call."""
+        """Expected delay (s) of a remote call as `remote_s`, but without the last slow call of `slow_apart`."""
         window = self._remote[server].get(operation)
         if window is None:
             return None
@@ -151,22 +152,22 @@ class Estimates:
         return window.mean_s if measured_s is None else measured_s
 
     def is_first_call(self, server: str, operation: Operation) -> bool:
-        """Whether no call of the service is known to have been computed there since the service was started."""
+        """Whether the server is not known to have computed a call of the service since the service's start."""
         return operation.service not in self._warm[server]
 
     def check_s(self, server: str, *, running: bool) -> float:
-        """Delay from selection to READY: `CheckR_s` when the services run there already, else `Check_s`."""
+        """Expected delay (s) from selection to READY: `CheckR_s` if the services run already, else `Check_s`."""
         return (self._check_running if running else self._check)[server].mean_s
 
     def start_s(self, server: str) -> float:
-        """What starting the services adds to a check."""
+        """The seconds that starting the services adds to a check."""
         return max(0.0, self.check_s(server, running=False) - self.check_s(server, running=True))
 
     def mean_call_s(self, server: str | None = None, at: Position | None = None) -> float:
-        """Mean delay of this drone's calls with the server ready, or without any.
+        """Mean delay (s) of this drone's calls with the server ready, or on the drone if `server` is None.
 
-        Each call runs where it is faster; operations are weighted by their calls so far. With a single operation
-        this is min(Call, Call_s), so that a policy that compares these means is the thesis's.
+        Each call counts with the faster of both places; operations are weighted by their calls so far. With a single
+        operation this is the thesis's min(Call, Call_s).
         """
         if server is not None and self.is_measured(server):
             return sum(
@@ -180,11 +181,11 @@ class Estimates:
         return mean_s
 
     def is_measured(self, server: str) -> bool:
-        """Whether the server has no range, so that its delays depend on the place."""
+        """Whether the server has no configured range, so that its delays are measured for each place."""
         return self.coverage is not None and server in self.coverage.servers
 
     def observe_local(self, operation: Operation, delay_s: float) -> None:
-        """Learns from a local call."""
+        """Add the delay of a local call."""
         if operation in self._local:
             self._local[operation] = self._local[operation].observe(delay_s)
             self._count(operation)
@@ -192,13 +193,13 @@ class Estimates:
     def observe_remote(
         self, server: str, operation: Operation, delay_s: float, *, now_s: float, late: bool = False
     ) -> None:
-        """Learns from a remote call that succeeded; a late one was counted as a local call already."""
+        """Add the delay of a remote call that succeeded; a `late` call was counted as a local call already."""
         self._learn_remote(server, operation, delay_s, now_s=now_s)
         if not late:
             self._count(operation)
 
     def observe_remote_cut(self, server: str, operation: Operation, waited_s: float, *, now_s: float) -> None:
-        """Learn from a remote call given up after `waited_s`: it would have taken at least as long.
+        """Add a remote call given up after `waited_s`, which is the least that it would have taken.
 
         Otherwise a server slower than its deadline would never look slow, as its calls never end
         (docs/decisions/calls-cut-short.md). A wait no longer than the estimate says nothing.
@@ -209,12 +210,12 @@ class Estimates:
             self._learn_remote(server, operation, waited_s, now_s=now_s)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
-        """Learn from a check that ended READY, whether it `started` services or found them running."""
+        """Add the delay of a check that ended READY and `started` services, or found them running."""
         windows = self._check if started else self._check_running
         windows[server] = windows[server].observe(delay_s)
 
     def services_started(self, server: str) -> None:
-        """Takes the next call of each service there for its first."""
+        """Note that services were started on the server: the next call of each counts as its first."""
         self._warm[server].clear()
 
     def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> bool:
@@ -236,7 +237,7 @@ class Estimates:
         return forgot
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
-        """When `forget_slow_calls` next changes an estimate; infinite if never."""
+        """The time at which `forget_slow_calls` next changes an estimate; infinite if never."""
         windows, slow_s, next_s = self._remote[server], self._slow_s[server], math.inf
         for operation, last_s in self._last_remote_call_s[server].items():
             if operation in slow_s or windows[operation].mean_s >= self._local[operation].mean_s:
@@ -244,7 +245,7 @@ class Estimates:
         return next_s
 
     def _measured_s(self, server: str, operation: Operation, at: Position | None) -> float | None:
-        """The delay of a call from that place by the coverage; None if it is not known."""
+        """The measured delay of a call from the place; None if no place near it was measured."""
         position = at or self._here
         if self.coverage is None or position is None:
             return None

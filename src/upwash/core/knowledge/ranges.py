@@ -1,7 +1,7 @@
-"""Which ranges of servers a place is in, without looking at hundreds of far servers each time.
+"""The servers in range of a place, without a test of hundreds of far servers each time.
 
-`AreaIndex` finds the ranges around any place; `Ranges` follows one moving drone. The further away a border is, the
-further the drone has to travel before it can have crossed it: until then its range is not looked at again.
+`AreaIndex` finds the ranges around any place; `Ranges` follows one moving drone. A drone cannot cross a border before
+it has travelled the distance to it; until then the range is not tested again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _FEW = 4  # a look at few areas is quicker than at their squares
 
 
 class AreaIndex:
-    """A grid of squares, each with the areas that reach into it. Areas are known by their numbers, from 0 on."""
+    """A grid of squares, each with the areas that reach into it. Areas are numbered from 0."""
 
     def __init__(self, areas: Sequence[Reach]) -> None:
         radii_m = [area.radius_m for area in areas if isinstance(area, Circle)]
@@ -37,7 +37,7 @@ class AreaIndex:
                     self._in_square[square].append(number)
 
     def near(self, place: Position, within_m: float = 0.0) -> list[int]:
-        """The numbers of all areas within that distance of the place, and of few others, in order."""
+        """The numbers, ascending, of all areas within `within_m` of the place, and perhaps of some farther areas."""
         squares = self._squares(place, within_m) if len(self._all) > _FEW else None
         if squares is None:
             return self._all
@@ -63,7 +63,7 @@ _ROUNDING_M = 1e-6  # many small steps add up to a little more or less than the 
 
 
 class Ranges:
-    """Follows one drone through the areas; before the first position it is in none of them."""
+    """Follows one drone through the areas; before the first position the drone is in none of them."""
 
     def __init__(self, areas: Mapping[str, Reach]) -> None:
         self._areas = areas
@@ -74,11 +74,11 @@ class Ranges:
 
     @property
     def is_on_border(self) -> bool:
-        """Whether a border may be so near that rounding decides on its side."""
+        """Whether a border is within 1 cm, so that rounding decides on which side the drone is."""
         return bool(self._due) and self._due[0][0] <= self._travelled_m + _HAIR_M
 
     def crossed(self, position: Position) -> list[str]:
-        """The areas, each once, that the drone has entered or left since the last position."""
+        """The areas that the drone has entered or left since the last position, each once."""
         if position == self._position:
             return []
         if self._position is not None:
@@ -90,7 +90,7 @@ class Ranges:
         return [name for name in due if self._look(name, position)]
 
     def _look(self, name: str, position: Position) -> bool:
-        """Whether the border of the area was crossed since the last look."""
+        """Whether the border of the area was crossed since the last test."""
         area = self._areas[name]
         to_border_m = (
             abs(ground_distance_m(area.centre, position) - area.radius_m)

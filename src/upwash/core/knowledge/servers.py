@@ -24,7 +24,7 @@ FULL_S = 15.0  # the expected wait for a slot: half a turn
 
 
 class State(StrEnum):
-    """What the drone may do with a server now."""
+    """The six states of a server, which say what the drone may do with it."""
 
     AVL = "AVL"  # believed available, services not running
     AVL_R = "AVL-R"  # believed available, services running
@@ -39,7 +39,7 @@ CHECKING = frozenset({State.CHECK, State.CHECK_R})
 
 
 class Trigger(StrEnum):
-    """What can happen to a server."""
+    """The events that change a server's state."""
 
     SELECTED = "selected"
     FOUND_STOPPED = "found_stopped"  # the daemon answers: available, but not all services run
@@ -88,7 +88,7 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
 
 
 class Change(Struct, frozen=True):
-    """One step of one server through the table, and why."""
+    """A server's change of state by the table, and why."""
 
     server: str
     event: Trigger
@@ -127,21 +127,24 @@ class Server:
         return self.in_range_since_s is not None
 
     def is_full(self, now_s: float) -> bool:
-        """Whether the server had no slot for the drone, the last time that it said so."""
+        """Whether the server reported within the last 60 s that it has no slot for the drone."""
         return now_s - self.full_s < _REMEMBERED_S
 
     def is_contended(self, now_s: float) -> bool:
-        """Whether others waited for a slot, the last time that the server said so."""
+        """Whether the server reported within the last 60 s that others wait for a slot."""
         return now_s - self.contended_s < _REMEMBERED_S
 
     def asked_again_s(self, now_s: float) -> float:
-        """When the next of its answers about slots is forgotten; infinite without any."""
+        """The time at which the next of its reports about slots is forgotten; infinite if none is remembered."""
         full_s = self.full_s + _REMEMBERED_S if self.is_full(now_s) else math.inf
         contended_s = self.contended_s + _REMEMBERED_S if self.is_contended(now_s) else math.inf
         return min(full_s, contended_s)
 
     def apply(self, event: Trigger, *, now_s: float, why: str = "") -> Change:
-        """Takes the step that the table names; raises TransitionError, with the history, where it names none."""
+        """Change the state as TRANSITIONS says, and return the change.
+
+        Raises TransitionError, with the server's history, if the table has no such step.
+        """
         after = TRANSITIONS.get((self.state, event))
         if after is None:
             raise TransitionError(
@@ -161,12 +164,12 @@ class Server:
         return change
 
     def leave_out(self, pause_s: float, now_s: float) -> None:
-        """It is blacklisted, and stays so for the pause that it named, without being probed."""
+        """Keep the blacklisted server unprobed for the `pause_s` that it reported."""
         self.left_out_until_s = now_s + pause_s
         self.left_alone_s = max(self.left_alone_s, self.left_out_until_s - self.since_s)
 
     def deselect(self, *, now_s: float, why: str) -> Change:
-        """Takes the de-selection step of the state that the server is in."""
+        """Change the selected server's state to AVL or AVL-R, and return the change."""
         starting = self.state is State.CHECK and self.start_requested
         return self.apply(
             Trigger.DESELECTED_AFTER_START if starting else Trigger.DESELECTED, now_s=now_s, why=why
@@ -184,7 +187,7 @@ class ServerTable:
         self._idle_s = idle_s
 
     def locate(self, position: Position, now_s: float) -> bool:
-        """The drone is there now; returns whether it has crossed the border of a server's range."""
+        """Set where the drone is; return whether it has crossed the border of a server's range."""
         crossed = self._ranges.crossed(position)
         for name in crossed:
             server = self.servers[name]
@@ -195,11 +198,11 @@ class ServerTable:
 
     @property
     def is_on_border(self) -> bool:
-        """Whether the drone was on the border of a range at the last position given."""
+        """Whether a border of a range was within 1 cm at the last position given."""
         return self._ranges.is_on_border
 
     def meet(self) -> None:
-        """A server has left AVL, so that time may change its state from now on."""
+        """Note that a server has left AVL, so that time may change its state from now on."""
         self._met = [server for server in self.servers.values() if server.state is not State.AVL]
 
     @property
@@ -208,7 +211,7 @@ class ServerTable:
         return [server for server in self._met if server.state is State.BLACKLISTED]
 
     def next_expiry_s(self, *, probed: Collection[Server]) -> float:
-        """Before this time nothing expires; infinite where nothing will."""
+        """The time before which nothing expires; infinite if nothing will."""
         return min(
             (
                 server.since_s + (server.left_alone_s if server.state is State.BLACKLISTED else self._idle_s)

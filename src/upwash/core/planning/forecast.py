@@ -1,4 +1,4 @@
-"""What a policy that looks ahead is shown: the calls to come, what is in range of each, and how the checks stand."""
+"""The input of a policy that looks ahead: the coming calls, the servers in range of each, and the times of checks."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """The calls to come with the servers that could take them, and how long the rest of the current check takes.
+    """The coming calls with the servers that could take them; the current check is over in `ready_in_s`.
 
-    `peers` says of servers which others they can have prepared.
+    `peers` has for a server the others that it can have prepared.
     """
 
     calls: Sequence[ComingCall]
@@ -36,10 +36,10 @@ def make_forecast(
     banned_s: Mapping[str, float],
     idle_s: float,
 ) -> Forecast:
-    """The forecast on the expected calls, without servers that gain nothing or are blacklisted by then.
+    """The forecast for the expected calls, without servers that are no faster or still blacklisted at the call.
 
-    `banned_s` has the rest of each blacklisting. The first of the selected servers is in use; the check of the other
-    goes on whatever the drone uses.
+    `banned_s` has the seconds left of each blacklisting. The first of the selected servers is in use; the check of
+    the second goes on in any case.
     """
     local_s = estimates.mean_call_s()
     seen: dict[str, float] = {}
@@ -67,7 +67,7 @@ def _gains(name: str, expected: Sequence[ExpectedCall], estimates: Estimates, lo
 
 
 def rest_of_check_s(server: Server, estimates: Estimates, now_s: float) -> float:
-    """What is left of the check of a selected server."""
+    """The expected seconds left of a selected server's check; 0 if it is READY."""
     if server.state not in CHECKING:
         return 0.0
     if server.is_full(now_s):

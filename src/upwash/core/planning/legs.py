@@ -23,7 +23,7 @@ _LEAST_M_S2, _MOST_M_S2 = 0.05, 50.0  # what is slower or more agile was held up
 
 
 class Leg(Struct, frozen=True):
-    """One leg, from rest to rest."""
+    """A straight leg, from rest to rest."""
 
     length_m: float
     ground_speed_m_s: float
@@ -32,7 +32,7 @@ class Leg(Struct, frozen=True):
 
     @property
     def duration_s(self) -> float:
-        """How long it takes."""
+        """The time of the whole leg (s), settling included."""
         return self._moving_s + self.settling_s if self.length_m > 0 else 0.0
 
     @property
@@ -40,7 +40,7 @@ class Leg(Struct, frozen=True):
         return self.length_m / self._top_m_s + self._ramp_s if self.length_m > 0 else 0.0
 
     def reached_s(self, travelled_m: float) -> float:
-        """The time from the start until the vehicle has travelled that far."""
+        """Seconds from the start until the vehicle has travelled that far."""
         if travelled_m <= 0:
             return 0.0
         left_m = self.length_m - travelled_m
@@ -54,7 +54,7 @@ class Leg(Struct, frozen=True):
         return self._ramp_s / 2 + travelled_m / self._top_m_s
 
     def travelled_m(self, elapsed_s: float) -> float:
-        """The distance that the vehicle has travelled, that time after the start."""
+        """Metres travelled `elapsed_s` after the start."""
         ramp_s = self._ramp_s
         left_s = max(0.0, self._moving_s - elapsed_s)
         if elapsed_s < ramp_s:
@@ -64,7 +64,7 @@ class Leg(Struct, frozen=True):
         return self._top_m_s * (elapsed_s - ramp_s / 2)
 
     def back_s(self, elapsed_s: float) -> float:
-        """The time back to the start, from rest to rest, where the vehicle brakes that time after it has left."""
+        """Seconds to stop and fly back to the start, if the vehicle turns back `elapsed_s` after it has left."""
         left_s = max(0.0, self._moving_s - elapsed_s)
         speed_m_s = min(self._top_m_s, self.acceleration_m_s2 * min(elapsed_s, left_s))
         braking_s = speed_m_s / self.acceleration_m_s2
@@ -82,7 +82,7 @@ class Leg(Struct, frozen=True):
 
 
 def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: float) -> float | None:
-    """The acceleration of a leg, by its duration; None where the duration does not determine it."""
+    """The acceleration that explains a leg's duration; None if the duration does not determine it."""
     cruise_s = length_m / ground_speed_m_s
     if length_m <= 0 or duration_s <= cruise_s:
         return None
@@ -94,7 +94,7 @@ def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: floa
 
 
 def left_m(start: Position, end: Position, circle: Reach) -> float | None:
-    """How far from its start a straight way that begins in the circle leaves it; None if it ends inside."""
+    """Metres from `start` to where a straight way that begins in the circle leaves it; None if it ends inside."""
     if circle.contains(end):
         return None
     back_m = entered_m(end, start, circle)
@@ -102,7 +102,7 @@ def left_m(start: Position, end: Position, circle: Reach) -> float | None:
 
 
 def entered_m(start: Position, end: Position, circle: Reach) -> float | None:
-    """How far from its start a straight way that ends in the circle enters it; None if it ends outside."""
+    """Metres from `start` to where a straight way that ends in the circle enters it; None if it ends outside."""
     if not circle.contains(end):
         return None
     if not isinstance(circle, Circle) or circle.contains(start):
@@ -117,7 +117,7 @@ def entered_m(start: Position, end: Position, circle: Reach) -> float | None:
 
 
 class Pace(Struct, frozen=True):
-    """The average vehicle of a kind."""
+    """How the average vehicle of a kind flies; `home_share` is the return's share of the longest time home."""
 
     acceleration_m_s2: float = 1.0
     settling_s: float = 0.0  # of each leg: until it moves, and until it counts as arrived
@@ -126,7 +126,7 @@ class Pace(Struct, frozen=True):
     home_share: float = 1.0
 
     def takeoff_s(self, altitude_m: float) -> float:
-        """From arming to that altitude above the ground."""
+        """Seconds from arming to that altitude above the ground."""
         return self.lifting_s + max(0.0, altitude_m) / self.climb_m_s
 
 

@@ -1,4 +1,4 @@
-"""What a drone can expect of its mission: its next places, when it reaches them, and its calls.
+"""The mission ahead of a drone: its next places, when it reaches them, and its calls.
 
 Every coming stop is expected to be like the last complete stop: the same operations after the same pauses. The
 vehicle's agility is learnt from its legs. A mission that leaves its plan is expected to go on calling around its
@@ -32,10 +32,10 @@ class StopCall(Struct, frozen=True):
 
 
 class ExpectedCall(Struct, frozen=True):
-    """A call to come, `gap_s` after the end of the one before, or after now for the first.
+    """A coming call, `gap_s` after the end of the call before; the first, after now.
 
-    `in_range_s` says of each server in range of it for how much of that time, up to the call, it will have been. It
-    is made at that position; None: where the drone is.
+    `in_range_s` has for each server in range at the call the part of `gap_s`, up to the call, that it is in range.
+    `position` is where the call is made; None: where the drone is.
     """
 
     operation: Operation
@@ -46,9 +46,9 @@ class ExpectedCall(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class MissionBeliefs:
-    """What is believed of a mission before it flies: its plan, how it flies, and the calls of its first stop.
+    """What is expected of a mission before take-off: its plan, its speed and pace, and the calls of its first stop.
 
-    Its pace gives way to that of the vehicle where it is only `assumed`.
+    An `assumed` pace is replaced by the vehicle's own, once known.
     """
 
     plan: Sequence[Waypoint] = ()
@@ -58,7 +58,7 @@ class MissionBeliefs:
     assumed: bool = False
 
     def pace_of(self, vehicle: Pace | None) -> Pace:
-        """What to believe of a vehicle that is known to have that pace."""
+        """The pace to expect, with the vehicle's own if it is known."""
         return vehicle if self.assumed and vehicle is not None else self.pace
 
 
@@ -81,14 +81,14 @@ class NextLeg(Struct, frozen=True):
 
 
 class _Entries(Struct, frozen=True):
-    """The servers that are in range at the end of a leg, and where the leg enters the ranges it does not begin in."""
+    """The servers in range at the end of a leg, and where the leg enters ranges in which it does not begin."""
 
     servers: Sequence[str]
     entered_m: Sequence[tuple[str, float]]
 
 
 class _Way(Struct, frozen=True):
-    """A leg to come with the hold at its end: its duration, and when it enters ranges it does not begin in."""
+    """A coming leg with the hold at its end: its duration, and when it enters ranges in which it does not begin."""
 
     duration_s: float
     servers: Sequence[str]  # in range at its end
@@ -96,7 +96,7 @@ class _Way(Struct, frozen=True):
 
 
 class MissionModel:
-    """Follows one mission over its legs and calls, and says what comes next."""
+    """Follows one mission over its legs and calls, and foresees the next calls."""
 
     def __init__(
         self, beliefs: MissionBeliefs, areas: Mapping[str, Reach], index: AreaIndex | None = None
@@ -121,7 +121,7 @@ class MissionModel:
         self._ways: dict[tuple[int, float], _Way] = {}  # by waypoint and ground speed, at the present agility
 
     def begun(self, vehicle: Pace | None) -> None:
-        """The mission begins with a vehicle of that pace; None if unknown."""
+        """Begin the mission with a vehicle of that pace; None if unknown."""
         pace = self._beliefs.pace_of(vehicle)
         self._accelerations_m_s2.clear()
         self._accelerations_m_s2.append(pace.acceleration_m_s2)
@@ -137,7 +137,7 @@ class MissionModel:
         now_s: float,
         back: bool = False,
     ) -> None:
-        """The mission leaves for another place; `back` if it returns to a place whose calls are over."""
+        """Note that the mission leaves for `target`; `back` if the calls there are over already."""
         if self._place is not None and self._way is None and not self._is_back:
             self._routine = tuple(self._here)
             self._leaving_s = max(0.0, now_s - self._free_s)
@@ -149,7 +149,7 @@ class MissionModel:
         self._way = _LegUnderWay(start, target, self._leg(self._last_leg_m), now_s)
 
     def arrived(self, *, now_s: float) -> None:
-        """The leg is over."""
+        """Note that the leg is over; learn the vehicle's acceleration from it."""
         if self._way is not None:
             leg = self._way.leg
             moved_s = now_s - self._way.begun_s - leg.settling_s
@@ -160,30 +160,30 @@ class MissionModel:
         self._way, self._free_s = None, now_s + self._hold_s()
 
     def lost(self) -> None:
-        """Nothing is known of what comes next."""
+        """Forget where the mission goes next."""
         self._place = self._way = None
 
     def call_begun(self, operation: Operation, *, now_s: float) -> None:
-        """The mission calls."""
+        """Note that the mission calls the operation."""
         self._here.append(StopCall(operation, max(0.0, now_s - self._free_s)))
         self._free_s = now_s
 
     def call_ends(self, ends_s: float) -> None:
-        """The call under way is over then, as far as is known."""
+        """Set the expected or known end of the call under way."""
         self._free_s = ends_s
 
     @property
     def photo_s(self) -> float:
-        """What passes from an arrival to the first call, by this stop or else by the last one."""
+        """Seconds from an arrival to the first call, at this stop or else at the last one."""
         steps = self._here or self._routine
         return steps[0].pause_s if steps else 0.0
 
     def open_s(self, now_s: float) -> float:
-        """How much longer the call under way takes, as far as is known."""
+        """The expected seconds until the call under way is over."""
         return max(0.0, self._free_s - now_s)
 
     def next_leg(self) -> NextLeg | None:
-        """The way to the next waypoint of the plan; None from the last one, on the way and beside the plan."""
+        """The leg to the next waypoint of the plan; None at the last waypoint, during a leg, and off the plan."""
         if self._place is None or self._way is not None or self._index is None:
             return None
         if self._index + 1 == len(self._plan):
@@ -193,7 +193,7 @@ class MissionModel:
         return NextLeg(self._place, waypoint.position, leg)
 
     def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
-        """At most `count` of the next calls; none if nothing is known."""
+        """The next calls, at most `count`; empty if nothing is known."""
         calls: list[ExpectedCall] = []
         if self._place is not None and self._routine:
             for call in self._calls(self._place, position, now_s):
@@ -203,7 +203,7 @@ class MissionModel:
         return calls
 
     def rest(self, position: Position, *, now_s: float) -> list[ExpectedCall]:
-        """The calls up to the end of the plan; none where nothing is known, or the mission has left its plan."""
+        """The coming calls up to the end of the plan; empty if nothing is known, or the mission has left its plan."""
         if self._place is None or self._index is None:
             return []
         return list(self._calls(self._place, position, now_s))
@@ -302,7 +302,7 @@ class MissionModel:
 class _Stop:
     """An arrival, `gap_s` after the call before, in range of `servers`.
 
-    The `entered` servers will have been in range for that time by then, the others for the whole gap.
+    The `entered` servers have been in range for that time at the arrival, the others for the whole gap.
     """
 
     gap_s: float

@@ -1,4 +1,4 @@
-"""In what order to fly a mission's waypoints: as given, or in the sweep with the shortest forecast.
+"""The order of a mission's waypoints: as given, or the sweep with the shortest forecast.
 
 A sweep flies a field of waypoints back and forth, from one of four corners, by rows or by columns. Rows and columns
 are found from the places themselves, however the field lies: a row runs east and west, or nearly so. The forecast is
@@ -28,7 +28,7 @@ _Lines = list[list[Waypoint]]
 
 
 class Sweep(Struct, frozen=True):
-    """All waypoints of a field, line by line, each line the other way."""
+    """All waypoints of a field, line by line, each line in the opposite direction to the one before."""
 
     number: int
     name: str
@@ -39,10 +39,10 @@ class Sweep(Struct, frozen=True):
 
 
 def sweeps(given: Sequence[Waypoint]) -> tuple[Sweep, ...]:
-    """The eight sweeps of the waypoints; none where they form no full grid of rows and columns.
+    """The eight sweeps of the waypoints; empty if they form no full grid of rows and columns.
 
-    The first one begins near where the given order begins and goes where that goes first, so that it is the given
-    order where that is a sweep. Those that begin at the opposite corners follow, then those across.
+    The first sweep begins at the corner and in the direction of the given order, and is that order if that is a
+    sweep. Sweeps from the other corners follow, then those across.
     """
     rows = _rows(given)
     if not rows:
@@ -79,7 +79,7 @@ def _swept(lines: _Lines, *, from_last: bool, from_end: bool) -> Iterator[Waypoi
 
 
 def _rows(given: Sequence[Waypoint]) -> _Lines:
-    """Rows from south to north, each from west to east; none without a full grid."""
+    """Rows from south to north, each from west to east; empty without a full grid."""
     if len(given) < 2:
         return []
     # In a full grid the waypoint nearest to any other one is its neighbour in a row or in a column.
@@ -103,7 +103,7 @@ def _rows(given: Sequence[Waypoint]) -> _Lines:
 
 
 def _lines(across_m: Sequence[float], same_m: float) -> list[int]:
-    """The number of the line that each place lies on, counted across the lines."""
+    """For each place, the number of the line that it lies on."""
     numbers = [0] * len(across_m)
     in_order = sorted(range(len(across_m)), key=across_m.__getitem__)
     for before, number in itertools.pairwise(in_order):
@@ -126,9 +126,9 @@ class Order(Struct, frozen=True):
 
 
 class Forecaster(Struct, frozen=True):
-    """Foretells how long a mission takes over waypoints in some order, from above where the vehicle stands.
+    """Forecasts the duration of a mission over waypoints in some order, from above where the vehicle stands.
 
-    `home_s` is how long it takes from a waypoint to the ground at the mission's end.
+    `home_s` gives the seconds from a waypoint to the ground at the mission's end.
     """
 
     beliefs: MissionBeliefs
@@ -139,7 +139,7 @@ class Forecaster(Struct, frozen=True):
     home_s: Callable[[Position], float]
 
     def mission_s(self, waypoints: Sequence[Waypoint]) -> float:
-        """From the first leg to the ground."""
+        """The forecast in seconds, from the first leg to the ground."""
         first, last = waypoints[0].position, waypoints[-1].position
         model = MissionModel(replace(self.beliefs, plan=waypoints), self.areas)
         start = self.stands.at_altitude(first.altitude_m)
@@ -161,7 +161,7 @@ class Forecaster(Struct, frozen=True):
 def best_order(
     given: Sequence[Waypoint], candidates: Sequence[Sweep], mission_s: Callable[[Sequence[Waypoint]], float]
 ) -> Order:
-    """The quickest of the sweeps where it saves LEAST_SAVED of the given order's time, else the given order."""
+    """The quickest sweep if it saves at least LEAST_SAVED (2 %) of the given order's time, else the given order."""
     given_s = mission_s(given)
     times_s = [(mission_s(sweep.waypoints), sweep) for sweep in candidates]
     best_s, best = min(times_s, key=lambda pair: pair[0], default=(given_s, None))

@@ -1,4 +1,4 @@
-"""Which server to use for each coming call, with one radio, so that the calls are over soonest.
+"""The server to use at each coming call, with one radio, so that the calls are over soonest.
 
 What holds in this small world:
 - between two calls the drone may leave its server and check another, as soon as it is in range of that;
@@ -28,10 +28,10 @@ from msgspec import Struct
 
 
 class Offer(Struct, frozen=True, gc=False):
-    """A server that is in range at a call, and the delay of the call there.
+    """A server in range at a call, and the delay of the call there.
 
-    `head_start_s` is how long before the call its check can begin: the time in range since the call before, at most
-    the whole `gap_s`.
+    The server's check can begin `head_start_s` before the call: the time in range since the call before, at most
+    `gap_s`.
     """
 
     server: str
@@ -48,7 +48,7 @@ class ComingCall(Struct, frozen=True):
 
 
 class CheckTimes(Struct, frozen=True):
-    """How long a check of a server takes; its services are known to run for `runs_for_s` from now."""
+    """The seconds of a check with services stopped or running; they run for `runs_for_s` from now."""
 
     stopped_s: float
     running_s: float
@@ -56,7 +56,7 @@ class CheckTimes(Struct, frozen=True):
 
 
 class Schedule(Struct, frozen=True):
-    """The server to be on at each call, if any, and the delay of all the calls, waits included."""
+    """The server to use at each call, if any, and the sum of the delays of all calls, waits included."""
 
     servers: Sequence[str | None]
     total_s: float
@@ -144,7 +144,7 @@ def _useful(
     server: str | None,
     peers: Mapping[str, frozenset[str]],
 ) -> dict[str, _Useful]:
-    """The selected server, and each server that is better than every other at some call."""
+    """The selected server, and each server that no other beats at every call."""
     tracks: dict[str, _Track] = {}
     for number, call in enumerate(calls):
         for offer in call.offers:
@@ -187,7 +187,7 @@ def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
 
 
 def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]) -> bool:
-    """Whether it has all peers of the other server and is prepared by all that prepare the other."""
+    """Whether the server has all peers of `other`, and each server that can prepare `other` can prepare it."""
     nobody = frozenset[str]()
     has_them = peers.get(other, nobody) - {server} <= peers.get(server, nobody)
     return has_them and all(
@@ -227,7 +227,7 @@ def _over(
     gain_wait: float,
     stays: bool,
 ) -> list[_Label]:
-    """The labels after one more call, without a server, with the same or another, that can end within `most_s`."""
+    """The labels after one more call, on the drone or on any server, that can end within `most_s`."""
     call, begins_s, offers, then_s = stage
     local_s, gap_s = call.local_s, call.gap_s
     most_s -= then_s
@@ -273,7 +273,7 @@ def _served(
     longest_s: float,
     most_s: float,
 ) -> list[_Served]:
-    """The cost of the call for each arrival with the rest of its check, at most `most_s`."""
+    """The cost after the call for each arrival, with the rest of its check; those above `most_s` are left out."""
     served: list[_Served] = []
     call_s, told_s, bit = offer.call_s, useful.told_s, useful.bit
     ready_s = min(local_s, call_s)

@@ -1,7 +1,7 @@
 """Whether a drone waits at a waypoint for an answer, or flies on and comes back if the answer demands it.
 
-An answer without demands saves a drone that goes the part of the delay that the leg and the next photo hide. A demand
-costs it braking and the way back. Going pays if on average it saves more than it costs:
+A drone that goes saves the part of the call's delay that the leg and the next photo hide, if the answer has no
+demand. A demand costs it braking and the way back. Going pays if on average it saves more than it costs:
 
     (1 - p) * saved_s > p * lost_s, p: the chance that an answer has a demand
 
@@ -26,9 +26,9 @@ _DEMANDS, _ANSWERS = 1, 4  # that are taken to have been, before there are any
 
 
 class Outlook(Struct, frozen=True):
-    """The way to the next waypoint, with the photo there, and how long the open call still takes.
+    """The leg to the next waypoint, the time of the photo there, and the rest of the open call.
 
-    It takes `stay_s` if the drone stays, and `go_s` if it goes, which may cost it the server.
+    The call takes another `stay_s` if the drone stays, and `go_s` if it goes and perhaps loses the server.
     """
 
     leg: Leg
@@ -38,12 +38,12 @@ class Outlook(Struct, frozen=True):
 
     @property
     def saved_s(self) -> float:
-        """What going saves where the answer demands nothing."""
+        """The seconds that going saves if the answer has no demand."""
         return self.stay_s - max(0.0, self.go_s - self.leg.duration_s - self.photo_s)
 
     @property
     def lost_s(self) -> float:
-        """What going costs if the answer has a demand; the next photo is taken once, now or then."""
+        """The seconds that going costs if the answer has a demand; the next photo is taken once, now or later."""
         if self.go_s <= self.leg.duration_s:
             return self.go_s + self.leg.back_s(self.go_s) - self.stay_s
         photographed_s = self.leg.duration_s + self.photo_s
@@ -51,7 +51,7 @@ class Outlook(Struct, frozen=True):
 
 
 class StayVerdict(Struct, frozen=True):
-    """Whether the drone goes, why, and what that follows from; None where nothing was reckoned."""
+    """Whether the drone goes, why, and the chance of a demand; `saved_s` and `lost_s` are None if not computed."""
 
     goes: bool
     why: str
@@ -69,15 +69,15 @@ class StayRule:
 
     @property
     def chance(self) -> float:
-        """The chance of a demand, by the last answers."""
+        """The chance of a demand, from 0 to 1, by the last 40 answers."""
         return (sum(self._demands) + _DEMANDS) / (len(self._demands) + _ANSWERS)
 
     def answered(self, *, demanded: bool) -> None:
-        """Learns from an answer."""
+        """Add an answer, and whether it had a demand."""
         self._demands.append(demanded)
 
     def decide(self, outlook: Outlook | None) -> StayVerdict:
-        """Whether the drone goes; `outlook` is None where no next waypoint is known."""
+        """Decide whether the drone goes; `outlook` is None if no next waypoint is known."""
         if self.manner == "stay":
             return StayVerdict(False, "it always stays", self.chance)
         if outlook is None:

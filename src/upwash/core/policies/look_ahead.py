@@ -1,4 +1,4 @@
-"""The policy that knows where the drone will be: it picks the server that serves the calls to come best."""
+"""The policy that looks ahead: it picks the server with which the coming calls are over soonest."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST_LABELS = 64  # that a schedule is chosen from: twice what flights among 50 
 
 @dataclass(frozen=True, slots=True)
 class LookAhead:
-    """The server that finishes the coming calls soonest; as location-aware if no calls are foreseen.
+    """Selects the server with which the coming calls are over soonest; as location-aware if no calls are foreseen.
 
     The selected server is left only if that saves more than the fraction `gain_leave` of a local call over all those
     calls, as estimates are never exact.
@@ -26,7 +26,7 @@ class LookAhead:
     name: str = "look-ahead"
 
     def choose(self, situation: Situation) -> Choice:
-        """The server of the next call in the quickest schedule, once it is in range; until then the current one."""
+        """The server of the next call in the quickest schedule, once in range; until then the current server."""
         forecast = situation.forecast
         if forecast is None or not forecast.calls:
             return self.reactive.choose(situation)
@@ -54,7 +54,7 @@ class LookAhead:
         return Choice(following, f"{gains}, {saved_s:.1f} s less than with {current} kept")
 
     def _holds(self, under_way: Decision | None, forecast: Forecast) -> bool:
-        """Whether a remote call is under way, or a check that ends during a call elsewhere."""
+        """Whether the server must be kept: a remote call is under way, or a check during a local call."""
         return isinstance(under_way, Remote) or (under_way is not None and forecast.ready_in_s > 0)
 
     def _quickest(self, forecast: Forecast, current: str | None, *, stays: bool = False) -> Schedule:
@@ -70,9 +70,10 @@ class LookAhead:
         )
 
     def decide(self, call: CallInputs) -> Decision:
-        """As location-aware: a wait that does not make this call shorter makes none shorter that follows.
+        """Decide as location-aware does.
 
-        While a call runs on the drone the check goes on.
+        The check goes on while a call runs on the drone, so a wait that makes this call no shorter helps no later
+        call.
         """
         return self.reactive.decide(call)
 

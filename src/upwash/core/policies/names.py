@@ -14,7 +14,7 @@ POLICIES: tuple[str, ...] = get_args(PolicyName)
 def make_policy(
     name: str, *, gain_switch: float, gain_wait: float, patient_first_call: bool = False
 ) -> Policy:
-    """The policy of that name, one of POLICIES; raises KeyError with the name where there is none."""
+    """The policy of that name, one of POLICIES; raises KeyError for any other name."""
     wait = WaitRule(gain_wait=gain_wait, deadline=Deadline(patient_first=patient_first_call))
     location_aware = LocationAware(gain_switch=gain_switch, wait=wait)
     made: tuple[Policy, ...] = (

@@ -1,6 +1,6 @@
-"""Which server now? Wait, remote or local? (thesis sections 3.3 and 3.4)
+"""Policies: which server to select, and where a call runs (thesis sections 3.3 and 3.4).
 
-A policy is a value that answers these two questions from what it is shown. It has no memory and no contacts.
+A policy is a value that decides both from its arguments alone. It has no memory and asks nobody else.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from upwash.core.planning.forecast import Forecast
 
 
 class Option(Struct, frozen=True):
-    """A server in range that may be used, and the mean delay of calls with it ready; `full` without a free slot."""
+    """A server in range that may be used, the mean delay of calls with it ready, and whether it has no free slot."""
 
     server: str
     mean_call_s: float
@@ -43,7 +43,7 @@ class Situation(Struct, frozen=True):
 
 
 class Coming(Struct, frozen=True):
-    """The server that the drone goes on to, and in how long at the earliest."""
+    """The server that the drone uses next, and in how many seconds at the earliest."""
 
     server: str
     in_s: float
@@ -58,11 +58,11 @@ class Choice(Struct, frozen=True):
 
 
 class CallInputs(Struct, frozen=True):
-    """What an invocation is decided on, while a server is selected and in range.
+    """The inputs of a call's decision, while a server is selected and in range.
 
-    `local_s` and `remote_s` are the operation's estimates; `check_expected_s` is the estimate of the check under
-    way and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` where
-    the service has computed no call there since it was started, as far as is known.
+    `local_s` and `remote_s` are the operation's estimates. `check_expected_s` is the estimate of the check under way,
+    and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` if the
+    service is not known to have computed a call there since its start.
     """
 
     server: str
@@ -84,16 +84,16 @@ class Lightened(Struct, frozen=True):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Why the call runs as another operation, by name, as a log has it of each call."""
+        """Why the call runs as another operation, by name, as a call's log record has it."""
         return {"asked": str(self.asked), "forecast_s": self.forecast_s, "finish_by_s": self.finish_by_s}
 
 
 class Inputs(Struct, frozen=True):
-    """The facts that a call's decision was made from: enough to make it again.
+    """The facts from which a call's decision was made, so that it can be made again.
 
-    `selected` is the server in use. Without one it is None, and so are its `state`, the number of its `check`, and
-    the estimates. `check_s` is the expected time of its check, and `check_elapsed_s` the part that is over. If the
-    call is `lightened`, all this is of the lighter operation.
+    `selected` is the server in use. Without one, `selected`, its `state`, the number of its `check` and its estimates
+    are None. `check_s` is the expected time of its check, and `check_elapsed_s` the part that is over. If the call is
+    `lightened`, the estimates are the lighter operation's.
     """
 
     local_s: float | None = None
@@ -107,7 +107,7 @@ class Inputs(Struct, frozen=True):
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The inputs by name, as a log has them of each decision."""
+        """The inputs by name, as a decision's log record has them; without `lightened`."""
         facts = asdict(self)
         del facts["lightened"]
         return facts
@@ -128,7 +128,7 @@ class Local:
 class Remote:
     """Run the call on the server, for at most `deadline_s`; then on the drone.
 
-    `raced` where the drone's own service is at the call meanwhile, and the first answer counts.
+    If `raced`, the drone's own service computes the call too, and the first answer counts.
     """
 
     server: str
@@ -152,28 +152,28 @@ Decision = Local | Remote | Wait
 
 
 class Policy(Protocol):
-    """Answers the two questions; `gain_wait` and `gain_switch` are fractions of the local delay."""
+    """What every policy provides: the choice of a server, and the place of a call."""
 
     @property
     def name(self) -> str:
-        """What the policy is called in configurations and results."""
+        """The policy's name in configurations and results."""
 
     @property
     def horizon(self) -> int:
-        """How many of the calls to come it wants to be shown; 0 for none."""
+        """How many coming calls the policy needs in `Situation.forecast`; 0 for none."""
 
     def choose(self, situation: Situation) -> Choice:
-        """Which server now?"""
+        """The server to select now, if any."""
 
     def decide(self, call: CallInputs) -> Decision:
-        """Wait, remote or local?"""
+        """Where the call runs: Wait, Remote or Local."""
 
 
 class Deadline(Struct, frozen=True):
-    """How long a remote call may take.
+    """The longest time of a remote call: `factor` times its estimate, but no longer than a local call takes.
 
-    Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound. A deadline
-    that is `patient_first` gives a service's first call all that time, as its estimate says little of it.
+    A call given up after the time of a local call costs at most twice that time: the ski-rental bound. If
+    `patient_first`, a service's first call may take that whole time, as its estimate is uncertain.
     """
 
     least_s: float = 1.0
@@ -181,24 +181,24 @@ class Deadline(Struct, frozen=True):
     patient_first: bool = False
 
     def seconds(self, *, local_s: float, remote_s: float, is_first: bool = False) -> float:
-        """The deadline of a call with these estimates."""
+        """The deadline in seconds of a call with these estimates, at least `least_s`."""
         if is_first and self.patient_first:
             return max(self.least_s, local_s)
         return max(self.least_s, min(self.factor * remote_s, local_s))
 
 
 class WaitRule(Struct, frozen=True):
-    """Waits for a server that is being checked where that is expected to pay off (eq. 3.5)."""
+    """Waits for a server under check if that should save the fraction `gain_wait` of a local call (eq. 3.5)."""
 
     gain_wait: float = 0.25
     deadline: Deadline = Deadline()
 
     def longest_s(self, *, local_s: float, remote_s: float) -> float:
-        """The longest wait that pays off for a call with these estimates; none does where it is not above 0."""
+        """The longest wait (s) that pays off for a call with these estimates; 0 or less if none does."""
         return local_s * (1 - self.gain_wait) - remote_s
 
     def decide(self, call: CallInputs) -> Decision:
-        """Remote if the server is ready; while it is checked, a bounded wait or local."""
+        """Remote if the server is READY; a bounded Wait or Local while it is checked; Local in any other state."""
         if call.state is State.READY:
             deadline_s = self.deadline.seconds(
                 local_s=call.local_s, remote_s=call.remote_s, is_first=call.is_first
@@ -218,7 +218,7 @@ class WaitRule(Struct, frozen=True):
 
 
 def with_slots(options: Sequence[Option]) -> Sequence[Option]:
-    """Those that may have a slot for the drone, or all where none has."""
+    """The options that may have a free slot, or all options if none has."""
     return [option for option in options if not option.full] or options
 
 
@@ -229,16 +229,16 @@ class LocalOnly(Struct, frozen=True):
     horizon: int = 0
 
     def choose(self, situation: Situation) -> Choice:
-        """No server, ever."""
+        """Select no server, ever."""
         return Choice(None, "local-only policy")
 
     def decide(self, call: CallInputs) -> Decision:
-        """On the drone, always."""
+        """Run every call on the drone."""
         return Local("local-only policy")
 
 
 class Opportunistic(Struct, frozen=True):
-    """Takes any server in range, first come, and never compares them: the thesis's naive reference."""
+    """Uses the server whose range was entered first, and never compares: the thesis's naive reference."""
 
     wait: WaitRule = WaitRule()
     name: str = "opportunistic"
@@ -254,7 +254,7 @@ class Opportunistic(Struct, frozen=True):
         return Choice(min(options, key=lambda option: option.in_range_since_s).server, "first come")
 
     def decide(self, call: CallInputs) -> Decision:
-        """By the wait rule."""
+        """Decide by the wait rule, without a comparison with the drone."""
         return self.wait.decide(call)
 
 
@@ -281,7 +281,7 @@ class LocationAware(Struct, frozen=True):
         return Choice(current.server, "no other gains enough")
 
     def decide(self, call: CallInputs) -> Decision:
-        """By the wait rule; an operation that is no faster there runs on the drone."""
+        """Local if the operation is no faster on the server, else as the wait rule decides."""
         if call.remote_s >= call.local_s:
             return Local(f"{call.server} is not faster for this operation")
         return self.wait.decide(call)

@@ -6,7 +6,7 @@
 
 Laws stand at the top of selection.py (the machine), radios.py (roles of servers) and recovery.py (after failures).
 
-    server_planning    asks the policy, and has a peer prepare the next server
+    server_planning    asks the policy, and announces the drone to the next server
     call_placement     local, remote, or wait
     call_forecast      where the calls to come will run
     mission_times      when the mission is at each waypoint and over; which calls run lighter

@@ -1,4 +1,4 @@
-"""Where each coming call is expected to run, by the policy itself and by what is known now.
+"""The place where each coming call is expected to run, by the policy and by what is known now.
 
 What holds in this small world:
 - the policy decides at each call, and the check of a chosen server begins when its range was entered;
@@ -23,16 +23,16 @@ from upwash.core.policies.policy import CallInputs, Local, Option, Policy, Remot
 
 
 class CallPlace(Struct, frozen=True):
-    """The place of a call: with that server selected, if any, which is ready in `ready_in_s`."""
+    """The server selected at a call, if any, and the seconds until it is ready."""
 
     server: str | None = None
     ready_in_s: float = 0.0
 
 
 class CallForecast:
-    """Follow the coming calls, from what the drone uses and knows at one moment.
+    """Foresees the places of coming calls, from the server in use and the estimates of one moment.
 
-    `unusable_s` has for each server the time until it can be used; services run on the servers of `running`.
+    `unusable_s` has the seconds until a server may be used; services run on the servers of `running`.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class CallForecast:
         self._delays_s: dict[tuple[str | None, Operation, Position | None], float] = {}
 
     def places(self, calls: Iterable[ExpectedCall]) -> Iterator[CallPlace]:
-        """The place of each call in turn."""
+        """The place of each call, in the order of the calls."""
         at_s, here = 0.0, self._here
         for call in calls:
             at_s += call.gap_s
@@ -74,7 +74,7 @@ class CallForecast:
             here = CallPlace(here.server, max(0.0, here.ready_in_s - delay_s))
 
     def delay_s(self, place: CallPlace, call: ExpectedCall, operation: Operation | None = None) -> float:
-        """What the call takes there, as that operation where one is given; the wait for a check is included."""
+        """The seconds that the call takes there, with the wait for a check; `operation` replaces the call's own."""
         operation = operation or call.operation
         measured = place.server is not None and self._estimates.is_measured(place.server)
         at = call.position if measured else None  # elsewhere the delay is the same at all places

@@ -32,7 +32,7 @@ class CallPlacement:
         self._recovery = recovery
 
     def decide(self, operation: Operation, now_s: float) -> tuple[Decision, list[Effect]]:
-        """Where a call runs that is wanted now; a server that is out of range is left."""
+        """Decide where a call made now runs; leave the server in use if it is out of range."""
         inputs, server = self._inputs(operation, now_s), self._radios.in_use
         if server is None:
             return Local("no server selected", inputs), []
@@ -76,7 +76,7 @@ class CallPlacement:
     def decide_after_wait(
         self, operation: Operation, check: int, now_s: float
     ) -> tuple[Decision, list[Effect]]:
-        """Where a call runs whose wait for that check is over; it does not wait again."""
+        """Decide where a call runs after its wait for that check; never another Wait."""
         server = self._radios.in_use
         if server is None or server.check != check:
             return Local("the check failed or was given up", self._inputs(operation, now_s)), []
@@ -88,9 +88,9 @@ class CallPlacement:
         return decision, effects
 
     def overtake(self, operation: Operation, began_s: float, now_s: float) -> tuple[Remote | None, float]:
-        """The server that would be sooner than the drone, which has been at the call since `began_s`.
+        """The server expected to answer before the drone, which computes the call since `began_s`; None without one.
 
-        Returns None where there is none, and when to ask again if nothing happens until then.
+        The second value is the time to ask again if no event comes before.
         """
         server = self._radios.in_use
         if self._recovery is None or server is None or not server.in_range or server.state is not State.READY:
@@ -110,7 +110,7 @@ class CallPlacement:
     def _on_trial(
         self, server: Server, operation: Operation, local_s: float, now_s: float
     ) -> Decision | None:
-        """Where a call runs if its server is in doubt; None otherwise."""
+        """Where a call runs if the operation is in doubt on its server; None otherwise."""
         name, usual_s = server.name, self._estimates.usual_s(server.name, operation)
         if self._recovery is None or not self._recovery.in_doubt(name, operation):
             return None

@@ -1,4 +1,4 @@
-"""What the drone-side machine wants done: commands for the radio, and changes to be logged."""
+"""What `Selection` returns: commands for the radios, and changes for the log."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from upwash.core.selection.recovery import Probing
 
 
 class Leave(Struct, frozen=True):
-    """Give up the server: drop what is under way there, leave its network.
+    """Give up the server: drop what is under way there, and leave its network.
 
-    `check` is the latest check, or probe, of the server, here and in the other commands: the cause that logs name.
+    `check`, in every command, is the number of the server's latest check or probe, which logs name as the cause.
     """
 
     server: str
@@ -30,7 +30,7 @@ class Check(Struct, frozen=True):
 
 
 class Probe(Struct, frozen=True):
-    """Ask the server, which failed, for a sign of life, after the pauses that `probing` allows; join it for that.
+    """Join the network of a failed server, and ask for a sign of life after each pause of `probing`.
 
     The first pause is `alone_s` at least; joining may take `join_limit_s`.
     """
@@ -43,7 +43,7 @@ class Probe(Struct, frozen=True):
 
 
 class Start(Struct, frozen=True):
-    """Ask the daemon to start the services that do not run; it may take `limit_s`."""
+    """Ask the daemon to start the services that do not run, within `limit_s`."""
 
     server: str
     check: int
@@ -51,7 +51,10 @@ class Start(Struct, frozen=True):
 
 
 class Prepare(Struct, frozen=True):
-    """Have the server of that check ask its peer to start the services, and to hold a slot until it is there."""
+    """Ask `server`, which is in use, to announce the drone to its `peer`.
+
+    The peer starts the services, and holds a slot until `hold_s` after the drone arrives there in `arrives_in_s`.
+    """
 
     server: str
     check: int
@@ -61,7 +64,7 @@ class Prepare(Struct, frozen=True):
 
 
 class Full(Struct, frozen=True):
-    """To be logged: the server has no slot for the drone, and `waiting` drones queue; the drone goes on asking."""
+    """For the log: the server has no slot for the drone, and `waiting` drones queue; the drone goes on asking."""
 
     server: str
     check: int
@@ -69,7 +72,7 @@ class Full(Struct, frozen=True):
 
 
 class ServerPaused(Struct, frozen=True):
-    """To be logged: the server is left out for `pause_s`, because a service keeps failing there."""
+    """For the log: the server is not used for `pause_s`, because a service keeps failing there."""
 
     server: str
     check: int
@@ -78,7 +81,7 @@ class ServerPaused(Struct, frozen=True):
 
 
 class ExpectedTimes(Struct, frozen=True):
-    """To be logged: the expected times at each waypoint and of the mission's end, with calls as asked for.
+    """For the log: the expected times (s after arming) at each waypoint and of the mission's end, calls as asked for.
 
     `lightest_s` is the end with every call lighter, if the mission has a `finish_by_s`.
     """
@@ -90,7 +93,7 @@ class ExpectedTimes(Struct, frozen=True):
 
 
 class Mapped(Struct, frozen=True):
-    """To be logged: what is known now of a server at a place."""
+    """For the log: the measurements of a server at a place."""
 
     server: str
     place: MeasuredPlace

@@ -1,4 +1,4 @@
-"""Everything that happens to a drone's offloading, as values: what the drone's machine takes in."""
+"""The events that `Selection.handle` takes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from upwash.core.vehicle.way_home import EnergyFacts
 
 
 class SelectionEvent(Struct, frozen=True):
-    """Something that happened."""
+    """The base of the events."""
 
 
 class Tick(SelectionEvent, frozen=True):
-    """A period is over, or a border of a range was crossed: time to look again."""
+    """A period is over, or a border of a range was crossed: the selection is considered again."""
 
 
 class MissionBegun(SelectionEvent, frozen=True):
-    """The mission's time begins: the vehicle is armed, or was found in the air. This is what it says of itself.
+    """The mission's time begins: the vehicle is armed, or was found in the air.
 
-    `pace` is how it flies on average, None where that is not known.
+    `vehicle` has its battery stages and way home; `pace` how it flies on average, None if unknown.
     """
 
     vehicle: EnergyFacts
@@ -29,7 +29,7 @@ class MissionBegun(SelectionEvent, frozen=True):
 
 
 class CheckAnswered(SelectionEvent, frozen=True):
-    """The daemon answered that the server is available, and whether all wanted services run.
+    """The daemon answered that the server is available, and whether all services of the mission run.
 
     `peers` are the servers that it can have prepared; `waiting` drones queue for a slot.
     """
@@ -48,14 +48,14 @@ class SlotRefused(SelectionEvent, frozen=True):
 
 
 class LeaseRenewed(SelectionEvent, frozen=True):
-    """The server keeps its slot for the drone; `waiting` others queue."""
+    """The server keeps the drone's slot; `waiting` other drones queue."""
 
     check: int
     waiting: int
 
 
 class SlotTaken(SelectionEvent, frozen=True):
-    """The server, READY by that check, gave the drone's slot to another drone, perhaps `in_call`."""
+    """The server, READY since that check, gave the drone's slot to another drone; `in_call` if during a call."""
 
     check: int
     why: str
@@ -71,7 +71,7 @@ class ServicesStarted(SelectionEvent, frozen=True):
 class ServerUnusable(SelectionEvent, frozen=True):
     """The server could not be joined, did not answer in time, is unavailable or could not start a service.
 
-    The first two leave it `unreached`. If it leaves a service alone for `pause_s`, it is left out for as long.
+    In the first two cases it is `unreached`. If a service keeps failing there, the server is not used for `pause_s`.
     """
 
     check: int
@@ -81,7 +81,7 @@ class ServerUnusable(SelectionEvent, frozen=True):
 
 
 class ProbePaused(SelectionEvent, frozen=True):
-    """The probed server leaves a service alone for a pause, and is left out for as long."""
+    """The probed server reports a service that keeps failing; the server is not used for `pause_s`."""
 
     check: int
     why: str
@@ -89,14 +89,14 @@ class ProbePaused(SelectionEvent, frozen=True):
 
 
 class ProbeAnswered(SelectionEvent, frozen=True):
-    """A failed server answered, with all wanted services that run there; `running` if all do."""
+    """A failed server answered a probe, and so did its running services; `running` if all services run."""
 
     check: int
     running: bool
 
 
 class ProbeUnanswered(SelectionEvent, frozen=True):
-    """A failed server has not answered by the time of the next question."""
+    """A failed server has not answered a probe by the time of the next."""
 
     check: int
 
@@ -109,7 +109,7 @@ class NetworkGone(SelectionEvent, frozen=True):
 
 
 class PeerPrepared(SelectionEvent, frozen=True):
-    """A server holds a slot and starts its services, as the daemon `by` has asked it to."""
+    """A server holds a slot and starts its services, at the request of the server `by`."""
 
     server: str
     by: str
@@ -123,7 +123,7 @@ class LocalCallEnded(SelectionEvent, frozen=True):
 
 
 class RemoteCallEnded(SelectionEvent, frozen=True):
-    """A call ran on a server; `late` where the drone's own service had answered it before."""
+    """A call ran on a server; `late` if the drone's own service had answered before."""
 
     server: str
     operation: Operation
@@ -132,7 +132,7 @@ class RemoteCallEnded(SelectionEvent, frozen=True):
 
 
 class RemoteCallFailed(SelectionEvent, frozen=True):
-    """A call to a server got no usable answer, by that check; `late` after the drone's own answer."""
+    """A call to the server, READY since that check, got no usable answer; `late` after the drone's own answer."""
 
     server: str
     check: int
@@ -141,7 +141,7 @@ class RemoteCallFailed(SelectionEvent, frozen=True):
 
 
 class RemoteCallRaised(SelectionEvent, frozen=True):
-    """A server reports an exception of the service; the drone repeats the call before it believes that."""
+    """A server reports an exception of the service; the drone repeats the call to confirm it."""
 
     server: str
     why: str
@@ -170,9 +170,9 @@ class RemoteCallCut(SelectionEvent, frozen=True):
 
 
 class Reached(SelectionEvent, frozen=True):
-    """Whether a server without a range answered a call from that position, as far as its link is concerned.
+    """A call to a server without a range, made at that position: whether any answer came, an exception included.
 
-    It answered, or was given up, after `delay_s`; request and reply have `size_bytes`.
+    The call was answered, or given up, after `delay_s`; request and reply have `size_bytes`.
     """
 
     server: str
@@ -184,7 +184,7 @@ class Reached(SelectionEvent, frozen=True):
 
 
 class LegBegun(SelectionEvent, frozen=True):
-    """The drone leaves for a place at that ground speed, None for the last; `back` if the calls there are over."""
+    """The drone leaves for a place; speed None means as before; `back` if the calls there are over."""
 
     target: Position
     ground_speed_m_s: float | None
@@ -192,11 +192,11 @@ class LegBegun(SelectionEvent, frozen=True):
 
 
 class LegEnded(SelectionEvent, frozen=True):
-    """The drone is where its leg led to."""
+    """The drone has arrived at its target."""
 
 
 class TargetUnknown(SelectionEvent, frozen=True):
-    """Where the drone goes next is not known: it takes off, holds, returns or lands."""
+    """The drone's next target is unknown: it takes off, holds, returns or lands."""
 
 
 class DescentBegun(SelectionEvent, frozen=True):

@@ -1,4 +1,4 @@
-"""When the drone's own service starts on a call that a server is late with, and how much of that it may do.
+"""When the drone's own service starts on a call that a server has not answered yet, and how much it may compute so.
 
 Extra work is what the drone computes for a call that the server answers within the ordinary deadline: without hedging
 it would not have. Where the server answers later or not at all, the drone would have had to compute anyway.
@@ -29,16 +29,19 @@ class Hedge(Struct, frozen=True):
 
 
 class Delays(Struct, frozen=True):
-    """The latest delays of one operation on one server."""
+    """The last 100 delays of one operation on one server."""
 
     values_s: tuple[float, ...] = ()
 
     def observe(self, delay_s: float) -> Delays:
-        """The delays after one more."""
+        """The delays with one more, without the oldest if there are 100."""
         return Delays((*self.values_s[1 - _WINDOW_LENGTH :], delay_s))
 
     def quantile_s(self, quantile: float, *, offline_s: float) -> float:
-        """What a call exceeds with probability `1 - quantile` at most; `offline_s` is believed before any call."""
+        """The delay (s) that a call exceeds with probability `1 - quantile` at most.
+
+        With too few delays to tell, it is twice the longest of them and of `offline_s`, the estimate before any call.
+        """
         rank = math.ceil(quantile * (len(self.values_s) + 1))
         if rank > len(self.values_s):
             return _FEW * max((offline_s, *self.values_s))
@@ -48,8 +51,8 @@ class Delays(Struct, frozen=True):
 class Hedging:
     """Plan the hedges of one drone, within its budget of extra work.
 
-    `offline_s` has the delays believed of each operation on each server before the first contact. Without a budget no
-    call is hedged.
+    `offline_s` has the estimates for each server and operation before the first contact. `budget` is the extra work
+    allowed, as a share of the calls' time on the drone; 0 hedges no call.
     """
 
     def __init__(
@@ -69,7 +72,7 @@ class Hedging:
         self._extra_s = 0.0
 
     def called(self, operation: Operation) -> None:
-        """A call begins: the budget grows by a share of its time on the drone."""
+        """Note that a call begins: the budget grows by a share of its time on the drone."""
         self._calls_s += self._estimates.local_s(operation) or 0.0
 
     def plan(self, decision: Remote, operation: Operation, *, is_busy: bool) -> Hedge | None:
@@ -87,11 +90,14 @@ class Hedging:
         return Hedge(after_s, max(deadline_s, after_s + local_s))
 
     def answered(self, server: str, operation: Operation, delay_s: float) -> None:
-        """Learn from a remote call that was answered."""
+        """Add the delay of a remote call that was answered."""
         delays = self._delays.get((server, operation), Delays())
         self._delays[server, operation] = delays.observe(delay_s)
 
     def overtaken(self, hedge: Hedge, decision: Remote, operation: Operation, *, onboard_s: float) -> None:
-        """The server answered first, `onboard_s` after the drone began: extra work within the usual deadline."""
+        """Note that the server answered first, `onboard_s` after the drone began.
+
+        Within the usual deadline the drone's work was extra, and counts against the budget.
+        """
         if hedge.after_s + onboard_s <= decision.deadline_s:
             self._extra_s += self._estimates.local_s(operation) or 0.0

@@ -1,4 +1,4 @@
-"""When a mission is expected at each waypoint and over, and which calls run lighter so that it is over in time.
+"""A mission's expected times at its waypoints and of its end, and the calls that run lighter so that it ends in time.
 
 In seconds of the mission's time, which counts from arming to landed:
 
@@ -43,12 +43,12 @@ class LighterSettings(Struct, frozen=True):
 
 
 def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) -> bool:
-    """Whether a call runs in the lighter mode, by what it and the calls to come would save so."""
+    """Whether a call runs in the lighter mode, by the seconds that it and the coming calls would save."""
     return saves_s > 0 and sum(each_s for each_s in others_save_s if each_s > saves_s) < late_s
 
 
 class Lighter:
-    """Judges the calls of one mission."""
+    """Decides which calls of one mission run lighter."""
 
     def __init__(self, settings: LighterSettings, planning: ServerPlanning) -> None:
         self._settings = settings
@@ -57,7 +57,7 @@ class Lighter:
         self._home_s = 0.0  # from the last waypoint to landed
 
     def begin(self, *, now_s: float, home_s: float) -> None:
-        """The mission's time begins; it takes `home_s` from the last waypoint to landed."""
+        """Begin the mission's time; the way from the last waypoint to landed takes `home_s`."""
         self._begun_s, self._home_s = now_s, home_s
 
     def judge(
@@ -65,7 +65,7 @@ class Lighter:
     ) -> Lightened | None:
         """The lighter operation of a call that is made now; None if it runs as asked for.
 
-        The mission's model knows of the call. With `on_drone` it runs there, wherever others would.
+        Tell the mission's model of the call first. With `on_drone` the call runs there, whatever the policy says.
         """
         lighter = self._settings.operations.get(operation)
         if lighter is None or self._begun_s is None:
@@ -97,9 +97,10 @@ _HOME = Position(0.0, 0.0)
 
 
 class Timetable:
-    """Foresees one mission, which takes off to `takeoff_m`, and `lands` at its last waypoint or else returns home.
+    """The expected times of a mission that takes off to `takeoff_m`, and `lands` at its last waypoint or returns
+    home.
 
-    `home_s` is the time from its last call to landed, once it has begun.
+    `home_s` is the time from its last call to landed, set by `begin`.
     """
 
     def __init__(
@@ -125,7 +126,7 @@ class Timetable:
     def begin(
         self, vehicle: EnergyFacts, found: Pace | None, *, now_s: float, position: Position
     ) -> ExpectedTimes | None:
-        """What is expected of the mission, which begins now; None where no waypoint or no call is known."""
+        """The expected times of the mission, which begins now; None if no waypoint or no call is known."""
         if not self._beliefs.plan:
             return None
         first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position

@@ -1,4 +1,4 @@
-"""What each radio of the drone is for: it serves the server in use, the next one, or one that failed.
+"""The roles of the drone's radios: each serves the server in use, the next server, or a failed server.
 
 A server has one of three roles, or none. Each role takes one radio.
 
@@ -38,7 +38,7 @@ _CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
 
 
 def check_limit_s(believed_s: float) -> float:
-    """The longest time of a check, or of joining, by the believed time, in seconds."""
+    """The longest time of a check, or of joining, from its expected time, in seconds."""
     return max(_CHECK_LEAST_S, _CHECK_FACTOR * believed_s)
 
 
@@ -65,7 +65,7 @@ class Radios:
 
     @property
     def in_use(self) -> Server | None:
-        """The server that calls go to once it is READY."""
+        """The server to which calls go once it is READY; None without one."""
         return self.selected[0] if self.selected else None
 
     @property
@@ -87,9 +87,9 @@ class Radios:
         )
 
     def use(self, server: Server, why: str, now_s: float, *, keep: bool) -> list[Effect]:
-        """Uses the server from now on.
+        """Use the server from now on.
 
-        With a spare radio and `keep` the one before stays in use until the server is ready.
+        With a spare radio and `keep`, the former server stays in use until this one is READY.
         """
         is_ready = server in self.selected and server.state is State.READY
         if keep and self.has_spare and not is_ready:
@@ -113,7 +113,7 @@ class Radios:
         return [change, Check(server.name, server.check, self.limit_s(server, running=True))]
 
     def leave(self, server: Server, why: str, now_s: float) -> list[Effect]:
-        """Gives up a server that is in use or in preparation, and has done nothing wrong."""
+        """Leave a server in use or in preparation that has not failed."""
         self.selected.remove(server)
         return [server.deselect(now_s=now_s, why=why), Leave(server.name, server.check)]
 
@@ -129,7 +129,7 @@ class Radios:
     ) -> list[Effect]:
         """Blacklist a server in use or in preparation; with probing its radio stays there.
 
-        The operations, which would be called there, are in doubt from now on.
+        The operations are in doubt there from now on. With a `pause_s` the server is not probed for that time.
         """
         self.selected.remove(server)
         change = server.apply(trigger, now_s=now_s, why=why)
@@ -165,7 +165,7 @@ class Radios:
         return [self._probe(server, recovery, now_s) for server in failed[: max(0, self._free)]]
 
     def end_probes(self, servers: Sequence[Server]) -> list[Effect]:
-        """Ends the probes of these servers, and leaves their networks."""
+        """End the probes of these servers, and leave their networks."""
         for server in servers:
             self.probed.remove(server)
         return [Leave(server.name, server.check) for server in servers]
@@ -200,7 +200,7 @@ class Radios:
         )
 
     def limit_s(self, server: Server, *, running: bool) -> float:
-        """The longest time of joining, whether services run or not, or else of starting."""
+        """The longest time (s) of joining and asking, if services are `running`, or of starting them."""
         return check_limit_s(self._estimates.check_s(server.name, running=running))
 
     def _next_number(self) -> int:

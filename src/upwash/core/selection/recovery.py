@@ -1,4 +1,4 @@
-"""When a failed server is asked again, when calls go there again, and what those may cost.
+"""When a failed server is probed, when calls go there again, and what such calls may cost.
 
 Laws:
 - a failed server in range is probed, if a radio is free: first after a pause that grows with its latest failures,
@@ -29,13 +29,13 @@ _LONGEST_BETWEEN_TRIALS_S = 10.0
 
 
 class Probing(Struct, frozen=True):
-    """The pauses between questions to a server that failed: the first one, and the longest."""
+    """The pauses between probes of a failed server: the first, and the longest."""
 
     first_s: float = 0.5
     longest_s: float = 1.0
 
     def pauses_s(self, *, alone_s: float = 0.0) -> Iterator[float]:
-        """How long to wait before each question; `alone_s` at least before the first."""
+        """The seconds to wait before each probe; before the first at least `alone_s`."""
         pause_s = self.first_s
         yield max(alone_s, pause_s)
         while True:
@@ -50,13 +50,13 @@ class ServerFailures(Struct, frozen=True):
     last_s: float = -math.inf
 
     def after(self, now_s: float) -> ServerFailures:
-        """With one more failure, now."""
+        """The failures with one more at `now_s`; old ones are forgotten."""
         forgotten = now_s - self.last_s > self.alone_s + _WELL_S
         return ServerFailures(1 if forgotten else self.count + 1, now_s)
 
     @property
     def alone_s(self) -> float:
-        """How long the server is left alone."""
+        """How long the server is left alone after the last failure, in seconds."""
         return min(2.0 ** (self.count - 2), _LONGEST_PAUSE_S) if self.count > 1 else 0.0
 
 
@@ -68,12 +68,12 @@ class _Doubt(Struct, frozen=True):
 
     @property
     def retried_s(self) -> float:
-        """When it may be tried again."""
+        """The time from which the operation may be tried again."""
         return self.last_s + min((self.last_s - self.since_s) / _SLOW_SHARE, _LONGEST_BETWEEN_TRIALS_S)
 
 
 class Recovery:
-    """What is known of the failures of one drone's servers, and the trials that are due."""
+    """The failures of one drone's servers, and the trial calls that are due."""
 
     def __init__(self, probing: Probing) -> None:
         self.probing = probing
@@ -84,7 +84,7 @@ class Recovery:
     def failed(
         self, server: str, operations: Iterable[Operation], *, counts: bool = True, now_s: float
     ) -> None:
-        """The server failed, so that every operation there is in doubt; where it `counts` it is left alone longer."""
+        """Note that the server failed: the operations are in doubt there; if it `counts`, pauses grow."""
         if counts:
             self._failures[server] = self._failures.get(server, ServerFailures()).after(now_s)
         self._trials.discard(server)
@@ -94,7 +94,7 @@ class Recovery:
     def answered(
         self, server: str, operation: Operation, delay_s: float, *, local_s: float, now_s: float
     ) -> None:
-        """A call there was answered, usefully or too late to be of use."""
+        """Note that a call was answered: one faster than the drone ends the doubt, a slower one renews it."""
         self._trials.discard(server)
         if delay_s < local_s:
             self._doubts.get(server, {}).pop(operation, None)
@@ -102,27 +102,27 @@ class Recovery:
             self._doubt(server, operation, now_s)
 
     def trial_begun(self, server: str) -> None:
-        """A call is on trial there."""
+        """Note that a trial call to the server begins."""
         self._trials.add(server)
 
     def trial_over(self, server: str) -> None:
-        """A call that was on trial there has ended without any answer to learn from."""
+        """Note that the trial call to the server ended without an answer."""
         self._trials.discard(server)
 
     def in_doubt(self, server: str, operation: Operation | None = None) -> bool:
-        """Whether a call of the operation, or of any, would be a trial there."""
+        """Whether a call of the operation, or of any operation if None, would be a trial on the server."""
         doubts = self._doubts.get(server, {})
         return operation in doubts if operation is not None else bool(doubts)
 
     def trial_due_s(self, server: str, operation: Operation) -> float:
-        """From when on the operation may be tried there: minus infinity where it is in no doubt."""
+        """The time from which the operation may be tried there; minus infinity if it is not in doubt."""
         if server in self._trials:
             return math.inf
         doubt = self._doubts.get(server, {}).get(operation)
         return doubt.retried_s if doubt is not None else -math.inf
 
     def alone_s(self, server: str, *, now_s: float) -> float:
-        """For how much longer the server is left alone."""
+        """For how many seconds more the server is left alone."""
         failures = self._failures.get(server, ServerFailures())
         return max(0.0, failures.last_s + failures.alone_s - now_s)
 

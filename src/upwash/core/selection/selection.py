@@ -9,9 +9,9 @@ Laws:
 - a check is known by its number; what arrives for an old check changes nothing;
 - a failed server is left alone for a fixed time, or probed if a radio is free (recovery.py);
 - a server without a slot has not failed: the drone goes on asking there, unless another server is better;
-- with probing, a call on the drone also goes to a server that becomes of use before the drone is done;
+- with probing, a call on the drone also goes to a server that becomes READY before the drone is done;
 - a reported exception counts as an answer if the drone's own service raises too, and as a failed call otherwise;
-- on the way down no server is selected, unless a call is open or the mission calls again;
+- during the descent no server is selected, unless a call is open or the mission calls again;
 - each event ends with a new look at the selection; a decision on a call may leave a server, but selects none;
 - commands are carried out in their order; with one radio a server is selected after the former is left.
 """
@@ -47,9 +47,9 @@ _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and 
 
 
 class SelectionSettings(Struct, frozen=True):
-    """How long the machine remembers, and how many servers it may have selected at a time.
+    """How long `Selection` remembers, and how many servers it may select at a time.
 
-    With `probing`, `blacklist_s` does not count. A server that others wait for is used only if it saves more than
+    With `probing`, `blacklist_s` has no effect. A server that others wait for is used only if it saves more than
     the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at its last waypoint
     or else returns home.
     """
@@ -138,18 +138,18 @@ class Selection:
 
     @property
     def _unneeded(self) -> str:
-        """Why no call needs a server any more; empty while one may."""
+        """Why no call needs a server any more; "" while one may."""
         if self._ended:
             return "mission ended"
         return "on the way down" if self._comes_down and self._planning.under_way is None else ""
 
     def is_awaited(self, check: int) -> bool:
-        """Whether that check may be over soon: no call waits for a slot."""
+        """Whether a call may wait for that check; False once the server has refused a slot."""
         server = self._radios.selected_by(check, CHECKING)
         return server is not None and not server.refused
 
     def handle(self, event: SelectionEvent, *, now_s: float, position: Position) -> list[Effect]:
-        """Take in an event, with the drone at the position; return the effects in their order."""
+        """Take in an event, with the drone at the position; return commands and changes in their order."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, events.MissionBegun):
             return self._begin(event, now_s, position)
@@ -171,7 +171,7 @@ class Selection:
         return effects
 
     def next_look_s(self, *, now_s: float) -> float:
-        """Before this time a `Tick` changes nothing, unless an event or a crossed border comes first."""
+        """The time before which a `Tick` changes nothing, unless an event or a crossed border comes first."""
         if self.estimates.coverage is not None or self._table.is_on_border:
             return now_s  # what is known of a server changes with the place, or a border is crossed unseen
         return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
@@ -179,7 +179,7 @@ class Selection:
     def decide(
         self, operation: Operation, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Effect]]:
-        """Where a call runs that is wanted now; its inputs say whether as a lighter operation."""
+        """Decide where a call made now runs; `inputs.lightened` of the decision is set if it runs lighter."""
         self._locate(position, now_s)
         if self._comes_down:
             self._comes_down, self._planning.changed = False, True
@@ -193,7 +193,7 @@ class Selection:
         return decision, effects
 
     def fall_back(self, operation: Operation, *, now_s: float, position: Position) -> Lightened | None:
-        """The lighter operation for the drone of a call that its server did not answer; None if it is not lighter."""
+        """The lighter operation of a call that the drone computes after its server failed; None: as asked."""
         if self._lighter is None:
             return None
         self._planning.mission.call_ends(now_s)
@@ -205,7 +205,7 @@ class Selection:
     def decide_after_wait(
         self, operation: Operation, check: int, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Effect]]:
-        """Where a call runs after its wait for that check; it does not wait again."""
+        """Decide where a call runs after its wait for that check; never another Wait."""
         self._locate(position, now_s)
         decision, effects = self._placement.decide_after_wait(operation, check, now_s)
         self._planning.decided(decision, operation, now_s)
@@ -214,9 +214,9 @@ class Selection:
     def overtake(
         self, operation: Operation, *, began_s: float, now_s: float, position: Position
     ) -> tuple[Remote | None, float]:
-        """The server that should compute a call too that the drone has been at since `began_s`.
+        """The server that should also compute a call, which the drone has computed since `began_s`; None without one.
 
-        Return None if no server would be sooner, and when to ask again if nothing happens before.
+        The second value is the time to ask again if no event comes before.
         """
         self._locate(position, now_s)
         decision, again_s = self._placement.overtake(operation, began_s, now_s)
@@ -225,7 +225,7 @@ class Selection:
         return decision, again_s
 
     def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
-        """What going on before the open call is over would save and cost; None if nothing is known."""
+        """What flying on before the open call is over would save and cost; None if nothing is known."""
         self._locate(position, now_s)
         return self._planning.outlook(now_s)
 
@@ -424,7 +424,7 @@ class Selection:
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)
 
     def _probed_in_vain(self, check: int, position: Position) -> list[Effect]:
-        """Enter it on the map once for each place."""
+        """Record a probe without an answer, once for each place."""
         server, coverage = self._radios.probed_by(check), self.estimates.coverage
         if server is None or coverage is None or server.name not in coverage.servers:
             return []
@@ -443,7 +443,7 @@ class Selection:
         return [Mapped(server.name, coverage.asked(server.name, position, answered=answered))]
 
     def _reached(self, event: events.Reached) -> list[Effect]:
-        """Enter the delay of the call on the map; a failed call costs the drone's own computing too."""
+        """Record the delay of the call at its place; a failed call counts the drone's own computing too."""
         coverage = self.estimates.coverage
         if coverage is None:
             return []
@@ -480,7 +480,7 @@ class Selection:
         return effects
 
     def _is_worth_keeping(self, server: Server | None, now_s: float) -> bool:
-        """Whether calls still go to the server in use; else they can wait for the next server."""
+        """Whether the server in use still saves time, so that it serves until the next one is READY."""
         return (
             server is not None
             and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()

@@ -1,4 +1,4 @@
-"""Which server to use now: when the policy is asked, and what it is shown.
+"""Which server to use now: when the policy is asked, and with what inputs.
 
 The policy is asked again after each change in what it is shown. Time alone makes two changes: slow calls are
 forgotten, so that a slow server gets another chance, and an announcement becomes due.
@@ -40,18 +40,18 @@ _HOLD_S = 15.0  # that its slot is held after the drone should be there
 
 
 class PrewarmNotifier:
-    """Knows what was announced where, and when it is time for the next announcement."""
+    """Remembers the announcements of the drone to servers, and when the next is due."""
 
     def __init__(self) -> None:
         self.due_s = math.inf  # the time of the next announcement
         self._held_until_s: dict[str, float] = {}
 
     def is_due(self, now_s: float) -> bool:
-        """Whether to ask the policy."""
+        """Whether the next announcement is due."""
         return now_s >= self.due_s
 
     def has_announced(self, server: str, *, at_s: float) -> bool:
-        """Whether the server should have held a slot then, and may have begun to start its services."""
+        """Whether the drone had been announced to the server, so that a slot was held at `at_s`."""
         return self._held_until_s.get(server, -math.inf) > at_s
 
     def announce(
@@ -105,7 +105,7 @@ class ServerPlanning:
         self._short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
 
     def decided(self, decision: Decision, operation: Operation, now_s: float) -> None:
-        """The mission has made a call that runs where the decision says."""
+        """Note that the mission has made a call, and where it runs."""
         self.under_way, self._operation = decision, operation
         match decision:
             case Local():
@@ -117,7 +117,7 @@ class ServerPlanning:
         self.mission.call_ends(now_s + (expected_s or 0.0))
 
     def answered(self, now_s: float) -> None:
-        """The mission has the answer to its call."""
+        """Note that the mission has the answer to its call."""
         self.mission.call_ends(now_s)
         self.under_way = None
 
@@ -135,7 +135,7 @@ class ServerPlanning:
         self.changed = self.changed or self._policy.horizon > 0
 
     def outlook(self, now_s: float) -> Outlook | None:
-        """As `Selection.outlook`."""
+        """What flying on before the open call is over would save and cost; None if nothing is known."""
         way = self.mission.next_leg()
         if way is None or self.under_way is None or self._operation is None:
             return None
@@ -161,7 +161,7 @@ class ServerPlanning:
         return self._retry_s
 
     def next_look_s(self, now_s: float) -> float:
-        """Before this time nothing changes by itself."""
+        """The time before which the policy need not be asked, unless an event comes first."""
         if self.changed:
             return now_s
         look_s = self._prewarm.due_s
@@ -171,7 +171,7 @@ class ServerPlanning:
         return look_s
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the policy has to be asked."""
+        """Whether the policy must be asked now."""
         return self.changed or self._prewarm.is_due(now_s) or self._short_of_slots(now_s) != self._short
 
     def choose(self, now_s: float, position: Position) -> Choice:
@@ -192,7 +192,7 @@ class ServerPlanning:
         return choice
 
     def announce(self, coming: Coming | None, now_s: float) -> list[Prepare]:
-        """Has the server in use announce the drone to the coming one, once and in time."""
+        """The announcement of the drone to the coming server, once and in time; empty if none is due."""
         if coming is not None and self._table.servers[coming.server] in self._radios.selected:
             coming = None  # the drone asks it itself
         start_s = self._estimates.start_s(coming.server) if coming else 0.0
@@ -203,7 +203,7 @@ class ServerPlanning:
         return self._prewarm.has_announced(server.name, at_s=server.checked_since_s)
 
     def made_now(self, operation: Operation, now_s: float) -> ExpectedCall:
-        """A call that the mission makes now, as those that are expected."""
+        """The call that the mission makes now, as an expected call."""
         in_range_s = {
             server.name: now_s - server.in_range_since_s
             for server in self._table.in_range
@@ -212,7 +212,7 @@ class ServerPlanning:
         return ExpectedCall(operation, 0.0, in_range_s)
 
     def placing(self, now_s: float) -> CallForecast:
-        """Where calls will run from now on."""
+        """The forecast of where calls run from now on."""
         in_use = self._radios.in_use
         running = (State.AVL_R, *SELECTED)
         return CallForecast(
@@ -247,14 +247,14 @@ class ServerPlanning:
         )
 
     def is_worth_a_slot(self, server: Server, now_s: float) -> bool:
-        """Whether the drone gains enough there to take a slot that others wait for, if any do."""
+        """Whether the drone may take a slot there: it gains enough, or nobody else waits for one."""
         if not server.is_contended(now_s):
             return True
         local_s = self._estimates.mean_call_s()
         return local_s - self._estimates.mean_call_s(server.name) > self._gain_slot * local_s
 
     def _is_worth_trials(self, server: Server | None, now_s: float) -> TypeGuard[Server]:
-        """Whether the server in use is slow by its last calls alone."""
+        """Whether the server in use deserves trial calls: it is READY, in range and in doubt."""
         return (
             self._recovery is not None
             and server is not None

@@ -1,4 +1,4 @@
-"""The vehicle: who controls it, where it may be, and when its battery requires the way home.
+"""The vehicle: its owner, its fences, and when its battery requires the way home.
 
 Laws:
 - a command is sent only while the vehicle is the program's; no report gives it back (control.py);

@@ -1,7 +1,7 @@
-"""Whether a vehicle can be where it reports: only where its speed allows it to have got since its last sure position.
+"""Whether a reported position can be true: only if the vehicle's speed allows it since the last sure position.
 
-A position filter that has believed a wrong satellite fix moves the vehicle's reported place at once, and may say
-afterwards that all is well. The vehicle itself does not jump. Laws:
+A position filter that accepts a wrong satellite fix moves the reported place at once, and may report no fault
+afterwards. The vehicle itself does not jump. Laws:
 
 1. A report that lies farther from the one before it than speed and time allow is a jump.
 2. A jump is undone by jumps that lead back, or by a receiver that agrees with the new place. The receiver's reports
@@ -25,7 +25,7 @@ _JUMPS_KEPT = 16
 
 
 class Track:
-    """One series of positions, and the jumps in it that are not undone."""
+    """One series of positions, and its jumps that are not undone."""
 
     def __init__(self) -> None:
         self.place: Position | None = None
@@ -36,11 +36,11 @@ class Track:
 
     @property
     def off_m(self) -> float:
-        """How far all jumps together have moved it."""
+        """How far all jumps together have moved the position, in metres."""
         return math.hypot(self._off_east_m, self._off_north_m)
 
     def take(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
-        """Takes in a position of that time, and the velocity that the vehicle reports with it."""
+        """Add a position at `time_s`, and the velocity that the vehicle reports with it."""
         before, passed_s = self.place, time_s - self._time_s
         self.place, self._time_s = place, time_s
         if not 0 <= passed_s <= _GAP_S:
@@ -58,12 +58,12 @@ class Track:
             self.believe()
 
     def believe(self) -> None:
-        """Its present place is the true one."""
+        """Accept the present place as true."""
         self._off_east_m = self._off_north_m = 0.0
 
 
 class Continuity:
-    """The estimate that a vehicle flies by, held against its receiver's positions."""
+    """Compares the position estimate of the autopilot with the positions of its satellite receiver."""
 
     def __init__(self) -> None:
         self._estimate = Track()
@@ -71,26 +71,26 @@ class Continuity:
 
     @property
     def doubt_m(self) -> float:
-        """How far the vehicle may be from where it reports to be: 0 where its position can be true (law 3)."""
+        """How far the vehicle may be from its reported place, in metres; 0 if that can be true (law 3)."""
         return self._estimate.off_m
 
     @property
     def jumps(self) -> Sequence[tuple[float, float]]:
-        """The last jumps of the estimate: when, and how far in metres."""
+        """The last 16 jumps of the estimate: the time of each, and its length in metres."""
         return self._estimate.jumps
 
     def take_estimate(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
-        """Takes in the position that the vehicle flies by."""
+        """Add a position of the autopilot's estimate."""
         self._estimate.take(place, time_s=time_s, velocity=velocity)
         self._reconcile()
 
     def take_receiver(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
-        """Takes in what its satellite receiver alone says, with the velocity of the vehicle."""
+        """Add a position of the satellite receiver alone, with the vehicle's velocity."""
         self._receiver.take(place, time_s=time_s, velocity=velocity)
         self._reconcile()
 
     def believe(self) -> None:
-        """The present place is the true one, as of a vehicle that has stood still for a while."""
+        """Accept the present place as true, for a vehicle that has stood still for a while."""
         self._estimate.believe()
         self._receiver.believe()
 

@@ -1,4 +1,4 @@
-"""Whose the vehicle is: the program's, the pilot's, a ground station's, a fail-safe's, or unknown.
+"""Who commands the vehicle: the program, the pilot, a ground station, a fail-safe, or an unknown party.
 
 Laws:
 
@@ -27,10 +27,10 @@ _SAME_PLACE_M = 1.0  # a vehicle keeps a target in metres from its own origin, a
 
 
 class Targets:
-    """The targets of one flight: a report must agree with the last command that was obeyed, or with the one after it.
+    """Compares reported targets with commands: a report must agree with the last obeyed command, or the one after it.
 
-    Altitudes of commands and of reports count from the same place. Before the first command, the first report is what
-    another program left behind, and no difference.
+    Altitudes of commands and of reports count from the same place. Before the first command, the first report is the
+    target of an earlier program, and no difference.
     """
 
     def __init__(self) -> None:
@@ -40,17 +40,17 @@ class Targets:
         self._is_known = False  # what it steers to
 
     def send(self, place: Position | None) -> None:
-        """A command is about to be sent; None for a take-off, which has no target."""
+        """Note that a command to `place` is about to be sent; None for a take-off, which has no target."""
         self._pending, self._is_pending = place, True
 
     def settle(self, *, obeyed: bool) -> None:
-        """The last command was obeyed, or refused."""
+        """Note whether the vehicle obeyed the last command or refused it."""
         if obeyed and self._is_pending:
             self._obeyed, self._is_known = self._pending, True
         self._is_pending = False
 
     def difference(self, reported: Position | None) -> str:
-        """How a reported target differs from what was commanded; empty where it does not. None: it has a velocity."""
+        """How a reported target, None for a velocity, differs from the commands; "" if it does not."""
         if not self._is_known:
             self._learn(reported)
             return ""
@@ -74,7 +74,7 @@ _KNOWN_LATE_S = 1.0  # after the mode, that the remote control moved
 
 
 class Owner(StrEnum):
-    """Who commands the vehicle."""
+    """The parties that can command the vehicle."""
 
     NOBODY = "nobody"  # not claimed yet
     PROGRAM = "program"
@@ -95,7 +95,7 @@ _WHO = {
 
 
 class ControlChange(StrEnum):
-    """What a claim or a report means for the owner."""
+    """The events that can change the owner: a claim, or what a report shows."""
 
     CLAIMED = "claimed"
     MODE_CHANGED = "mode changed"  # only a pilot is known to do that
@@ -145,11 +145,12 @@ TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
     (Owner.UNKNOWN, ControlChange.RESTARTED): Owner.UNKNOWN,
 }
 """Complete but for what changes nothing: the claim of a vehicle that was lost (law 3), and, of a vehicle that is not
-the program's, that it is disarmed, is sent elsewhere, or restarts before the claim."""
+the program's, that it is disarmed, is sent elsewhere, or restarts before the claim.
+"""
 
 
 class Control(Struct, frozen=True):
-    """Who has the vehicle, since when, and why."""
+    """The vehicle's owner, since when, and why."""
 
     owner: Owner
     since_s: float
@@ -165,10 +166,10 @@ class Control(Struct, frozen=True):
 
 
 class Heartbeat(Struct, frozen=True, gc=False):
-    """The facts of one heartbeat, and what is known with it.
+    """One heartbeat of the autopilot, with facts from other messages.
 
-    `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` and `remote_moved`, whether the
-    pilot's remote control has just moved, are None if the vehicle does not say.
+    `failsafe` is why a fail-safe may have chosen the mode, or "". `remote_moved` tells whether the pilot's remote
+    control has just moved; it and `on_ground` are None if the vehicle does not report them.
     """
 
     mode: str
@@ -179,9 +180,9 @@ class Heartbeat(Struct, frozen=True, gc=False):
 
 
 class Latch:
-    """Follows claims, commands and reports, and says who has the vehicle.
+    """Follows claims, commands and reports; `control` is the owner that results.
 
-    Modes are their names. A claim must come after the first report.
+    Modes are given by name. A claim must come after the first report.
     """
 
     def __init__(self, now_s: float) -> None:
@@ -194,7 +195,7 @@ class Latch:
         self._targets = Targets()
 
     def claim(self, now_s: float, *, own_mode: str, resumes: bool) -> None:
-        """Takes the vehicle for the program, if it may (law 2); `control` then says whether it did, or why not."""
+        """Claim the vehicle for the program, if law 2 allows it; `control` has the result, and why."""
         reported = self._reported
         if self.control.owner is not Owner.NOBODY or reported is None:
             return
@@ -217,29 +218,29 @@ class Latch:
             raise AutopilotOverruled(step, f"{self.control}; nothing was sent", vehicle_said)
 
     def expect_modes(self, modes: Sequence[str]) -> None:
-        """A command that leads through these modes, in order, will be sent."""
+        """Note that a command that leads through these modes, in order, is about to be sent."""
         self._modes_ahead = tuple(modes)
         if self._mode is None and self._reported is not None:
             self._mode = self._reported.mode
 
     def expect_armed(self, armed: bool) -> None:
-        """A command that arms, disarms, or ends with the vehicle disarming itself will be sent."""
+        """Note that a command is about to be sent after which the vehicle is armed, or disarmed."""
         self._armed_ahead = armed
 
     def expect_target(self, place: Position | None) -> None:
-        """A command to this place will be sent; None for a take-off, straight up."""
+        """Note that a command to this place is about to be sent; None for a take-off, straight up."""
         self._targets.send(place)
 
     def settle_target(self, *, obeyed: bool) -> None:
-        """The last command that sends the vehicle to a place was obeyed, or refused."""
+        """Note whether the vehicle obeyed or refused the last command to a place."""
         self._targets.settle(obeyed=obeyed)
 
     def withdraw(self) -> None:
-        """The command on its way was refused: it leads nowhere."""
+        """Note that the command on its way was refused, and changes neither mode nor arming."""
         self._modes_ahead, self._armed_ahead = (), None
 
     def report(self, report: Heartbeat, now_s: float) -> None:
-        """Takes in a heartbeat (laws 3 and 4)."""
+        """Take in a heartbeat (laws 3 and 4)."""
         before, self._reported = self._reported, report
         if self.control.is_ours:
             self._compare_arming(report, now_s)
@@ -250,9 +251,9 @@ class Latch:
             self._compare_lost(before, report, now_s)
 
     def report_target(self, place: Position | None, now_s: float) -> None:
-        """Takes in a report of where the vehicle steers to (laws 3 and 4), in the program's own mode.
+        """Take in the reported target (laws 3 and 4), while the vehicle is in the program's own mode.
 
-        None where it follows a velocity, and no place.
+        None: the vehicle follows a velocity instead of a place.
         """
         if not self.control.is_ours or not self._armed or self._modes_ahead:
             return
@@ -260,7 +261,7 @@ class Latch:
             self._take(ControlChange.TARGET_CHANGED, difference, now_s)
 
     def report_restart(self, why: str, now_s: float) -> None:
-        """Takes in that the autopilot has restarted; while it stands disarmed for the program, that is no loss."""
+        """Take in that the autopilot restarted: the program loses the vehicle, unless it stands disarmed."""
         if self.control.owner is Owner.NOBODY or (self.control.is_ours and not self._armed):
             return
         self._take(ControlChange.RESTARTED, why, now_s)

@@ -1,4 +1,4 @@
-"""When a vehicle has to turn back: what the way home needs, against what is left in the battery.
+"""When a vehicle must turn back: the battery that the way home needs, compared with what is left.
 
 The laws, in percent of the battery and in seconds of flight; way_home.py has home_s:
 
@@ -41,7 +41,7 @@ _WIND_KEPT_S = 600.0  # how long a slow leg counts for the wind
 
 
 class FlightReport(Struct, frozen=True):
-    """What is known of a vehicle in flight at one moment; `leg_speed_m_s` is the commanded speed of its leg."""
+    """A vehicle's reports at one moment of a flight; `leg_speed_m_s` is the commanded speed of its leg."""
 
     time_s: float
     position: Position
@@ -52,14 +52,14 @@ class FlightReport(Struct, frozen=True):
 
 
 class Reserve(Struct, frozen=True):
-    """What has to be left at touchdown: the seconds of flight, and the percent, that a person asked for."""
+    """What must be left at touchdown, as a person asked: seconds of flight, and percent of the battery."""
 
     seconds: float
     percent: float | None = None
 
 
 class Margin(Struct, frozen=True):
-    """What is left against what is needed, in percent; `rate_percent_s` is None while nothing tells it."""
+    """What is left of the battery and what the way home needs; `rate_percent_s` is None while unknown."""
 
     left_percent: float
     rate_percent_s: float | None
@@ -72,17 +72,17 @@ class Margin(Struct, frozen=True):
 
     @property
     def floor_percent(self) -> float:
-        """What has to be left at touchdown."""
+        """The percent of the battery that must be left at touchdown."""
         return max(self.reserve_s_percent, self.low_percent or 0.0, self.reserve.percent or 0.0)
 
     @property
     def percent(self) -> float:
-        """The margin; below 0 too little is left."""
+        """The margin in percent of the battery; below 0 too little is left."""
         return self.left_percent - self.needed_percent - self.floor_percent
 
     @property
     def turn_back(self) -> bool:
-        """Whether it is time."""
+        """Whether the vehicle must turn back now."""
         return self.percent < 0
 
     def __str__(self) -> str:
@@ -110,7 +110,7 @@ def margin(
     low_percent: float | None = None,
     guessed: tuple[str, ...] = (),
 ) -> Margin:
-    """The margin; without a rate the way home and the reserve's seconds count nothing."""
+    """The margin; with `rate_percent_s` None, the way home and the reserve's seconds count as 0 %."""
     rate = rate_percent_s or 0.0
     return Margin(
         left_percent=percent,
@@ -125,7 +125,7 @@ def margin(
 
 
 class Consumption:
-    """The loss of the battery, by reports in steps of a percent, with gaps and jumps.
+    """The battery's rate of loss, from reports in steps of a percent, with gaps and jumps.
 
     A full battery lasts at most `endurance_s`, if given.
     """
@@ -154,7 +154,7 @@ class Consumption:
 
     @property
     def rate_percent_s(self) -> float | None:
-        """The highest rate by the flight and by its last minutes; None if unknown."""
+        """Percent per second: the higher of the whole flight's rate and the last 3 minutes' rate; None if unknown."""
         rates = [self._least_percent_s]
         if self._first is not None:
             rates += [self._most_since(begun) for begun in (self._first, self._recent[0])]
@@ -163,7 +163,7 @@ class Consumption:
         return max(rates) or None
 
     def _most_since(self, begun: tuple[float, float]) -> float:
-        """The loss per second, at most: the reported loss and the next step of the report."""
+        """The upper bound of the loss per second: the reported loss, and one step of the report more."""
         (begun_s, before_percent), (now_s, percent) = begun, self._recent[-1]
         flown_s = now_s - begun_s
         return max(before_percent - percent + _STEP_PERCENT, 0.0) / flown_s if flown_s >= _LEAST_S else 0.0
@@ -179,7 +179,7 @@ class _SlowLeg(Struct, frozen=True):
 
 
 class Wind:
-    """What the wind takes from a speed over the ground: by the vehicle's report, and by legs that were slow."""
+    """The ground speed lost to wind, by the vehicle's reports of wind and by legs that were slow."""
 
     def __init__(self) -> None:
         self._reported: Velocity | None = None
@@ -202,9 +202,10 @@ class Wind:
             self._note_slowness(report.time_s, velocity, told_m_s)
 
     def against_m_s(self, start: Position, end: Position, speed_m_s: float) -> float:
-        """The loss of ground speed at that air speed, on the way from start to end.
+        """Metres per second of ground speed lost at that air speed, on the way from start to end.
 
-        At the end itself it is the most in any direction, as a moving vehicle may come back from any side.
+        If both places are the same it is the loss in the worst direction, as a moving vehicle may come back from any
+        side.
         """
         length_m = ground_distance_m(start, end)
         if length_m == 0:
@@ -245,7 +246,7 @@ def _changed(before: tuple[float, Velocity, float], now: tuple[float, Velocity, 
 
 @dataclass(slots=True)
 class FlightEnergy:
-    """Follow a flight by its reports, and give its margin."""
+    """Follows a flight by its reports; `margin` is the battery's margin over the way home, in percent."""
 
     reserve: Reserve
     endurance_s: float | None = None
@@ -259,7 +260,7 @@ class FlightEnergy:
 
     @property
     def rate_percent_s(self) -> float | None:
-        """What the battery loses a second, as far as it is known."""
+        """The battery's loss in percent per second; None while unknown."""
         return self._consumption.rate_percent_s
 
     def take(self, report: FlightReport) -> None:

@@ -23,7 +23,7 @@ class Polygon(Struct, frozen=True):
 
     @property
     def borders(self) -> Iterator[tuple[Position, Position]]:
-        """The sides, each from one corner to the next."""
+        """The sides, each as two corners; the last leads back to the first."""
         return itertools.pairwise((*self.corners, self.corners[0]))
 
     def contains(self, position: Position) -> bool:
@@ -47,7 +47,7 @@ class Polygon(Struct, frozen=True):
         return self.contains(start) or any(True for _ in self.met_at(start, end)) or self.contains(end)
 
     def met_at(self, start: Position, end: Position) -> Iterator[float]:
-        """How far along the leg, from 0 to 1, it crosses a side or passes a corner."""
+        """Where the leg crosses a side or passes a corner, each as a share of its length from 0 to 1."""
         for corner, following in self.borders:
             if _clearly_apart(start, end, corner, following):
                 continue
@@ -60,7 +60,7 @@ class Polygon(Struct, frozen=True):
 
 
 class AreaUnion(Struct, frozen=True):
-    """Joined areas: a place has to be in at least one of them."""
+    """Joined areas: a place is within if at least one area contains it."""
 
     areas: tuple[Polygon | Circle, ...]
 
@@ -74,18 +74,18 @@ class AreaUnion(Struct, frozen=True):
 
 
 class Fence(Struct, frozen=True):
-    """One area of a geofence, by the name that messages call it."""
+    """One area of a geofence; messages use its `name`."""
 
     name: str
     area: Polygon | Circle | AreaUnion
     inclusion: bool  # stay in, as opposed to keep out
 
     def allows(self, position: Position) -> bool:
-        """Whether the vehicle may be there."""
+        """Whether the fence allows the vehicle to be at the position."""
         return self.area.contains(position) == self.inclusion
 
     def allows_leg(self, start: Position, end: Position) -> bool:
-        """Whether the vehicle may fly there straight from `start`."""
+        """Whether the fence allows the straight leg from `start` to `end`."""
         match self.area:
             case Polygon() | AreaUnion() as area if self.inclusion:
                 return area.contains_leg(start, end)
@@ -95,7 +95,7 @@ class Fence(Struct, frozen=True):
                 return not any(_meets_leg(single, start, end) for single in _single(area))
 
     def clearance_m(self, position: Position) -> float:
-        """How far a place that the fence allows is from what it forbids; a lower bound in joined areas."""
+        """Metres from an allowed position to the nearest forbidden one; a lower bound in joined areas."""
         distances_m = (
             _to_border_m(area, position) for area in _single(self.area) if self._counts(area, position)
         )
@@ -106,19 +106,19 @@ class Fence(Struct, frozen=True):
 
 
 def breached_by_position(fences: Sequence[Fence], position: Position) -> Fence | None:
-    """The first of the fences that does not allow the position; all have to."""
+    """The first fence that does not allow the position; None if all do."""
     return next((fence for fence in fences if not fence.allows(position)), None)
 
 
 def breached_by_leg(fences: Sequence[Fence], start: Position, end: Position) -> Fence | None:
-    """The first of the fences that does not allow the straight leg; all have to."""
+    """The first fence that does not allow the straight leg; None if all do."""
     return next((fence for fence in fences if not fence.allows_leg(start, end)), None)
 
 
 def breached_by_move(fences: Sequence[Fence], start: Position, target: Position) -> Fence | None:
-    """The first of the fences that does not allow the target, or the straight leg there.
+    """The first fence that does not allow the target, or the straight leg there; None if all do.
 
-    From a place that they do not allow a leg to an allowed one is: it has to come back in.
+    If `start` is not allowed itself, the leg is: the vehicle must be able to come back in.
     """
     fence = breached_by_position(fences, target)
     if fence is None and breached_by_position(fences, start) is None:
@@ -127,7 +127,7 @@ def breached_by_move(fences: Sequence[Fence], start: Position, target: Position)
 
 
 def breached_by_way(fences: Sequence[Fence], places: Sequence[Position]) -> Fence | None:
-    """The first of the fences that does not allow one of the straight legs from place to place."""
+    """The first fence that does not allow one of the straight legs from place to place; None if all do."""
     legs = itertools.pairwise(places) if fences else ()
     return next((fence for leg in legs if (fence := breached_by_leg(fences, *leg)) is not None), None)
 
@@ -210,7 +210,7 @@ def _distance_to_line_m(position: Position, start: Position, end: Position) -> f
 
 
 def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
-    """How far along the leg, from 0 to 1, it crosses the side; None if it does not or is parallel."""
+    """Where the leg crosses the side, as a share of its length from 0 to 1; None if it does not, or is parallel."""
     east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
     side_east_m, side_north_m = following.east_m - corner.east_m, following.north_m - corner.north_m
     slant = east_m * side_north_m - north_m * side_east_m

@@ -1,7 +1,7 @@
-"""The MAVLink commands that act on what a vehicle carries, and do not move, arm or reconfigure the vehicle itself.
+"""The MAVLink commands that act on a payload, and do not move, arm or reconfigure the vehicle itself.
 
-Numbers and names are those of MAVLink's common message set (MAV_CMD). A mission may send these and no others: what
-flies the vehicle goes through verbs that keep to the fence.
+Numbers and names are those of MAVLink's common message set (MAV_CMD). A mission may send no other command: it flies
+the vehicle by methods that keep to the fence.
 """
 
 from __future__ import annotations

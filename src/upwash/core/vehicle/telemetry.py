@@ -1,4 +1,4 @@
-"""What a vehicle says of itself, as a mission reads it."""
+"""A vehicle's reports, as a mission reads them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FixKind: TypeAlias = Literal["none", "2d", "3d", "dgps", "rtk-float", "rtk-fixed
 
 @dataclass(frozen=True, slots=True)
 class Attitude:
-    """How the vehicle is tilted: roll to the right, pitch with its nose up, yaw clockwise from north (0 to 360)."""
+    """The vehicle's attitude in degrees: roll to the right, pitch nose up, yaw clockwise from north (0 to 360)."""
 
     roll_deg: float
     pitch_deg: float
@@ -22,9 +22,9 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True)
 class GpsFix:
-    """What its satellite receiver has: the kind of fix, the satellites in use, the dilution of precision.
+    """The satellite receiver's fix: its kind, the satellites in use, the horizontal dilution of precision.
 
-    The last two are None where it does not say.
+    The last two are None if the receiver does not report them.
     """
 
     kind: FixKind
@@ -34,7 +34,7 @@ class GpsFix:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """The vehicle's last reports; None where it has not said, or cannot say.
+    """The vehicle's last reports; None for what it has not reported.
 
     `position` is relative to the mission's home, `velocity` over the ground, `mode` the autopilot's own name.
     """
@@ -50,10 +50,10 @@ class Telemetry:
 
     @property
     def ground_speed_m_s(self) -> float | None:
-        """How fast it moves over the ground."""
+        """The ground speed; None if not reported."""
         return None if self.velocity is None else math.hypot(self.velocity.east_m_s, self.velocity.north_m_s)
 
     @property
     def climb_m_s(self) -> float | None:
-        """How fast it climbs; below 0 where it sinks."""
+        """The rate of climb, negative in a descent; None if not reported."""
         return None if self.velocity is None else self.velocity.up_m_s

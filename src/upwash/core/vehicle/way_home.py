@@ -1,4 +1,4 @@
-"""How long a vehicle takes home and down to the ground: before it returns, and on the way.
+"""The time of a vehicle's way home and down to the ground: before the return, and during it.
 
     home_s    turning round + climb to the altitude of returns + the way at the return's speed against the wind
               + hovering above home + descent
@@ -23,7 +23,7 @@ LOOK_S = 2.0  # between two looks at the battery, and until the command
 
 
 class WayHome(Struct, frozen=True):
-    """How a vehicle returns and lands, once told to."""
+    """How a vehicle returns and lands, by its parameters."""
 
     altitude_m: float  # it climbs so high before it returns
     climb_m_s: float
@@ -43,9 +43,9 @@ UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
 
 
 class EnergyFacts(Struct, frozen=True):
-    """What a vehicle says of its battery's stages and of its way home; None where it does not.
+    """A vehicle's reports of its battery's low stages and of its way home; None for what it has not reported.
 
-    `home` is where it returns to. `guessed` lists its parameters that are not known; a usual value stands for each.
+    `home` is where it returns. `guessed` names its parameters that are not known; a usual value replaces each.
     """
 
     low_percent: float | None = None
@@ -56,21 +56,21 @@ class EnergyFacts(Struct, frozen=True):
 
     @property
     def return_altitude_m(self) -> float:
-        """The altitude above home that the way home has at least; 0 where it is not known."""
+        """The least altitude above home during a return; 0 if unknown."""
         return self.way_home.altitude_m if self.way_home is not None else 0.0
 
 
 def in_words(guessed: Sequence[str]) -> str:
-    """What is guessed, in words, by the names of the vehicle's parameters that are not known."""
+    """A phrase that names the vehicle's parameters that are not known."""
     return f"guessed: {', '.join(guessed)} {'is' if len(guessed) == 1 else 'are'} not known"
 
 
 def time_home_s(
     start: Position, home: Position, way: WayHome, *, against_m_s: float = 0.0, velocity: Velocity = STILL
 ) -> float:
-    """How long it takes from there to the ground at home, `against_m_s` slower over the ground than without wind.
+    """Seconds from `start` to the ground at `home`; wind takes `against_m_s` from the ground speed.
 
-    A vehicle that moves has to stop first, and goes on meanwhile: away from home, as far as is known here.
+    A moving vehicle must stop first; the distance until then counts as away from home.
     """
     stop_s = velocity.speed_m_s / way.acceleration_m_s2
     length_m = ground_distance_m(start, home) + velocity.speed_m_s * (LOOK_S + stop_s / 2)
@@ -86,7 +86,7 @@ def time_home_s(
 
 
 def descent_s(altitude_m: float, way: WayHome) -> float:
-    """How long it takes straight down to the ground."""
+    """Seconds straight down from that altitude to the ground."""
     slowly_m = min(max(altitude_m, 0.0), way.slowly_below_m)
     fast_m = max(altitude_m - slowly_m, 0.0)
     return Leg(fast_m, way.descent_m_s, way.acceleration_m_s2).duration_s + slowly_m / way.landing_m_s
@@ -101,7 +101,7 @@ _SUNK_M = 1.0  # below the altitude of the return: it has begun to descend
 
 
 class WayDown:
-    """Follows one vehicle on its return from `start` to `home`; without a `home` it lands below `start`."""
+    """Follows one vehicle on its return from `start` to `home`; with `home` None it lands below `start`."""
 
     def __init__(self, way: WayHome, start: Position, home: Position | None) -> None:
         self._way = way
