@@ -1,1 +1,1 @@
-"""PROGRAM: the drone. `flight` is what happens around a mission, `offloading` where its calls run."""
+"""PROGRAM: the drone. `flight` prepares, runs and ends a mission; `offloading` decides where its calls run."""

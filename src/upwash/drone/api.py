@@ -1,4 +1,4 @@
-"""What a mission flies with: the drone, its vehicle, camera, user and services."""
+"""The objects that a mission uses: the drone, its vehicle, camera, user and services."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _AtPlace = type[
 
 
 class Vehicle:
-    """The vehicle as a mission uses it: each verb blocks until it is true, and raises AutopilotError otherwise."""
+    """The vehicle as a mission uses it: a method returns when its action is complete, or raises AutopilotError."""
 
     def __init__(
         self,
@@ -81,14 +81,15 @@ class Vehicle:
 
     @property
     def position(self) -> Position:
-        """Where the drone is, relative to the mission's home."""
+        """The drone's position relative to the mission's home, in metres."""
         return self._autopilot.position
 
     @property
     def earth_position(self) -> EarthPosition | None:
-        """Where on the Earth it is, in degrees (WGS 84), and how high above the sea; None while that is not known.
+        """The drone's place on the Earth in degrees (WGS 84), and its altitude above the sea; None while unknown.
 
-        `above_sea_m` and `unix_s`, the time by its GPS, are None where the vehicle does not say, as in a simulation.
+        `above_sea_m` and `unix_s`, the time by its GPS, are None if the vehicle does not report them, as in a
+        simulation.
         """
         return self._autopilot.earth_position
 
@@ -99,54 +100,54 @@ class Vehicle:
 
     @property
     def coming_down(self) -> ComingDown | None:
-        """How the mission is bringing the vehicle to the ground; None otherwise."""
+        """Whether the mission returns or lands now, and which; None otherwise."""
         return self._coming_down
 
     @property
     def battery_percent(self) -> float | None:
-        """What is left in the battery, as last reported; None where the vehicle does not say."""
+        """The battery's charge in percent, as last reported; None if the vehicle does not report it."""
         return self._autopilot.battery_percent
 
     @property
     def telemetry(self) -> Telemetry:
-        """What the vehicle last said of itself: speed, attitude, heading, GPS, mode, battery."""
+        """The vehicle's last reports: speed, attitude, heading, GPS, mode, battery."""
         return self._autopilot.telemetry
 
     @property
     def on_a_leg(self) -> bool:
-        """Whether it is on its way to where the mission sent it."""
+        """Whether the vehicle is on its way to a place where the mission sent it."""
         return self._on_a_leg
 
     @property
     def place(self) -> Waypoint | Position | None:
-        """Where the mission last sent it to; None before its first leg."""
+        """The place where the mission last sent the vehicle; None before its first leg."""
         return self._place
 
     @property
     def waypoint(self) -> int | None:
-        """The waypoint that the mission last sent it to; None for a place beside the plan."""
+        """The index of the waypoint where the mission last sent the vehicle; None for a place off the plan."""
         return index_of(self._place)
 
     @property
     def ground_speed_m_s(self) -> float | None:
-        """The speed of legs, as the mission last set it; None for that of the configuration."""
+        """The ground speed of legs as the mission last set it; None for the configured speed."""
         return self._ground_speed_m_s
 
     def _take_up(self) -> None:
-        """The vehicle is in the air, where another program left it."""
+        """Note that the vehicle is in the air, where an earlier program left it."""
         self._in_the_air = self._found_flying = True
         self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
     def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors.
 
-        AutopilotRefused where the vehicle stands too far from the mission, or its own fence forbids a part of it.
+        Raises AutopilotRefused if the vehicle stands too far from the mission, or its own fence forbids a part of it.
         """
         if not self._found_flying:  # arming would change the mode that it flies in
             self._thread.call(self._logged(self._arm, schema.Armed))
 
     def takeoff(self, altitude_m: float) -> None:
-        """Climbs to the altitude above home; a vehicle found flying only climbs where it is, never sinks."""
+        """Takes off and climbs to the altitude above home; a vehicle found flying only climbs, and never sinks."""
         if self._found_flying:
             self._thread.call(self._climb(altitude_m))
             return
@@ -155,15 +156,15 @@ class Vehicle:
         self._thread.call(self._takeoff(altitude_m))
 
     def set_ground_speed(self, ground_speed_m_s: float) -> None:
-        """Sets the speed of the legs that follow."""
+        """Sets the ground speed of the following legs, in metres per second."""
         self._thread.call(self._set_ground_speed(ground_speed_m_s))
 
     def goto(self, place: Waypoint | Position, *, unless: Demand[Any] | None = None) -> bool:
         """Flies to a waypoint or position; returns True on arrival, at rest, and after the waypoint's hold time.
 
-        With `unless=pending.demands(...)`, an answer with that demand stops the flight: the vehicle brakes and
-        `goto` returns False, at rest on the way, or at the target if that is nearer. AutopilotRefused for a place
-        that the plan's geofence keeps the vehicle from; it does not move then.
+        With `unless=pending.demands(...)`, an answer with that demand stops the flight: the vehicle brakes and `goto`
+        returns False, at rest on the way, or at the target if that is nearer. Raises AutopilotRefused, without a
+        movement, if the plan's geofence forbids the place or the way.
         """
         if self._open is None or unless is not None:
             return self._fly(place, unless=unless)
@@ -172,9 +173,9 @@ class Vehicle:
         return True
 
     def turn_to(self, heading_deg: float) -> None:
-        """Turns the nose, in degrees clockwise from north, where the vehicle hovers; until the next leg.
+        """Turns the hovering vehicle's nose to a heading, in degrees clockwise from north, until the next leg.
 
-        UsageError for what is no number from 0 to 360.
+        Raises UsageError unless the heading is from 0 to 360.
         """
         if not 0 <= heading_deg <= 360:
             raise UsageError(f"turn_to: heading_deg is {heading_deg}: give degrees from 0 to 360")
@@ -182,9 +183,9 @@ class Vehicle:
         self._thread.call(self._turn_to(heading_deg % 360))
 
     def send_text(self, text: str, *, severity: Severity = "info") -> None:
-        """Sends words to the ground station, as the vehicle's own (MAVLink's STATUSTEXT); nobody confirms them.
+        """Sends a text to the ground station as the vehicle's own (MAVLink's STATUSTEXT), without a confirmation.
 
-        UsageError for a text of more than 200 bytes in UTF-8, or of none.
+        Raises UsageError unless the text has 1 to 200 bytes in UTF-8.
         """
         if severity not in SEVERITIES:
             raise UsageError(f"send_text: no severity {severity!r}: choose of {', '.join(SEVERITIES)}")
@@ -195,30 +196,30 @@ class Vehicle:
         self._thread.call(self._send_text(SEVERITIES.index(severity), text))
 
     def hover(self, duration_s: float) -> None:
-        """Stays where it is for that time."""
+        """Hovers where the vehicle is for `duration_s`."""
         self._thread.call(asyncio.sleep(duration_s))
 
     def hold(self) -> None:
-        """Stops and hovers."""
+        """Stops the vehicle, and returns when it hovers."""
         self._settle()
         self._stands_at = None
         self._thread.call(self._logged(self._autopilot.hold, schema.Holding))
 
     def return_home_and_land(self) -> None:
-        """Flies back to where it took off and lands."""
+        """Flies back to where the vehicle took off, lands, and returns when it has landed."""
         self._come_down("return", self._autopilot.return_home_and_land, schema.Returning)
 
     def land(self) -> None:
-        """Lands where it is."""
+        """Lands where the vehicle is, and returns when it has landed."""
         self._come_down("land", self._autopilot.land, schema.Landing)
 
     def disarm(self) -> None:
-        """Stops the motors."""
+        """Stops the motors of the landed vehicle."""
         self._settle()
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
     def _leave_open(self, answer: AnswerAction[Any]) -> None:
-        """Leave the answer open, to be settled on the way."""
+        """Leave the answer open: the following verbs wait for it and act on it."""
         self._open = answer
 
     def _settle(self) -> None:
@@ -259,7 +260,7 @@ class Vehicle:
 
     @contextlib.contextmanager
     def _settling(self, answer: AnswerAction[Any]) -> Iterator[AnswerAction[Any]]:
-        """Close the answer meanwhile, as acting on it flies too; reopen it if that fails before it is over."""
+        """Close the open answer during the block, as acting on it flies too; reopen it if the block fails."""
         self._thread.require_turn()
         self._open = None
         try:
@@ -322,7 +323,7 @@ class Vehicle:
             await asyncio.sleep(hold_s)
 
     async def _until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
-        """Begin to fly; return True on arrival, or False, still flying, when the answer is there."""
+        """Begin to fly; return True on arrival, or False, still in flight, when the answer is there."""
         leg = self._leg = begin(verb)
         try:
             await first(asyncio.wait([leg]), demand.answered())
@@ -340,7 +341,7 @@ class Vehicle:
             await leg
 
     async def _stop_short_of(self, target: Position) -> None:
-        """Brake; end the leg instead if braking would lead beyond its target, where nobody has looked."""
+        """Brake; end the leg at its target instead if braking would lead beyond it, where no check was made."""
         here, stopping_place = self._autopilot.position, self._autopilot.stopping_place
         if distance_m(here, stopping_place) > distance_m(here, target):
             await self._rest_of_leg()
@@ -349,7 +350,7 @@ class Vehicle:
             await self._autopilot.hold()
 
     async def _end_leg(self) -> None:
-        """Cancel a leg that is under way without a verb of the mission."""
+        """Cancel the leg under way, if any."""
         leg, self._leg = self._leg, None
         if leg is not None:
             leg.cancel()
@@ -412,7 +413,7 @@ class Vehicle:
 
 
 class VehicleHandle:
-    """What a flight does with its vehicle, and a mission cannot."""
+    """The control of a vehicle that a flight has and a mission has not."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.settle = vehicle._settle
@@ -427,22 +428,22 @@ class VehicleHandle:
 
 
 class User:
-    """The drone's user as a mission knows them."""
+    """Sends messages of a mission to the drone's user."""
 
     def __init__(self, notifier: Notifier, thread: MissionThread) -> None:
         self._notifier = notifier
         self._thread = thread
 
     def notify(self, message: object, at: Waypoint | Position) -> None:
-        """Tells the user about a finding at a waypoint or position."""
+        """Sends the user a message about a waypoint or position."""
         self._thread.call(self._notifier.notify(message, position_of(at)))
 
 
 class Drone:
-    """The drone of a mission program; its verbs and calls are for the mission's own thread.
+    """The drone of a mission program; only the mission's own thread may call its methods.
 
-    `plan` holds the waypoints to visit, in flight order. `altitude_m`, above home, and `action_s`, the duration of
-    an action at a waypoint, are as configured.
+    `plan` has the waypoints to visit, in flight order. `altitude_m`, above home, and `action_s`, the duration of an
+    action at a waypoint, are configured.
     """
 
     plan: tuple[Waypoint, ...]
@@ -481,16 +482,16 @@ class Drone:
         self._errands = errands
 
     def end_flight(self) -> None:
-        """Lands where it is if the plan ends so; returns home and lands otherwise."""
+        """Ends the flight as the plan says: lands where the vehicle is, or returns home and lands."""
         if self._ending == "land":
             self.autopilot.land()
         else:
             self.autopilot.return_home_and_land()
 
     def service(self, cls: type[T]) -> T:
-        """The service, typed as its class; where each of its calls runs is not the mission's concern.
+        """An object of the service's class; upwash decides for each call of a method where it runs.
 
-        UsageError for a service that the configuration does not name.
+        Raises UsageError for a service that the configuration does not name.
         """
         name = spec_of(cls).name
         if name not in self._services:
@@ -503,7 +504,8 @@ class Drone:
     def start(self, call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Starts a call of a service's method, `drone.start(detector.process_photo, photo)`, and does not wait.
 
-        UsageError while another call is pending. An answer that `stay_or_go` left open is settled before.
+        Raises UsageError while another call is pending. If `stay_or_go` left an answer open, first waits for it and
+        acts.
         """
         self.autopilot._settle()
         return self._calls.start(call, *args, **kwargs)
@@ -516,13 +518,13 @@ class Drone:
         demands: Callable[[T], object] = bool,
         failed: Callable[[Exception], object] | None = None,
     ) -> None:
-        """Has `act(answer)` called at this waypoint if `demands(answer)` is true.
+        """Calls `act(answer)` at this waypoint if `demands(answer)` is true.
 
-        As `stay_or_go` of the configuration says, the drone waits here for the answer, or the mission goes on at
-        once, at most to the next waypoint. If an answer then has a demand, the drone comes back, acts, and flies to
-        where it was going. The next call, and the way down, wait for the answer. `demands` is called once, wherever
-        the drone is. An exception of the call goes to `failed`, at this waypoint; without `failed` the verb that
-        waits raises it there.
+        The key `stay_or_go` of the configuration decides whether the drone waits here for the answer, or the mission
+        goes on at once, to the next waypoint at most. If the answer then has a demand, the drone comes back, acts,
+        and flies to its former target. The next call, and the way down, wait for the answer. `demands` is called
+        once, at any place. If the call raises an exception, `failed` gets it at this waypoint; without `failed`, the
+        method that waits raises it there.
         """
         self._errands.run(DemandedAction(pending, act, demands, failed, self.autopilot.place))
 
@@ -532,5 +534,5 @@ class Drone:
 
 
 def position_of(place: Waypoint | Position) -> Position:
-    """Where a waypoint is, or the position itself."""
+    """The position of a waypoint, or the position given."""
     return place.position if isinstance(place, Waypoint) else place

@@ -1,9 +1,9 @@
-"""One call, at a server or at the drone's own service, or at both: the first answer counts.
+"""One call: on a server, on the drone's own service, or on both, with the first answer.
 
-    sent to a server alone    the drone's own service starts when that has failed
-    hedged                    ... or when the server is late (core/selection/hedging.py); the first answer counts
+    sent to a server alone    the drone's own service starts if the server fails
+    hedged                    ... or is late (core/selection/hedging.py); the first answer counts
     raced                     both start at once, as the server is on trial
-    on the drone              a server that becomes of use before the drone is done gets the call too
+    on the drone              a server that becomes READY before the drone is done gets the call too
 
 The loser runs on, as a computation cannot be broken off, and its answer is dropped. The drone's own service is busy
 until then: the next call of that service waits for it.
@@ -39,7 +39,7 @@ _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 
 class Invocation(Struct, frozen=True):
-    """The mission's call; if it is `lightened`, as a lighter operation."""
+    """The mission's call, encoded; if `lightened` is set, `operation` and `request` are the lighter ones."""
 
     operation: Operation
     method: Method
@@ -47,7 +47,7 @@ class Invocation(Struct, frozen=True):
     lightened: Lightened | None = None
 
     def lighter(self, lightened: Lightened | None) -> Invocation:
-        """The same call as the lighter operation, if any."""
+        """The same call as the lighter operation; unchanged for None."""
         if lightened is None:
             return self
         request = self.method.under(lightened.operation.key, self.request)
@@ -55,7 +55,7 @@ class Invocation(Struct, frozen=True):
 
 
 class ReportedFault(Struct, frozen=True):
-    """The exception of the service that a server reports, and after how long."""
+    """The exception that a server reports of its service, and the seconds until the report."""
 
     raised: str
     delay_s: float
@@ -63,7 +63,7 @@ class ReportedFault(Struct, frozen=True):
 
 @dataclass(slots=True)
 class Attempt:
-    """A call to a server, bound to the check that made it READY, and the drone's own service at the same call."""
+    """A call to a server, READY since `check`, and the drone's own computation of it, if any."""
 
     call: Invocation
     server: str
@@ -101,7 +101,7 @@ class Calling:
         self._hedging = hedging
 
     def attempt(self, call: Invocation, server: str, deadline_s: float) -> Attempt:
-        """An attempt at the server, which is READY; it is not begun."""
+        """An attempt at the READY server; nothing is sent yet."""
         worker = self._radios.worker_at(server)
         assert worker.session is not None  # noqa: S101 - a server is READY only by its session
         return Attempt(
@@ -115,7 +115,7 @@ class Calling:
         )
 
     async def at_server(self, attempt: Attempt) -> Any | None:
-        """The decoded reply of a server that carries a value, or None where it gave no such reply."""
+        """The server's decoded reply if it carries a value; None after any failure, which is reported to the core."""
         call, server, began_s = attempt.call, attempt.server, now_s()
         operation, method = call.operation, call.method
         try:
@@ -148,7 +148,7 @@ class Calling:
         return reply
 
     async def onboard(self, call: Invocation) -> Any:
-        """The decoded reply of the drone's own service; raises InstanceError where that fails."""
+        """The decoded reply of the drone's own service; raises InstanceError if the service fails."""
         expected_s = self._decisions.estimates.local_s(call.operation) or 0.0
         return call.method.decode(
             await self._onboard.call(
@@ -180,7 +180,7 @@ class Calling:
         )
 
     def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
-        """Report after the call how fast the server answered at the drone's place, if it did."""
+        """Report to the core how fast the server answered at this place, for a server without a range."""
         call, server = attempt.call, attempt.server
         if not self._decisions.estimates.is_measured(server):
             return
@@ -191,7 +191,7 @@ class Calling:
         )
 
     def _doubt(self, attempt: Attempt, said: ReportedFault) -> None:
-        """Note the reported exception; the mission gets exceptions of the drone's own service alone."""
+        """Log the reported exception; the mission only gets exceptions of the drone's own service."""
         server, rival = attempt.server, attempt.rival
         operation = str(attempt.call.operation)
         self._journal.record(
@@ -224,13 +224,13 @@ class CallAnswer(Struct, frozen=True):
 
     @property
     def server(self) -> str | None:
-        """The server that answered it; None where the drone did."""
+        """The server that answered; None if the drone did."""
         return self.attempt.server if self.attempt is not None else None
 
 
 @dataclass(slots=True)
 class _Computing:
-    """The drone's own service at a call, once it is done with earlier calls."""
+    """The drone's own computation of a call, which begins when earlier calls of the service are done."""
 
     call: Invocation
     asked_s: float
@@ -239,14 +239,14 @@ class _Computing:
 
 
 class _Loser(Struct, frozen=True):
-    """The rest of an answered call; `service` is the drone's own service that is busy with it."""
+    """A computation that goes on after its call was answered; `service` names the drone's busy service, if any."""
 
     task: asyncio.Task[Any]
     service: str | None = None
 
 
 class Racing:
-    """Answers calls, each once."""
+    """Makes each call where it is decided, and returns its first answer."""
 
     def __init__(self, decisions: Decisions, calling: Calling, journal: Journal, hedging: Hedging) -> None:
         self._decisions = decisions
@@ -256,7 +256,7 @@ class Racing:
         self._losers: list[_Loser] = []
 
     async def answer(self, decision: Decision, call: Invocation) -> CallAnswer:
-        """The answer to a call that runs where the decision says, or on the drone when that fails."""
+        """The answer to a call that runs where the decision says, or on the drone if the server fails."""
         self._hedging.called(call.operation)
         if not isinstance(decision, Remote):
             return await self._answer_onboard(call)
@@ -272,14 +272,14 @@ class Racing:
         return await self._fall_back(call, attempt)
 
     async def queue(self, service: str) -> float:
-        """Waits until the drone's own service is done with calls that servers answered; returns for how long."""
+        """Waits until the drone's service is done with calls that servers answered; returns the seconds waited."""
         began_s = now_s()
         for loser in [loser for loser in self._losers if loser.service == service and not loser.task.done()]:
             await asyncio.shield(loser.task)
         return now_s() - began_s
 
     async def stop_losers(self) -> None:
-        """Ends what still runs of calls that are answered."""
+        """Ends the computations that go on after their calls were answered."""
         await end(*(loser.task for loser in self._losers))
 
     # --- hedging --------------------------------------------------------------------------------------------
@@ -315,7 +315,7 @@ class Racing:
     # --- the race -------------------------------------------------------------------------------------------
 
     async def _fall_back(self, call: Invocation, attempt: Attempt) -> CallAnswer:
-        """Compute on the drone. A reported exception is tested with the same call, never a lighter one."""
+        """Compute on the drone: after a reported exception the same call, to test it; else perhaps a lighter one."""
         if attempt.said is None and call.lightened is None:
             call = call.lighter(self._decisions.fall_back(call.operation))
         return await self._answer_onboard(call, instead_of=attempt)
@@ -324,7 +324,7 @@ class Racing:
         return await self._race(call, self._begin_onboard(call), instead_of)
 
     async def _race(self, call: Invocation, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
-        """The first answer of the drone's own service and of servers.
+        """The first answer, of the drone's own service or of a server.
 
         `attempt` is the last attempt at a server; it is under way if it has a `reply`.
         """
@@ -365,7 +365,7 @@ class Racing:
         return computing
 
     async def _overtaken(self, computing: _Computing) -> Remote | None:
-        """The next server that becomes of use while the drone computes; None if the drone is done first."""
+        """The decision for a server that would answer before the drone; None if the drone is done first."""
         if not self._decisions.overtakes:
             return None
         while not computing.task.done():

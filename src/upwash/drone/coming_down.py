@@ -26,10 +26,10 @@ _PAUSE_S = 2.0
 
 
 async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *, why: str) -> None:
-    """Has the vehicle return and land, land or hold, again and again while it does not obey.
+    """Commands the vehicle to return and land, to land or to hold, again and again until it obeys.
 
-    A vehicle that has not left the ground is disarmed instead. Returns when that is so, when the vehicle is not the
-    program's any more, or when it has tried for long enough; the journal tells which.
+    A vehicle on the ground is disarmed instead. Returns when the action is done, when the program no longer has the
+    vehicle, or after the longest time of trying; the journal records which.
     """
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + _KEEP_TRYING_S
@@ -56,7 +56,7 @@ async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *,
 
 
 async def follow(autopilot: Autopilot, journal: Journal, *, until: asyncio.Event) -> None:
-    """Sends nothing; returns when a vehicle that is not the program's stands, falls silent, or `until` is set."""
+    """Follows a lost vehicle, without a command, until it stands, is silent, or `until` is set."""
     control = autopilot.control
     journal.record(
         schema.LeftToPilot(why=f"{control}; the log continues until the vehicle stands, or Ctrl-C")
@@ -89,7 +89,7 @@ _HOME = Position(0.0, 0.0)
 
 
 class Descent:
-    """Follows the vehicle's way down; `doing` says whether the program has the vehicle return, land, or neither."""
+    """Follows the vehicle's way down; `doing` returns whether the program returns, lands, or does neither."""
 
     def __init__(self, autopilot: Autopilot, *, doing: Callable[[], ComingDown | None]) -> None:
         self._autopilot = autopilot
@@ -99,7 +99,7 @@ class Descent:
 
     @property
     def left_s(self) -> float | None:
-        """Seconds to the ground; None where the program does not bring it down, or no longer has it."""
+        """Seconds to the ground; None unless the program has the vehicle and brings it down."""
         vehicle = self._autopilot
         doing = self._doing() if vehicle.control.is_ours and not vehicle.stands else None
         if doing != self._begun:

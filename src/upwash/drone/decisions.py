@@ -1,7 +1,7 @@
-"""What the drone decides about servers and calls: asked of the core, logged, and given to the radios.
+"""The drone's decisions about servers and calls: made by the core, logged, and carried out by the radios.
 
-`Background` has the core look again once a period, and at each border of a range, whatever the mission does. It
-skips looks at which, as the core says, nothing can have changed.
+`Background` has the core consider servers again once a period, and at each border of a range. It skips the times at
+which, by `next_look_s`, nothing can have changed.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Decisions:
 
     @property
     def estimates(self) -> Estimates:
-        """What is believed about delays."""
+        """The estimates of delays."""
         return self._selection.estimates
 
     @property
@@ -62,21 +62,21 @@ class Decisions:
 
     @property
     def server_in_use(self) -> str | None:
-        """The server that calls go to once it is READY."""
+        """The name of the server to which calls go once it is READY; None without one."""
         current = self._selection.current
         return current.name if current is not None else None
 
     @property
     def position(self) -> Position:
-        """Where the drone is."""
+        """The drone's position."""
         return self._autopilot.position
 
     def next_look_s(self) -> float:
-        """As `Selection.next_look_s`."""
+        """The time before which the core need not consider servers again; as `Selection.next_look_s`."""
         return self._selection.next_look_s(now_s=now_s())
 
     def outlook(self) -> Outlook | None:
-        """As `Selection.outlook`."""
+        """What flying on before the open call is over would save and cost; None if nothing is known."""
         return self._selection.outlook(now_s=now_s(), position=self._autopilot.position)
 
     def check_of(self, server: str) -> int:
@@ -92,7 +92,7 @@ class Decisions:
         self.looked_after()
 
     def decide(self, operation: Operation) -> Decision:
-        """Where a call runs that the mission wants now, and whether as a lighter operation."""
+        """Decide where the call that the mission makes now runs, and whether lighter; log the decision."""
         position = self._autopilot.position
         decision, effects = self._selection.decide(operation, now_s=now_s(), position=position)
         lightened = decision.inputs.lightened
@@ -100,7 +100,7 @@ class Decisions:
         return decision
 
     def fall_back(self, operation: Operation) -> Lightened | None:
-        """As `Selection.fall_back`."""
+        """The lighter operation of a call that the drone computes after its server failed; None: as asked."""
         return self._selection.fall_back(operation, now_s=now_s(), position=self._autopilot.position)
 
     async def wait(self, operation: Operation, wait: Wait) -> Decision:
@@ -118,7 +118,7 @@ class Decisions:
         return decision
 
     def overtake(self, operation: Operation, *, began_s: float) -> tuple[Remote | None, float]:
-        """As `Selection.overtake`, with the decision logged."""
+        """The READY server expected to answer before the drone, logged, or None; and when to ask again."""
         position = self._autopilot.position
         decision, again_s = self._selection.overtake(
             operation, began_s=began_s, now_s=now_s(), position=position
@@ -128,7 +128,7 @@ class Decisions:
         return decision, again_s
 
     async def until_told(self, unless: asyncio.Task[object], *, until_s: float) -> None:
-        """Return after the next event, at that time, or when the task is done."""
+        """Return after the next event of the core, at `until_s`, or when the task `unless` is done."""
         left_s = until_s - now_s() if until_s < math.inf else None
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(left_s):
@@ -196,7 +196,7 @@ class Decisions:
 
 
 def now_s() -> float:
-    """The time of the running loop."""
+    """The time of the running event loop, in seconds."""
     return asyncio.get_running_loop().time()
 
 
@@ -204,7 +204,7 @@ _ROUNDING_S = 1e-6  # a look may be early by this, rather than late by a period
 
 
 class Background:
-    """Has the core look again, until its tasks are cancelled."""
+    """Has the core consider servers again and again, until its tasks are cancelled."""
 
     def __init__(
         self,
@@ -226,7 +226,7 @@ class Background:
         self._alarm: asyncio.TimerHandle | None = None  # at the first look from then on
 
     async def look(self) -> NoReturn:
-        """Look once a period if it is worth it, and at once for another server after a decision has left one."""
+        """Tick the core after each period in which something can have changed, at once after a server was left."""
         again, loop = self._decisions.server_left, asyncio.get_running_loop()
         self._decisions.looked_after = self._set_alarm
         try:
@@ -242,7 +242,7 @@ class Background:
             self._stop_alarm()
 
     async def watch_borders(self) -> NoReturn:
-        """Look at once when a border is crossed; while the vehicle is silent, once a period."""
+        """Tell the core at once when a border is crossed; once a period while the vehicle is silent."""
         while True:
             try:
                 await self._autopilot.border_crossed(self._areas)
@@ -257,7 +257,7 @@ class Background:
                 self._decisions.tell(Tick())
 
     def _set_alarm(self) -> None:
-        """Schedule a look at the end of the first period in which something can have changed."""
+        """Schedule the next tick at the end of the first period in which something can have changed."""
         due_s = -math.inf if self._silent else self._decisions.next_look_s() - _ROUNDING_S
         if due_s == self._due_s and self._alarm is not None:
             return

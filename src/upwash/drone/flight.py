@@ -59,7 +59,7 @@ _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
 
 class Ports(Struct, frozen=True):
-    """Everything that a flight needs from outside: things, or models of them; a network for each radio."""
+    """The ports that a flight needs, real or simulated; `networks` has one for each radio."""
 
     autopilot: Autopilot
     networks: Sequence[Network]
@@ -75,9 +75,9 @@ class Ports(Struct, frozen=True):
 class Flight:
     """One mission from the first check of the services to the landed vehicle.
 
-    With `done` it takes up a mission that was broken off, which has these waypoints behind it: the vehicle may be in
-    the air, and the plan holds the other waypoints. Where none is left the vehicle is brought to the ground. The
-    `order` is decided here unless it was before.
+    `done` resumes an interrupted mission: these waypoints are complete, the plan has the others, and the vehicle may
+    be in the air. If no waypoint is left, the vehicle is brought to the ground. `order` is the order of the
+    waypoints, decided here if None.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class Flight:
         )
 
     async def run(self) -> None:
-        """Flies the mission; raises what ended it, after the configured action where the vehicle obeys."""
+        """Flies the mission; an error that ends it is raised after the configured safe action."""
         journal, config = self._ports.journal, self._config
         try:
             self._ports.autopilot.listen(self._hear_vehicle)
@@ -190,7 +190,7 @@ class Flight:
         )
 
     def position_report(self) -> schema.PositionReport:
-        """Where the drone is now, how it moves, and what is known of its battery and of its link to a server."""
+        """The drone's position, motion, battery, and link to a server, as one record for the log."""
         vehicle, (server, round_trip_s) = self._ports.autopilot, self._offloading.link
         here, velocity = rounded(vehicle.position), vehicle.velocity
         speed_m_s = None if velocity is None else math.hypot(velocity.east_m_s, velocity.north_m_s)
@@ -209,10 +209,10 @@ class Flight:
         )
 
     def stop(self, why: str) -> bool:
-        """End the mission early, in the configured action; end following a vehicle that is not the program's.
+        """End the mission early, in the configured safe action; or end the following of a lost vehicle.
 
-        Return False if the mission is being ended already, so that nothing is left but to end the program at once.
-        A call in the first second after the reserve counts as made before it.
+        Return False if the mission is being ended already: the caller then ends the program at once. A call within a
+        second after the reserve ended the mission counts as made before.
         """
         now_s = asyncio.get_running_loop().time()
         if self._stopped is None or self._follows:
@@ -238,7 +238,7 @@ class Flight:
             self._last_words.append((asyncio.get_running_loop().time(), news))
 
     async def _take_vehicle(self) -> None:
-        """Refuse to begin a mission in the air; take up a mission that was broken off there."""
+        """Claim the vehicle; refuse to begin a mission in the air, but resume one there."""
         autopilot = self._ports.autopilot
         flies = await autopilot.in_the_air()
         if flies and self._done is None:
@@ -253,7 +253,7 @@ class Flight:
         await self._set_dead_man(flies=flies)
 
     async def _set_dead_man(self, *, flies: bool) -> None:
-        """Arm the dead man's switch; if that fails, only a vehicle that flies already goes on."""
+        """Arm the dead man's switch; raise if that fails, unless the vehicle is already in flight."""
         settings, journal = self._config.autopilot, self._ports.journal
         if (
             settings.dead_man_s is None or settings.on_failure == "hold"
@@ -299,7 +299,7 @@ class Flight:
             await self._end(f"the mission ended {where}")
 
     async def _stands_disarmed(self) -> bool:
-        """Disarm a vehicle that the mission left on the ground; return whether it stands disarmed."""
+        """Disarm a vehicle that the mission left armed on the ground; return whether it stands disarmed."""
         autopilot = self._ports.autopilot
         if self._vehicle.in_the_air or not (autopilot.stands and autopilot.control.is_ours):
             return False
@@ -340,7 +340,7 @@ class Flight:
         return _come_down if self._vehicle.in_the_air else _stay_down
 
     def _require_control(self) -> None:
-        """Raise AutopilotOverruled if the vehicle was lost, whatever the verb raised."""
+        """Raise AutopilotOverruled if the program has lost the vehicle, in place of any other error."""
         control = self._ports.autopilot.control
         if not control.is_ours:
             since_s = control.since_s - _WORDS_BEFORE_S
@@ -374,7 +374,7 @@ class Flight:
         self._end_at_reserve(await watch.reached())
 
     def _end_unwatched(self, defect: Exception) -> None:
-        """End the mission as the reserve does: a drone does not fly on without that watch."""
+        """End the mission as at the reserve, because the watch of the reserve failed."""
         why = f"a defect has ended the watch of the reserve: {type(defect).__name__}: {defect}"
         trace = "".join(traceback.format_exception(defect))
         self._ports.journal.record(schema.BatteryWatchFailed(why=why, trace=trace))

@@ -1,4 +1,4 @@
-"""The home that a plan was made for, held against the vehicle's own before arming.
+"""The home for which a plan was made, compared with the vehicle's own before arming.
 
 A plan's altitudes above the sea become altitudes above the vehicle's own home, which the vehicle reports.
 """
@@ -30,9 +30,9 @@ _FAR_M = 100.0
 
 
 class PlannedHome(Struct, frozen=True):
-    """A plan's home; None where the plan does not have it.
+    """A plan's home; None for what the plan does not have.
 
-    Where `counts_from_sea`, altitudes of the plan were converted with `above_sea_m`.
+    If `counts_from_sea`, the plan's altitudes above the sea were converted with `above_sea_m`.
     """
 
     place: Position | None = None
@@ -40,7 +40,7 @@ class PlannedHome(Struct, frozen=True):
     counts_from_sea: bool = False
 
     def require_same(self, limits: VehicleLimits) -> None:
-        """Raises AutopilotRefused where the vehicle's home has risen or sunk since altitudes were converted."""
+        """Raises AutopilotRefused if the vehicle's home is at another altitude than when the plan was converted."""
         if self.counts_from_sea and self._apart_m(limits) > HOMES_AGREE_M:
             raise AutopilotRefused(
                 "arm",
@@ -50,7 +50,7 @@ class PlannedHome(Struct, frozen=True):
             )
 
     def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
-        """What a person should know of it before arming."""
+        """Warnings about the plan's home, for a person before arming."""
         most_m = _STEADY_M if self.counts_from_sea else HOMES_AGREE_M
         if self._apart_m(limits) > most_m:
             homes = (
@@ -64,7 +64,7 @@ class PlannedHome(Struct, frozen=True):
             yield f"the vehicle stands {away_m:.0f} m from the plan's home, and returns to its own home"
 
     def _apart_m(self, limits: VehicleLimits) -> float:
-        """How far apart the homes are in height; 0 if one of them is not known."""
+        """The difference of the homes' altitudes above the sea, in metres; 0 if one is unknown."""
         if self.above_sea_m is None or limits.home_above_sea_m is None:
             return 0.0
         return abs(self.above_sea_m - limits.home_above_sea_m)
@@ -74,7 +74,7 @@ NO_PLANNED_HOME = PlannedHome()
 
 
 def planned_home(mission: MissionConfig) -> PlannedHome:
-    """The home of the mission's plan."""
+    """The home of the mission's plan; NO_PLANNED_HOME without a plan or a home in it."""
     plan = mission.plan.plan if mission.plan is not None else None
     if plan is None or not is_planned_home(mission, plan):
         return NO_PLANNED_HOME
@@ -90,9 +90,9 @@ _LOWEST_M = 1.0  # above home
 
 
 def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
-    """The configuration with all altitudes above a home that lies so high above the sea.
+    """The configuration with altitudes above the sea converted to altitudes above home.
 
-    Raises AutopilotRefused where the plan knows another altitude of its home, or a place would not lie above home.
+    Raises AutopilotRefused if the plan has another altitude of its home, or a place would not be above home.
     """
     file, above = config.mission.plan, altitudes_above_sea(config.mission)
     if file is None or above is None:
@@ -136,7 +136,7 @@ def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWa
 def _counted_from_sea(
     above: AltitudesAboveSea, waypoints: tuple[PlannedWaypoint, ...], takeoff_m: float
 ) -> Iterator[tuple[str, float, float]]:
-    """What it is, its altitude above the sea, and its altitude above home."""
+    """For each converted altitude, its name, metres above the sea, and metres above home."""
     if above.takeoff_m is not None:
         yield "the take-off", above.takeoff_m, takeoff_m
     for waypoint in waypoints:

@@ -34,16 +34,16 @@ class LoopTurn(Protocol):
     """The turn of a mission's thread on a loop of virtual time."""
 
     def give(self) -> None:
-        """In a callback of the loop: when that has run, the mission's code goes on before all else."""
+        """In a callback of the loop: let the mission's code run next, before any other callback."""
 
     def begin(self) -> None:
-        """In the mission's thread, first of all: returns when its code shall run."""
+        """In the mission's thread, first of all: returns when the mission's code may run."""
 
     def wait(self) -> None:
         """In the mission's thread: wait until its code may go on."""
 
     def end(self) -> None:
-        """In the mission's thread, last of all."""
+        """In the mission's thread, last of all: give the turn back to the loop."""
 
 
 @runtime_checkable
@@ -51,11 +51,11 @@ class TurnTaking(Protocol):
     """An event loop whose clock stands still while a mission's code runs."""
 
     def mission_turn(self) -> LoopTurn:
-        """The turn of a mission's thread that is about to begin."""
+        """The turn of a mission's thread that begins next."""
 
 
 class MissionThread:
-    """One mission's thread; made on the event loop that runs its verbs."""
+    """One mission's thread; create it on the event loop that runs its verbs."""
 
     def __init__(self, *, grace_s: float = _GRACE_S) -> None:
         self._grace_s = grace_s
@@ -70,8 +70,7 @@ class MissionThread:
     def call(self, verb: Coroutine[Any, Any, T]) -> T:
         """Runs a verb on the loop and returns its result.
 
-        Raises UsageError at once in a thread that is not the mission's, and MissionStopped, now and ever after, once
-        the mission is being ended from outside.
+        Raises UsageError in any thread but the mission's, and MissionStopped from `stop` on.
         """
         try:
             self.require_turn()
@@ -92,7 +91,7 @@ class MissionThread:
         self._loop.call_soon_threadsafe(do)
 
     async def run(self, program: Callable[[], None]) -> None:
-        """Runs the program to its end, but not for long once it is stopped; raises what it raises."""
+        """Runs the program in the thread until it ends, or shortly after `stop`; raises the program's exception."""
 
         def body() -> None:
             if self._turn is not None:
@@ -120,9 +119,9 @@ class MissionThread:
             raise failure
 
     def stop(self, why: str) -> None:
-        """Ends the mission at its next verb, or in the one under way; for the loop's thread only.
+        """Ends the mission in the verb under way, or at its next verb; for the loop's thread only.
 
-        A mission that is busy with itself, or does not listen, is left behind: no verb of it has effect any more.
+        A mission that computes on, or ignores MissionStopped, is abandoned: none of its verbs has an effect any more.
         """
         self._stopped = self._stopped or why
         self._loop.call_later(self._grace_s, self._settle, MissionStopped(self._stopped))
@@ -130,7 +129,7 @@ class MissionThread:
             self._verb.cancel()
 
     def require_turn(self) -> None:
-        """Raises UsageError in a thread that is not the mission's, and MissionStopped once that is being ended."""
+        """Raises UsageError in any thread but the mission's, and MissionStopped from `stop` on."""
         if threading.current_thread() is not self._thread:
             raise UsageError(_OTHER_THREAD)
         if self._stopped:
@@ -161,7 +160,7 @@ class MissionThread:
 
 
 def mission_failed(error: Exception) -> MissionFailed:
-    """The error of a program that raised this; its trace is Python's, without the lines of this package."""
+    """The MissionFailed for an exception of the mission program, with a trace without the lines of this package."""
     trace = traceback.TracebackException.from_exception(error)
     own = [frame for frame in trace.stack if not Path(frame.filename).is_relative_to(_UPWASH)]
     if own:  # else the mission is a bundled one

@@ -1,6 +1,6 @@
-"""Networks without a join, and networks in range by the drone's position alone.
+"""Networks that need no join, and networks that are in range by the drone's position alone.
 
-They need nothing but a clock, so that they are the same in simulation and on a desk without a radio.
+Both need only a clock, and so are the same in simulation and on a computer without a radio.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from upwash.support.background import never
 
 @dataclass(frozen=True, slots=True)
 class NetworkCell:
-    """Where a network can be joined, how long that and leaving it take, whether it is on the air, and until when.
+    """Where a network can be joined, how long joining and leaving take, and whether it is on the air.
 
     `stretch` gives a factor on the duration of each join, for noise.
     """
@@ -44,7 +44,7 @@ class PositionNetwork:
     async def join(self, network: str, *, timeout_s: float) -> None:
         """Joins the network; raises NetworkError out of range, too late, or while another is joined.
 
-        `timeout_s` counts from when the one before is left.
+        `timeout_s` counts from the time when the former network is left.
         """
         if self._joined is not None:
             raise NetworkError(f"cannot join {network} while {self._joined} is joined")
@@ -62,7 +62,7 @@ class PositionNetwork:
         self._joined = network
 
     async def lost(self) -> str:
-        """Returns once the network is off the air; that the drone left its area, the drone itself notices."""
+        """Returns the reason once the network is off the air; it does not watch whether the drone leaves the area."""
         if self._joined is None:
             await never()
         while on_the_air := next((cell for cell in self._cells[self._joined] if cell.is_up()), None):
@@ -70,7 +70,7 @@ class PositionNetwork:
         return f"network {self._joined} is off the air"
 
     async def leave(self) -> None:
-        """Leaves the network that is joined, if any."""
+        """Leaves the joined network, if any."""
         if self._joined is not None:
             leave_s = min(cell.leave_s for cell in self._cells[self._joined])
             self._free_s = asyncio.get_running_loop().time() + leave_s
@@ -78,14 +78,14 @@ class PositionNetwork:
 
 
 class NoNetwork:
-    """For servers reached over the networks that the computer has anyway."""
+    """A network without a join, for servers reached over the computer's present networks."""
 
     async def join(self, network: str, *, timeout_s: float) -> None:
-        """Nothing to join."""
+        """Does nothing."""
 
     async def lost(self) -> str:
-        """Never: nothing was joined."""
+        """Never returns, as nothing was joined."""
         await never()
 
     async def leave(self) -> None:
-        """Nothing to leave."""
+        """Does nothing."""

@@ -1,4 +1,4 @@
-"""PROGRAM: runs each service call on the drone or on a server, and looks for servers in the background.
+"""PROGRAM: runs each service call on the drone or on a server, and selects servers in the background.
 
 core/selection/ decides. decisions.py passes what is decided about servers on to the radios (radios.py,
 radio_worker.py); calls are made by calling.py and raced by racing.py.
@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 
 class Offloading:
-    """One drone's calls and its business with servers."""
+    """Makes one drone's calls, and selects, checks and leaves servers for them."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Offloading:
         self._racing = Racing(self._decisions, self._calling, journal, hedging)
 
     async def run(self) -> NoReturn:
-        """Looks for servers and visits them, until cancelled."""
+        """Selects servers and carries out the core's commands, until cancelled."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._background.look())
@@ -89,24 +89,24 @@ class Offloading:
 
     @property
     def link(self) -> tuple[str | None, float | None]:
-        """The server in use, and the duration of the last question to its daemon; None for unknown."""
+        """The server in use, and the round-trip time (s) of the last request to its daemon; None if unknown."""
         server = self._decisions.server_in_use
         if server is None:
             return None, None
         return server, self._radios.worker_at(server).round_trip_s(server)
 
     def tell(self, event: SelectionEvent) -> None:
-        """Takes in what happened, and does what it calls for."""
+        """Pass the event to the core, and carry out its commands."""
         self._decisions.tell(event)
 
     def outlook(self) -> Outlook | None:
-        """As `Selection.outlook`."""
+        """What flying on before the open call is over would save and cost; None if nothing is known."""
         return self._decisions.outlook()
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
-        """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
+        """Runs one call where it is decided to run, and on the drone if that fails; returns its decoded reply.
 
-        Raises InstanceError only when the drone's own service fails too.
+        Raises InstanceError only if the drone's own service fails too.
         """
         began_s = now_s()
         decision = self._decisions.decide(operation)
@@ -145,7 +145,7 @@ class Offloading:
         return answer.reply
 
     async def invoke_alone(self, operation: Operation, method: Method, request: bytes) -> Any:
-        """Runs one call on the drone and decides nothing: where deciding has failed, or the method runs once."""
+        """Runs one call on the drone without a decision: a method that runs once, or after a defect of offloading."""
         began_s = now_s()
         queued_s = await self._racing.queue(operation.service)
         reply = await self._calling.onboard(Invocation(operation, method, request))
@@ -174,7 +174,7 @@ def _lost(answer: CallAnswer) -> str:
 
 
 class FailSafeOffloading:
-    """Offloading whose own defects end it and are logged, and harm neither the mission nor a call."""
+    """Offloading whose defects are logged and switch it off: the mission goes on, and calls run on the drone."""
 
     def __init__(self, offloading: Offloading, journal: Journal) -> None:
         self._offloading = offloading
@@ -195,8 +195,8 @@ class FailSafeOffloading:
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Runs one call where it is decided to run, or on the drone; returns its decoded reply.
 
-        Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
-        when the drone's own service fails too.
+        A method that runs once runs on the drone without a decision, so that no defect repeats it. Raises
+        InstanceError only if the drone's own service fails.
         """
         if not self._failed and not method.once:
             try:
@@ -209,7 +209,7 @@ class FailSafeOffloading:
 
     @property
     def link(self) -> tuple[str | None, float | None]:
-        """As `Offloading.link`."""
+        """The server in use, and the round-trip time (s) to its daemon; None if unknown or switched off."""
         return (None, None) if self._failed else self._offloading.link
 
     def outlook(self) -> Outlook | None:
@@ -229,7 +229,7 @@ class FailSafeOffloading:
         return None
 
     async def _end(self, background: asyncio.Task[Any]) -> None:
-        """Leave the server, unless the background, which would leave it, has failed."""
+        """Leave the server, unless the background task has failed."""
         if background.done():
             return
         try:

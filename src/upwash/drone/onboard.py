@@ -1,4 +1,4 @@
-"""The services on the drone: each in a process of its own, so that its crash is not the drone's."""
+"""The services on the drone, each in a process of its own, so that a crash does not end the drone's program."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class OnboardServices:
         }
 
     async def start(self) -> None:
-        """Starts every service; raises InstanceError where one cannot run at all."""
+        """Starts every service; raises InstanceError if one cannot run at all."""
         for service in self._services.values():
             await service.start()
 
@@ -60,12 +60,12 @@ class OnboardServices:
     ) -> bytes:
         """Runs one call; a service that crashes or hangs in it is restarted and the call repeated, unless `once`.
 
-        Raises InstanceError when that fails too, and OutcomeUnknown where it must not be repeated.
+        Raises InstanceError if the repetition fails too, and OutcomeUnknown if `once` forbids it.
         """
         return await self._services[service].call(method, request, timeout_s=timeout_s, once=once)
 
     async def close(self) -> None:
-        """Ends every service; returns when none is left."""
+        """Ends every service; returns when all have ended."""
         for service in self._services.values():
             await service.close()
 

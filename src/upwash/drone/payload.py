@@ -1,4 +1,4 @@
-"""What the drone carries, as a mission uses it: the camera, and payloads that obey MAVLink commands."""
+"""The drone's payload as a mission uses it: the camera, and devices that obey MAVLink commands."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Photographer:
         self._autopilot = autopilot
 
     def take_photo(self) -> bytes:
-        """Shoots and returns one JPEG, with its place on the Earth as EXIF where that is known; raises CameraError.
+        """Takes a photo and returns it as a JPEG, with its place on the Earth as EXIF if known; raises CameraError.
 
         A photo with a place from the camera's own GPS is returned unchanged.
         """
@@ -76,9 +76,9 @@ _SHOOT = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 class Payload:
-    """Gimbal, camera trigger, servos and such: each verb returns once the vehicle has accepted it.
+    """Gimbal, camera trigger, servos and other devices; methods return when the vehicle has accepted the command.
 
-    Each raises AutopilotRefused where the vehicle has no such thing, AutopilotOverruled where somebody else has the
+    Each raises AutopilotRefused if the vehicle has no such device, and AutopilotOverruled if the program has lost the
     vehicle.
     """
 
@@ -91,7 +91,7 @@ class Payload:
     def point_gimbal(self, *, pitch_deg: float, yaw_deg: float = 0.0) -> None:
         """Turns the gimbal: -90 looks straight down, 0 ahead; the yaw is relative to the vehicle's nose.
 
-        It does not wait for the gimbal. UsageError for a pitch beyond ±90 or a yaw beyond ±180 degrees.
+        Does not wait for the gimbal. Raises UsageError for a pitch beyond ±90 or a yaw beyond ±180 degrees.
         """
         for name, value, most in (("pitch_deg", pitch_deg, 90), ("yaw_deg", yaw_deg, 180)):
             if not abs(value) <= most:
@@ -99,7 +99,7 @@ class Payload:
         self.command(DO_GIMBAL_MANAGER_PITCHYAW, pitch_deg, yaw_deg, math.nan, math.nan)
 
     def trigger_camera(self) -> None:
-        """Has the camera that is connected to the autopilot shoot; its photo does not come to the mission.
+        """Triggers the camera that is connected to the autopilot; the mission does not get the photo.
 
         A second trigger within 0.5 s waits: an ArduCopter accepts a trigger while the shutter is still held, and
         takes no photo.
@@ -109,8 +109,8 @@ class Payload:
     def command(self, number: int, *parameters: float) -> None:
         """Sends a MAVLink command of a payload with up to seven parameters; the others are 0.
 
-        UsageError for a command that could move, arm or reconfigure the vehicle: docs/missions.md has those that may
-        be sent.
+        Raises UsageError for a command that could move, arm or reconfigure the vehicle; docs/missions.md lists those
+        that may be sent.
         """
         if number not in PAYLOAD_COMMANDS:
             raise UsageError(

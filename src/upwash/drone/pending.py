@@ -1,4 +1,4 @@
-"""A mission's calls: one at a time, waited for at once or later, and the demands of their answers.
+"""A mission's calls, one at a time, with an answer at once or later, and the demands of late answers.
 
     stay    wait, then act at the waypoint
     go      fly the next leg; after a demand on the way brake, fly back, act, and set off again. At the next waypoint
@@ -34,18 +34,18 @@ Invoke = Callable[[Operation, Method, bytes], Coroutine[Any, Any, Any]]
 
 
 class StartedCall:
-    """A call that the mission has begun: the loop makes a task of it, before the mission's next verb."""
+    """A call that the mission has begun; the loop makes its task before the mission's next verb."""
 
     def __init__(self) -> None:
         self.task: asyncio.Task[Any] | None = None
 
     @property
     def is_over(self) -> bool:
-        """Whether its reply is there, or will never be."""
+        """Whether the call has ended, with a reply or without."""
         return self.task is not None and self.task.done()
 
     async def over(self) -> float:
-        """Returns once it is over, after how many seconds; for the loop."""
+        """Waits until the call has ended; returns the seconds waited. For the loop."""
         begun_s = asyncio.get_running_loop().time()
         if self.task is not None and not self.task.done():
             await asyncio.wait((self.task,))
@@ -53,20 +53,20 @@ class StartedCall:
 
     @property
     def reply(self) -> Any:
-        """Its decoded reply; raises InstanceError where the drone's own service failed too."""
+        """The decoded reply of the ended call; raises InstanceError if the drone's own service failed too."""
         assert self.task is not None  # noqa: S101 - it is over
         return self.task.result()
 
     @property
     def failure(self) -> str:
-        """Why it has no reply; "" where it has one."""
+        """Why the ended call has no reply; "" if it has one."""
         assert self.task is not None  # noqa: S101 - it is over
         error = None if self.task.cancelled() else self.task.exception()
         return "" if error is None else str(error) or type(error).__name__
 
 
 class Pending(Generic[T]):
-    """A call that was started: its answer comes while the mission goes on."""
+    """A call that was started and whose answer may come later; `Drone.start` returns it."""
 
     def __init__(self, calls: Calls, call: StartedCall, method: Method, waypoint: int | None) -> None:
         self._calls = calls
@@ -76,11 +76,11 @@ class Pending(Generic[T]):
         self._is_taken = False
 
     def done(self) -> bool:
-        """Whether the answer is there, or will never be; for any thread."""
+        """Whether the call has ended, with an answer or without; for any thread."""
         return self._call.is_over
 
     def result(self) -> T:
-        """The answer, once it is there; raises what the call would have raised, had the mission waited for it."""
+        """Waits for the answer and returns it; raises the call's exception."""
         waited_s = self._calls.wait(self._call)
         try:
             return self._answer()
@@ -88,19 +88,19 @@ class Pending(Generic[T]):
             self._take(waited_s)
 
     def cancel(self) -> None:
-        """Drops the answer. The computation goes on where it is, and the mission's next call waits for its end."""
+        """Drops the answer. The computation goes on, and the mission's next call waits for its end."""
         self._calls.drop(self._call)
 
     def demands(self, question: Callable[[T], object] = bool) -> Demand[T]:
-        """For `Vehicle.goto`: turn back if this answer makes the question true."""
+        """The argument `unless` of `Vehicle.goto`: stop the flight if `question(answer)` is true."""
         return Demand(self, question)
 
     def _wait(self) -> float:
-        """Waits until the answer is there, or will never be; returns for how long, in seconds."""
+        """Waits until the call has ended; returns the seconds waited."""
         return self._calls.wait(self._call)
 
     def _take(self, waited_s: float, *, demanded: bool = False) -> None:
-        """Logs, once, that the mission has the answer, or knows that there is none."""
+        """Logs, once, that the mission has the answer or the failure."""
         if not self._is_taken:
             self._is_taken = True
             self._calls.note(
@@ -124,7 +124,7 @@ class Pending(Generic[T]):
 
 
 class Demand(Generic[T]):
-    """A question to a coming answer. A failed call counts as a demand, as its answer is unknown."""
+    """A question about a coming answer; True is a demand. A failed call counts as one, as its answer is unknown."""
 
     def __init__(self, pending: Pending[T], question: Callable[[T], object]) -> None:
         self.pending = pending
@@ -132,7 +132,7 @@ class Demand(Generic[T]):
         self._holds: bool | None = None  # None before the question
 
     async def answered(self) -> None:
-        """Return when the answer is there, or will never be; for the loop."""
+        """Return when the call has ended; for the loop."""
         await self.pending._answered()
 
     def note(self) -> None:
@@ -140,7 +140,7 @@ class Demand(Generic[T]):
         self.pending._note_demand()
 
     def holds(self) -> bool:
-        """Whether the answer, which is there, makes the question true; the question runs once."""
+        """Whether the answer of the ended call makes the question true; the question runs once."""
         if self._holds is None:
             try:
                 answer = self.pending._answer()
@@ -155,7 +155,7 @@ _NONE = StartedCall()  # no call at all
 
 
 class Calls:
-    """Makes the mission's calls, for its thread; `waypoint` is the drone's waypoint, None beside the plan."""
+    """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan."""
 
     def __init__(
         self, thread: MissionThread, invoke: Invoke, journal: Journal, *, waypoint: Callable[[], int | None]
@@ -175,7 +175,7 @@ class Calls:
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Makes a call of a service's method with these arguments, and does not wait.
 
-        UsageError while another call is pending, and for what is no method of `Drone.service`.
+        Raises UsageError while another call is pending, or if `call` is no method of an object from `Drone.service`.
         """
         operation, method, request = request_of(call, args, kwargs)
         self._require_free(operation)
@@ -191,7 +191,7 @@ class Calls:
         return Pending(self, started, method, waypoint)
 
     def wait(self, call: StartedCall) -> float:
-        """Waits until the call is over; returns for how long, in seconds."""
+        """Waits until the call is over; returns the seconds waited."""
         return self._thread.call(call.over())
 
     def drop(self, call: StartedCall) -> None:
@@ -200,7 +200,7 @@ class Calls:
             self._under_way, self._dropped = _NONE, call
 
     def on_loop(self, do: Callable[[], T]) -> T:
-        """Does that on the loop's thread."""
+        """Calls `do` on the loop's thread and returns its result."""
 
         async def verb() -> T:
             return do()
@@ -208,11 +208,11 @@ class Calls:
         return self._thread.call(verb())
 
     def note(self, event: Event) -> None:
-        """Logs what the mission has done."""
+        """Logs an event of the mission."""
         self._thread.post(lambda: self._journal.record(event))
 
     async def close(self) -> None:
-        """Ends what is still under way; for the loop, once no mission makes calls any more."""
+        """Ends calls that are still under way; for the loop, after the mission's last call."""
         await end(self._under_way.task, self._dropped.task)
 
     def _require_free(self, operation: Operation) -> None:
@@ -229,7 +229,7 @@ class Calls:
 
 
 def _take_note(call: asyncio.Task[Any]) -> None:
-    """Keep asyncio from complaining of a failure that no mission asks for."""
+    """Retrieve the exception, so that asyncio reports no failure that the mission never asks for."""
     if not call.cancelled():
         call.exception()
 
@@ -243,10 +243,10 @@ def index_of(place: Place | None) -> int | None:
 
 
 class VehicleVerbs(Struct, frozen=True):
-    """What settling an answer does with the vehicle.
+    """The vehicle's functions that settling an answer needs.
 
-    `fly` returns False, at rest on the way, if the answer has a demand before the arrival. `leave_open` has the
-    verbs that follow settle the answer.
+    `fly` returns False, at rest on the way, if the answer has a demand before the arrival. After `leave_open` the
+    following verbs settle the answer.
     """
 
     place: Callable[[], Place | None]  # where it was last sent to
@@ -259,14 +259,14 @@ class FlyVerb(Protocol):
     """Flies to a place; `back` to a waypoint whose calls are over."""
 
     def __call__(self, place: Place, *, unless: Demand[Any] | None = None, back: bool = False) -> bool:
-        """Return whether it has arrived."""
+        """Return whether the vehicle has arrived."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemandedAction(Generic[T]):
-    """What to do about an answer: `act`, at the place, if `demands` is true of it.
+    """What to do after an answer: call `act(answer)` at the place if `demands(answer)` is true.
 
-    An exception of the call goes to `failed` there, or to the mission without `failed`.
+    `failed` gets an exception of the call there; without `failed` the mission does.
     """
 
     pending: Pending[T]
@@ -277,12 +277,12 @@ class DemandedAction(Generic[T]):
 
     @property
     def waypoint(self) -> int | None:
-        """Its waypoint; None for a position."""
+        """The waypoint of the place; None for a position."""
         return index_of(self.place)
 
 
 class AnswerAction(Generic[T]):
-    """One action, from the call on until it is done."""
+    """One demanded action, from the call until the action is done."""
 
     def __init__(
         self, action: DemandedAction[T], vehicle: VehicleVerbs, calls: Calls, rule: StayRule
@@ -296,7 +296,7 @@ class AnswerAction(Generic[T]):
         self.is_over = False
 
     def settle(self) -> None:
-        """Waits for the answer; does what it demands, at its waypoint, and returns to where the drone is."""
+        """Waits for the answer; if it has a demand, flies to its waypoint, acts, and comes back here."""
         here, waited_s = self._vehicle.place(), self._action.pending._wait()
         if self.is_away and self._demand.holds():
             self._action.pending._note_demand()
@@ -346,7 +346,7 @@ class AnswerAction(Generic[T]):
 
 
 class AnswerActions:
-    """Has each answer settled, at once or on the way, as the rule says; for the mission's thread."""
+    """Settles each answer, at once or on the way, as the rule decides; for the mission's thread."""
 
     def __init__(
         self, vehicle: VehicleVerbs, calls: Calls, *, rule: StayRule, outlook: Callable[[], Outlook | None]
@@ -357,7 +357,7 @@ class AnswerActions:
         self._outlook = outlook
 
     def run(self, action: DemandedAction[Any]) -> None:
-        """Waits for the answer and does what it demands, or leaves that open and returns."""
+        """Waits for the answer and acts on it, or leaves it open and returns."""
         answer = AnswerAction(action, self._vehicle, self._calls, self._rule)
         if self._goes(action):
             self._vehicle.leave_open(answer)

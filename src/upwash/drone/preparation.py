@@ -1,4 +1,4 @@
-"""What a flight starts from: the configuration's beliefs as the core wants them, and the order of the waypoints."""
+"""The start of a flight: the core's objects from the configuration, and the order of the waypoints."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from upwash.rpc.service import ServiceSpec
 def make_selection(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], plan: Sequence[Waypoint]
 ) -> Selection:
-    """The drone-side machine, with the beliefs of the configuration, for a flight over these waypoints."""
+    """The drone's `Selection`, with the configured estimates, for a flight over these waypoints."""
     policy, estimates = config.policy, make_estimates(config, specs)
     return Selection(
         server_areas(config),
@@ -71,7 +71,7 @@ def make_selection(
 
 
 def make_hedging(config: DroneConfig, estimates: Estimates) -> Hedging:
-    """The configured hedging, from estimates before the first call; without `policy.hedging` it hedges no call."""
+    """The configured hedging; without `policy.hedging` it hedges no call."""
     hedge = config.policy.hedging
     if hedge is None:
         return Hedging(estimates)
@@ -91,7 +91,7 @@ def make_hedging(config: DroneConfig, estimates: Estimates) -> Hedging:
 
 
 def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Estimates:
-    """The offline estimates of every operation that the configuration gives a local delay for."""
+    """The offline estimates of every operation that has a local delay in the configuration."""
     profiled = {service.name: dict(_profile(service, specs[service.name])) for service in config.services}
     return Estimates(
         local_s={
@@ -121,9 +121,9 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
 def endpoints(
     config: DroneConfig, estimates: Estimates, finder: Finder | None = None
 ) -> dict[str, ServerEndpoint]:
-    """How each server is reached, and the services wanted there: those whose delay there is believed known.
+    """The address of each server, and the services used there: those with an estimate of their delay.
 
-    The finder looks up the addresses that the configuration leaves open.
+    The finder looks up addresses that the configuration does not have.
     """
     return {
         server.name: ServerEndpoint(
@@ -174,7 +174,7 @@ def _lighter(
 def mission_beliefs(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
 ) -> MissionBeliefs:
-    """The plan, and a first stop with a photo and a call of each operation in the mission's mode.
+    """The mission expected before take-off: its plan, and at each stop a photo and a call of each operation.
 
     Operations that run once are left out, because no policy decides where they run.
     """
@@ -237,7 +237,7 @@ _WAYS_HOME = {"arducopter": ARDUCOPTER, "px4": PX4}
 
 
 def order_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
-    """The order that `mission.order` asks for, of a configuration that was read from a file."""
+    """The order of the waypoints by `mission.order`, for a configuration that was read from a file."""
     mission = config.mission
     match mission.order:
         case int(number):
@@ -277,7 +277,7 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
 
 
 def _home_s(config: DroneConfig, place: Position, start: Position) -> float:
-    """Time to the ground of the simulated vehicle; without a profile the same from everywhere."""
+    """Seconds of the simulated vehicle from `place` to the ground; without a profile the same from everywhere."""
     profile = config.vehicle.profile
     if profile is None or ending(config.mission) == "land":
         return config.vehicle.return_and_land_s

@@ -52,21 +52,21 @@ class RadioWorker:
         self._watch: asyncio.Task[None] | None = None  # over the network that the session joined
 
     def round_trip_s(self, server: str) -> float | None:
-        """What the last question to that server's daemon took; None where it is not there, or got no answer yet."""
+        """The seconds of the last answered request to the server's daemon; None if elsewhere or unanswered."""
         if self.session is None or self._session_with != server:
             return None
         return self.session.round_trip_s
 
     def send(self, command: Command) -> None:
-        """Has the command carried out after those that were given before."""
+        """Queue the command behind the earlier ones."""
         self._commands.put_nowait(command)
 
     async def done(self) -> None:
-        """Returns when every command is carried out; while `run` runs."""
+        """Returns when every command is carried out; call it while `run` runs."""
         await self._commands.join()
 
     async def run(self) -> NoReturn:
-        """Carries the commands out, until cancelled."""
+        """Carries out the commands in their order, until cancelled."""
         async with asyncio.TaskGroup() as self._tasks:
             while True:
                 command = await self._commands.get()
@@ -158,7 +158,7 @@ class RadioWorker:
             self._journal.record(schema.Joined(server=command.server, network=network, check=command.check))
 
     async def _probe(self, session: ServerSession, command: Probe) -> None:
-        """Return at the first reply. Questions overlap: an unanswered one does not delay the next."""
+        """Return at the first reply. Probes overlap: a pending one does not delay the next."""
         asking: set[asyncio.Task[events.ProbeAnswered | events.ProbePaused]] = set()
         asked = False
         try:
@@ -203,7 +203,7 @@ class RadioWorker:
         await self._keep_lease(session, command.check)
 
     async def _prepare(self, session: ServerSession, command: Prepare) -> None:
-        """Send the message and no more: the next server's own check tells whether it can be used."""
+        """Ask the server to announce the drone to its peer; report only whether the peer accepted."""
         try:
             await session.prepare(
                 self._endpoints[command.peer], arrives_in_s=command.arrives_in_s, hold_s=command.hold_s
@@ -220,7 +220,7 @@ def _failed(check: int, error: NetworkError | LinkError) -> events.ServerUnusabl
 
 
 async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T | None:
-    """The result of the first task that raises no LinkError; None after that time."""
+    """The result of the first task that raises no LinkError; None after `within_s`."""
     loop = asyncio.get_running_loop()
     until_s, left = loop.time() + within_s, set(tasks)
     while (left_s := until_s - loop.time()) > 0:
@@ -239,7 +239,7 @@ async def _until_lost(session: ServerSession) -> None:
 
 
 class RadioWorkers:
-    """One worker for each network that the drone can be in at a time."""
+    """The workers, one for each radio of the drone."""
 
     def __init__(
         self,
@@ -259,14 +259,13 @@ class RadioWorkers:
         self._visited: list[str] = []  # the servers that a worker is at
 
     def worker_at(self, server: str) -> RadioWorker:
-        """The worker that is at the server, or was there last."""
+        """The worker that is at the server, or was the last one there."""
         return self._worker_of[server]
 
     def send(self, command: Command) -> None:
-        """Gives the command to the worker that is at its server.
+        """Gives the command to the worker that is at the command's server.
 
-        A server where none is gets a free one: best the one that was there last, which says goodbye, if it still has
-        to, before it comes again.
+        If none is there, a free worker gets it: if possible the last one there, which first completes its leaving.
         """
         if isinstance(command, (Check, Probe)) and command.server not in self._visited:
             busy = [self._worker_of[server] for server in self._visited]
@@ -279,6 +278,6 @@ class RadioWorkers:
             self._visited.remove(command.server)
 
     async def done(self) -> None:
-        """Returns when every command is carried out; while the workers run."""
+        """Returns when every command is carried out; call it while the workers run."""
         for worker in self.workers:
             await worker.done()

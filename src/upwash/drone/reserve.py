@@ -1,4 +1,4 @@
-"""When the battery ends a mission: below a percentage, or where the way home would leave too little."""
+"""Ends a mission by its battery: below a percentage, or when the way home would leave too little."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _HOME = Position(0.0, 0.0)
 
 
 class ReserveWatch:
-    """Looks at the vehicle every second, on the ground and in the air.
+    """Checks the battery every second, on the ground and in the air.
 
-    `flying` is whether the mission has the vehicle in the air, `leg_speed_m_s` the commanded speed of its leg, and
-    `down_s` the rest of a return or landing.
+    `flying` returns whether the mission has the vehicle in the air, `leg_speed_m_s` the commanded speed of its leg,
+    and `down_s` the seconds left of a return or landing.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ReserveWatch:
         self._told: tuple[float, float] | None = None  # when, and the margin
 
     async def reached(self) -> str:
-        """Returns why the mission has to end, once it has; never without a reserve."""
+        """Waits until the mission must end, and returns why; never returns without a reserve."""
         if self._least_percent is None and self._energy is None:
             await asyncio.get_running_loop().create_future()
         silent = 0
@@ -116,7 +116,7 @@ class ReserveWatch:
         return now
 
     def _tell(self, now: Margin, time_s: float) -> None:
-        """Log the margin when it is first known, has changed by much, is a minute old, or is used up."""
+        """Log the margin when it is first known, when it has changed, each minute, and when it is used up."""
         if now.rate_percent_s is None:
             return
         if self._told is not None and not now.turn_back:

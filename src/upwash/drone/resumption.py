@@ -1,4 +1,4 @@
-"""What a flight that was broken off has behind it, read from its event log."""
+"""What an interrupted flight has completed, read from its event log."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ _SAME_PLACE_M = 0.01
 
 
 def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[int]:
-    """The waypoints that need no second visit; UsageError for the log of another or a completed mission.
+    """The indexes of the waypoints that need no second visit.
 
-    A waypoint is done when the drone has left it for another, or when it has as many results as a waypoint that the
-    drone left. If the drone left none, it needs as many results as there are services. A waypoint is not done while
-    its answer, or what that demands, is still due.
+    A waypoint is done if the drone has left it for another, or if it has as many results as a waypoint that the drone
+    left. If the drone left none, it needs as many results as there are services. A waypoint is not done while its
+    answer, or the action that the answer demands, is due. Raises UsageError for the log of another or a completed
+    mission.
     """
     plan = {waypoint.index: waypoint for waypoint in waypoints(config.mission)}
     results: dict[int, int] = {}  # of the last visit to each waypoint
@@ -60,7 +61,7 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
 def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:
     """The order in which the waypoints were flown, as logged; None if the log has none.
 
-    UsageError for the order of another plan.
+    Raises UsageError for the order of another plan.
     """
     planned: schema.Planned | None = None
     for event in events:

@@ -1,4 +1,4 @@
-"""One session with a server: join its network, ask, have the services started, call, leave."""
+"""One session with a server: join its network, ask for a slot, have services started, call them, leave."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ MOST_MOVES = 16
 
 
 class ServerEndpoint(Struct, frozen=True):
-    """How a server is reached, and which of the drone's services are wanted there.
+    """The network and address of a server, and the drone's services that are used there.
 
-    With a `finder` its address is looked for in the network that was joined.
+    With a `finder`, the address is looked up in the joined network.
     """
 
     name: str
@@ -64,7 +64,7 @@ class ServerEndpoint(Struct, frozen=True):
 
 
 class Availability(Struct, frozen=True):
-    """The answer of an available server: whether all wanted services run, its peers, and the queue for a slot."""
+    """The answer of an available server: whether all used services run, its peers, and the waiting drones."""
 
     running: bool
     peers: tuple[str, ...]
@@ -72,7 +72,7 @@ class Availability(Struct, frozen=True):
 
 
 class ServerSession:
-    """The drone's business with one server, from selection to de-selection."""
+    """The drone's requests and calls to one server, from its selection to its de-selection."""
 
     def __init__(self, endpoint: ServerEndpoint, *, network: Network, dialer: Dialer) -> None:
         self._server = endpoint
@@ -100,7 +100,7 @@ class ServerSession:
         return self._server.name
 
     async def join(self, *, timeout_s: float) -> bool:
-        """Joins the server's network; whether it had to be joined. Raises NetworkError."""
+        """Joins the server's network unless it is joined; returns whether it had to. Raises NetworkError."""
         if self._lost:
             await self._network.leave()
             self._joined, self._lost = False, ""
@@ -111,13 +111,13 @@ class ServerSession:
         return True
 
     async def lost(self) -> str:
-        """Wait until the joined network is lost, and return why; work there has failed by then."""
+        """Wait until the joined network is lost; close the connections, and return why."""
         self._lost = await self._network.lost()
         await self._hang_up()
         return self._lost
 
     async def ask(self) -> Availability:
-        """Asks for the services; raises LinkError where the server is not available, NoSlot where it is full."""
+        """Asks the daemon for a slot, and which services run. Raises LinkError; ServerFull if it has no slot."""
         if self._daemon is None:
             self._daemon = await self._dial_daemon()
         answer = await self._availability()
@@ -129,9 +129,9 @@ class ServerSession:
         return Availability(running, tuple(answer.peers), answer.waiting)
 
     async def probe(self) -> bool:
-        """Returns once the daemon, and each wanted service that runs, gives a sign of life; whether all of them run.
+        """Waits for an answer of the daemon and each used service that runs; returns whether all used services run.
 
-        Asks over connections of its own, as those of before may be dead without showing it. Raises LinkError.
+        Uses new connections, as earlier ones may be dead without showing it. Raises LinkError.
         """
         daemon = await self._dial_daemon()
         links = [daemon]
@@ -151,7 +151,7 @@ class ServerSession:
         return all(service in answer.endpoints for service in self._server.services)
 
     async def start(self, *, timeout_s: float) -> None:
-        """Has the services that do not run yet started, and learns their endpoints; raises LinkError, or NoSlot."""
+        """Has stopped services started, and connects to them. Raises LinkError; ServerFull without a slot."""
         for service in self._server.services:
             if service in self._instances:
                 continue
@@ -166,7 +166,7 @@ class ServerSession:
             await self._dial(service, reply.endpoint)
 
     async def start_patiently(self, *, within_s: float) -> None:
-        """As `start`, on the ground, where time is no matter; raises NotReadyInTime for a longer start."""
+        """Starts the services, before a flight, with a long limit; raises NotReadyInTime after `within_s`."""
         try:
             # Later than a daemon with the same limit, whose answer says more.
             await self.start(timeout_s=within_s + _ANSWER_S)
@@ -175,7 +175,7 @@ class ServerSession:
             raise NotReadyInTime(f"{services} at {self.server}", within_s) from None
 
     async def prepare(self, peer: ServerEndpoint, *, arrives_in_s: float, hold_s: float) -> None:
-        """Has the peer of this server start its services and hold a slot; raises LinkError where it will not."""
+        """Asks this server to have its peer start services and hold a slot; raises LinkError if it does not."""
         request = PrepareRequest(
             self._server.name, peer.name, list(peer.services), arrives_in_s=arrives_in_s, hold_s=hold_s
         )
@@ -188,10 +188,10 @@ class ServerSession:
     async def keep_lease(
         self, renewed: Callable[[int], None] = lambda _: None, moved: Callable[[str], None] = lambda _: None
     ) -> NoReturn:
-        """Renew the lease, as a flight may last longer; raises ServerFull when the turn is over.
+        """Renew the lease again and again, until the turn is over: then raises ServerFull.
 
-        Calls `renewed` with the number of waiting drones at each renewal, and `moved` with each service that has
-        moved.
+        Calls `renewed` with the number of waiting drones at each renewal, and `moved` with each service whose address
+        changed.
         """
         while True:
             await asyncio.sleep(self._lease_s / 3)
@@ -205,10 +205,10 @@ class ServerSession:
             renewed(answer.waiting)
 
     async def _follow(self, endpoints: Mapping[str, str], moved: Callable[[str], None]) -> None:
-        """Send calls to where services run now; links to their former places stay for calls under way there.
+        """Send new calls to the services' present addresses; links to former addresses stay for calls under way.
 
-        A service moves at most 16 times between two questions to the server, so that no server leads the drone from
-        port to port.
+        An address may change at most 16 times between two requests to the server, so that no server leads the drone
+        from port to port.
         """
         if self._quiet.is_set():
             for link in self._former:
@@ -224,7 +224,7 @@ class ServerSession:
                 self._addresses[service] = address
 
     async def call(self, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
-        """Runs one call there; raises LinkError."""
+        """Runs one call on the server and returns the encoded reply; raises LinkError."""
         instance = self._instances.get(service)
         if instance is None:
             raise Refused(f"{self._server.name} does not run {service}")
@@ -242,18 +242,18 @@ class ServerSession:
                 self._quiet.set()
 
     def deny(self, service: str) -> None:
-        """The service raised in a call, and the drone's own did not: the daemon hears it with the next word to it."""
+        """Note that the service raised in a call, and the drone's own did not, for the next message to the daemon."""
         self._denied.add(service)
 
     async def tell_denied(self) -> None:
-        """Tells the daemon which services the drone denies, if any, and if the daemon can hear it."""
+        """Sends the daemon the denied services, if any and if it can be reached."""
         denied, self._denied = sorted(self._denied), set()
         if denied and self._daemon is not None:
             with contextlib.suppress(LinkError):
                 await self._tell(DENY, DenyRequest(self._server.name, denied), timeout_s=_FAREWELL_S)
 
     async def end(self, *, in_range: bool) -> bool:
-        """Leaves: in range, after the calls under way and with a word to the daemon; else at once.
+        """Leaves the server: in range after the calls under way, with a message to the daemon; out of range at once.
 
         Returns whether the daemon answered.
         """

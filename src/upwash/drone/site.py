@@ -1,4 +1,4 @@
-"""Where a mission flies, held against where the vehicle stands and what its own fence allows."""
+"""Checks of a mission's places against the vehicle's position and its own fence."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REMEDY = "change the plan or the vehicle's fence; nothing was sent"
 class Site(Struct, frozen=True):
     """The waypoints of a mission, the fences of its plan, and how it begins and ends.
 
-    `takeoff_m` is the altitude of its take-off, `farthest_start_m` from how far away it may begin.
+    `takeoff_m` is the altitude of the take-off; the vehicle may start at most `farthest_start_m` from a waypoint.
     """
 
     waypoints: Sequence[Waypoint]
@@ -32,7 +32,7 @@ class Site(Struct, frozen=True):
     home: PlannedHome = NO_PLANNED_HOME
 
     def require_reachable(self, vehicle: Position) -> None:
-        """Raises AutopilotRefused where the vehicle stands too far from all of the mission."""
+        """Raises AutopilotRefused if the vehicle stands farther than `farthest_start_m` from every waypoint."""
         distances_m = (ground_distance_m(vehicle, waypoint.position) for waypoint in self.waypoints)
         nearest_m = min(distances_m, default=0.0)
         if nearest_m > self.farthest_start_m:
@@ -44,10 +44,10 @@ class Site(Struct, frozen=True):
             )
 
     def require_within(self, limits: VehicleLimits, vehicle: Position) -> None:
-        """Raises AutopilotRefused where the vehicle's own fence forbids a part of the flight.
+        """Raises AutopilotRefused if the vehicle's own fence forbids a part of the flight.
 
-        The parts are where the vehicle stands, the take-off, each way and waypoint, the way home and the landing. It
-        is raised too where the vehicle's home is not at the altitude that the mission was converted with.
+        The parts are the vehicle's position, the take-off, each way and waypoint, the way home and the landing. Also
+        raised if the vehicle's home is not at the altitude with which the mission was converted.
         """
         self.home.require_same(limits)
         problems = itertools.chain(
@@ -59,7 +59,7 @@ class Site(Struct, frozen=True):
             raise AutopilotRefused("arm", f"the vehicle's own fence forbids {what}: {why}; {_REMEDY}")
 
     def require_leg(self, limits: VehicleLimits, start: Position, target: Position) -> None:
-        """Raises AutopilotRefused where the plan's geofence or the vehicle's own fence is in the way."""
+        """Raises AutopilotRefused if the plan's geofence or the vehicle's own fence forbids the leg."""
         step = f"goto {target.east_m:.1f} m east, {target.north_m:.1f} m north"
         if (fence := breached_by_move(self.fences, start, target)) is not None:
             raise AutopilotRefused(
@@ -70,7 +70,7 @@ class Site(Struct, frozen=True):
         require_altitude(limits, target.altitude_m, step=step)
 
     def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
-        """What a person should know of a flight that nothing forbids."""
+        """Warnings for a person about a flight that is allowed."""
         yield from self.home.doubts(limits, vehicle)
         if limits.home is not None and (away_m := ground_distance_m(limits.home, vehicle)) > _CARRIED_M:
             yield (
@@ -127,7 +127,7 @@ class Site(Struct, frozen=True):
             yield f"the way home from waypoint {last.index}", f"it {why}"
 
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
-        """Places within the vehicle's margin of the fence, where it may overshoot."""
+        """Warnings about places nearer to the fence than the vehicle's margin, where it may overshoot."""
         names, margin_m = limits.names, limits.margin_m
         spots = [(f"waypoint {waypoint.index}", waypoint.position.altitude_m) for waypoint in self.waypoints]
         for what, altitude_m in [("the take-off", self.takeoff_m), *spots]:
@@ -145,7 +145,7 @@ class Site(Struct, frozen=True):
 
 
 def require_altitude(limits: VehicleLimits, altitude_m: float, *, step: str) -> None:
-    """Raises AutopilotRefused where the vehicle's own fence forbids the altitude above home."""
+    """Raises AutopilotRefused if the vehicle's own fence forbids the altitude above home."""
     if why := _outside_altitudes(limits, altitude_m):
         raise AutopilotRefused(step, f"the vehicle's own fence forbids it: {why}; nothing was sent")
 
@@ -175,7 +175,7 @@ def _crossed_areas(limits: VehicleLimits, start: Position, end: Position) -> str
 
 
 def _home(limits: VehicleLimits, vehicle: Position) -> Position:
-    """The vehicle's home; where it stands, if it does not report that."""
+    """The vehicle's home; its present position if it does not report one."""
     return vehicle if limits.home is None else limits.home
 
 

@@ -17,7 +17,7 @@ _SUFFIXES = frozenset({".jpg", ".jpeg"})
 
 
 class FolderCamera:
-    """A Camera that shoots the JPEG files of a folder in name order, over and over; each takes `photo_s`.
+    """A Camera whose photos are the JPEG files of a folder, in name order, again and again; each takes `photo_s`.
 
     The folder is listed once, at the start. Raises UsageError for a folder that is missing or has no JPEG file.
     """
@@ -35,15 +35,15 @@ class FolderCamera:
 
 
 def read_photos(folder: Path, most: int) -> dict[str, bytes]:
-    """The first `most` JPEG files of the folder, by name; raises UsageError where there is none.
+    """The contents of the first `most` JPEG files of the folder, by file name.
 
-    Raises CameraError for a file that cannot be read.
+    Raises UsageError if there is none, and CameraError for a file that cannot be read.
     """
     return {path.name: read_photo_file(path) for path in photo_files(folder)[:most]}
 
 
 def read_photo_file(path: Path) -> bytes:
-    """The bytes of a photo; raises a CameraError that names the file."""
+    """The contents of a photo file; raises CameraError if it cannot be read or is too large."""
     try:
         if (size := path.stat().st_size) > _MOST_BYTES:
             raise OSError(
@@ -58,9 +58,9 @@ def read_photo_file(path: Path) -> bytes:
 
 
 def photo_files(folder: Path) -> list[Path]:
-    """The JPEG files of the folder in name order, without hidden ones; raises UsageError where there is none.
+    """The JPEG files of the folder in name order, without hidden ones; raises UsageError if there is none.
 
-    A hidden file with the name of a photo is what macOS leaves beside it ("._DJI_0001.JPG").
+    macOS leaves a hidden file beside each photo ("._DJI_0001.JPG").
     """
     try:
         with os.scandir(folder) as entries:

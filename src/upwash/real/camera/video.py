@@ -26,7 +26,7 @@ _LAST_FRAME_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """A photo that is waited for, of a frame that was captured after `asked_s`."""
+    """A requested photo: the first frame that was captured after `asked_s`."""
 
     asked_s: float
     photo: asyncio.Future[Photo]
@@ -35,9 +35,9 @@ class _Request:
 class VideoCamera:
     """A Camera that reads a video device (0, "/dev/video0"), a stream (a URL), GStreamer's pipeline, or a video file.
 
-    A thread reads every frame, so that none waits in a buffer; a photo is the first that was captured after the
-    request. A frame was captured `latency_s` before it arrives. A source that fails, or a file that has ended, is
-    opened again, once a second.
+    A thread reads every frame, so that none waits in a buffer; a photo is the first frame captured after the request.
+    A frame counts as captured `latency_s` before it arrives. A source that fails, or a file that has ended, is opened
+    again, once a second.
     """
 
     def __init__(self, source: int | str, *, latency_s: float = 0.0) -> None:
@@ -53,7 +53,7 @@ class VideoCamera:
 
     @classmethod
     async def open(cls, source: int | str, *, latency_s: float = 0.0) -> VideoCamera:
-        """The camera, once it has given a frame; raises CameraError if it does not, UsageError without OpenCV."""
+        """The camera, after its first frame; raises CameraError if none comes, UsageError without OpenCV."""
         with extra("detector"):
             await asyncio.to_thread(_silence_opencv)
         if is_pipeline(source) and not _has_gstreamer():
@@ -154,7 +154,7 @@ class _Capture:
         self.pause_s = 1 / max(1.0, self._capture.get(cv2.CAP_PROP_FPS)) if is_file else 0.0
 
     def next(self) -> bool:
-        """Waits for the next frame; False where there is none."""
+        """Waits for the next frame; returns False if there is none."""
         return self._capture.grab()
 
     def jpeg(self) -> bytes | None:
@@ -186,7 +186,7 @@ def _has_gstreamer() -> bool:
 
 
 def _silence_opencv() -> None:
-    """Keeps its warnings off the terminal: a CameraError says what is wrong with a camera."""
+    """Keeps OpenCV's warnings off the terminal, as a CameraError has the fault of a camera."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # it has no other way; read at the first opening
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # the only way before OpenCV 4.7; read at the import
     import cv2

@@ -1,4 +1,4 @@
-"""The computer's clock, which certificates are judged by: set from the autopilot's GPS where nothing else keeps it.
+"""The computer's clock, set from the autopilot's GPS if nothing else keeps it; certificates are valid by this clock.
 
 A computer without a battery-backed clock starts with the time of its last shutdown, or of its image.
 """
@@ -29,16 +29,16 @@ class SystemClock:
     """This computer's clock; tests replace it."""
 
     def now_s(self) -> float:
-        """Seconds since 1970, as every process here sees them, and as TLS judges by."""
+        """Seconds since 1970 by the system's clock, which TLS uses too."""
         return time.time()
 
     def is_kept(self) -> bool:
-        """Whether the kernel knows of a program that keeps the clock in time, such as NTP."""
+        """Whether a program, such as NTP, keeps the clock in time, as the kernel reports."""
         status = _adjtimex_status()
         return status is not None and not status & _STA_UNSYNC
 
     def set(self, unix_s: float) -> None:
-        """Sets it for the whole computer; raises OSError without CAP_SYS_TIME."""
+        """Sets the clock of the whole computer; raises OSError without CAP_SYS_TIME."""
         time.clock_settime(time.CLOCK_REALTIME, unix_s)
 
 
@@ -48,10 +48,10 @@ SYSTEM_CLOCK = SystemClock()
 def agree_on_time(
     gps_unix_s: float | None, credentials: Credentials, journal: Journal, *, clock: SystemClock = SYSTEM_CLOCK
 ) -> None:
-    """Sets the clock where it is wrong by the GPS; raises CredentialsError for certificates that are not valid then.
+    """Sets a wrong clock to the GPS's time; raises CredentialsError if the certificates are not valid afterwards.
 
-    A clock that NTP or another program keeps in time, or that this process may not set, is left as it is. No clock
-    is set to a time outside the certificates' validity: a forged time cannot make others valid.
+    A clock that NTP or another program keeps, or that this process may not set, stays as it is. The clock is never
+    set to a time outside the certificates' validity, so that a forged time cannot make other certificates valid.
     """
     if gps_unix_s is None or not _EARLIEST_UNIX_S <= gps_unix_s <= _LATEST_UNIX_S:
         remedy = _remedy()
@@ -63,18 +63,18 @@ def agree_on_time(
 
 
 def problem_by(clock: SystemClock, credentials: Credentials) -> str:
-    """Which certificate is not valid by the clock, with its dates; "" where all are."""
+    """Which certificate is not valid by the clock, with its dates; "" if all are."""
     return credentials.problem_at(_datetime(clock.now_s()))
 
 
 def keep_right_from_services() -> None:
-    """Lets child processes inherit no capability, so that no service can set the clock."""
+    """Drops the right to set the clock, and every other capability, for child processes such as services."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
 
 
 def _set_if_wrong(gps_unix_s: float, credentials: Credentials, journal: Journal, clock: SystemClock) -> str:
-    """Returns the remedy for a certificate that is not valid afterwards."""
+    """Set a wrong clock; return the remedy for a certificate that is not valid afterwards."""
     now_s = clock.now_s()
     before, gps = at_second(_datetime(now_s)), at_second(_datetime(gps_unix_s))
     if abs(gps_unix_s - now_s) <= _WRONG_S:
@@ -127,7 +127,7 @@ class _Timex(ctypes.Structure):
 
 
 def _adjtimex_status() -> int | None:
-    """The status bits of the kernel's clock, which is only asked; None where it does not answer."""
+    """The status bits of the kernel's clock, which is not changed; None if they cannot be read."""
     timex = _Timex()
     try:
         answer = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))

@@ -1,4 +1,4 @@
-"""The event log as a file of JSON lines: each line is in it whole, even where the disk fills up."""
+"""The event log as a file of JSON lines; every line is whole, even if the disk fills up."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Watcher = Callable[[Event], None]
 
 
 class Unwritten:
-    """The lines that a file has had no room for, in their order, and `why`; "" where it lacks nothing.
+    """The lines for which a file has had no room, in their order, and `why`; "" if it lacks none.
 
     Lines that do not fit into memory either are only counted, as `lost`.
     """
@@ -41,7 +41,7 @@ class Unwritten:
         self._size_bytes = 0
 
     def add(self, line: bytes) -> None:
-        """Holds another line."""
+        """Keep another line in memory until the file has room."""
         if self.lost or self._size_bytes + len(line) > _MOST_UNWRITTEN_BYTES:
             self.lost += 1
             return
@@ -49,7 +49,7 @@ class Unwritten:
         self.lines.append(line)
 
     def written(self) -> None:
-        """The first line is in the file now."""
+        """Drop the first line, which is in the file now."""
         self._size_bytes -= len(self.lines.popleft())
 
     def __len__(self) -> int:
@@ -61,8 +61,8 @@ class FileJournal:
     """Appends each event as one line in one write, so that a crash leaves no torn line behind.
 
     `t` counts seconds of the event loop's clock from the first event, which also has the time of day. With `resumes`
-    a log that another process began is continued, its time too. One process at a time writes to a log. What the disk
-    has no room for is held in `unwritten`, in its order, until there is room.
+    the log of an earlier process is continued, its time too. One process at a time writes to a log. Lines for which
+    the disk has no room wait in `unwritten`, in their order.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class FileJournal:
     def record(self, event: Event) -> None:
         """Adds one event; returns once the file has it, or has no room.
 
-        A disk that fills up in flight does not end it: what is missing is written as soon as there is room.
+        A disk that fills up does not end the flight: missing events are written as soon as there is room.
         """
         for entry in fitted(msgspec.structs.replace(event, t=self._now_s())):
             try:
@@ -111,11 +111,11 @@ class FileJournal:
                 self._show(entry)
 
     async def notify(self, message: object, at: Position) -> None:
-        """Notifies the user through the event log, and so through all that shows it."""
+        """Notifies the user by an event in the log, which the views of the log show."""
         self.record(schema.Notified(message=msgspec.to_builtins(message), at=at))
 
     def close(self) -> None:
-        """Ends the log, with what it lacks if there is room for it now."""
+        """Closes the log, after the missing lines if there is room for them now."""
         if self._unwritten:
             self._catch_up()
         try:
@@ -145,7 +145,7 @@ class FileJournal:
             )
 
     def _catch_up(self) -> None:
-        """Writes what the log lacks, as far as there is room."""
+        """Write the missing lines, as far as there is room."""
         try:
             while self._unwritten.lines:
                 self._file.append(self._unwritten.lines[0])
@@ -164,7 +164,7 @@ class FileJournal:
         self._next_try_s = self._loop.time() + _TRY_AGAIN_S
 
     def _show(self, entry: Event) -> None:
-        """Shows the watchers an event; a watcher that fails, as where its terminal is gone, sees no more of them."""
+        """Pass an event to the watchers; a watcher that fails, as without its terminal, gets no more events."""
         for watch in self._watchers:
             try:
                 watch(entry)
@@ -174,7 +174,7 @@ class FileJournal:
 
 
 class _LineFile:
-    """Lines that only this process appends to a file; raises OSError, or UsageError where another process does."""
+    """A file to which only this process appends lines; raises OSError, or UsageError if another process does."""
 
     def __init__(self, path: Path, *, cuts_torn_line: bool) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -191,9 +191,9 @@ class _LineFile:
             raise
 
     def append(self, line: bytes) -> None:
-        """Adds one line, in one write; raises OSError where it is not in the file then.
+        """Adds one line, in one write; raises OSError if the line is not in the file afterwards.
 
-        A line that was cut is taken back. Where even that fails, the next append ends it first.
+        A line that was cut is taken back. If even that fails, the next append ends it first.
         """
         content = (b"\n" if self._is_torn else b"") + line + b"\n"
         try:
@@ -207,11 +207,11 @@ class _LineFile:
         self._is_torn = False
 
     def close(self) -> None:
-        """Ends the file; raises OSError where the system reports only now that it did not keep it."""
+        """Closes the file; raises OSError if the system reports only now that data was lost."""
         os.close(self._file)
 
     def _end_of_last_line(self) -> int:
-        """How many bytes whole lines take."""
+        """The length in bytes of the file's whole lines."""
         if not stat.S_ISREG(os.fstat(self._file).st_mode):
             return self._size_bytes
         end_bytes = self._size_bytes
@@ -242,7 +242,7 @@ def read_events(path: Path) -> list[Event]:
 
 
 def _seconds_since(events: Sequence[Event], now: datetime) -> float:
-    """The time now of the last run in the log: by the time of day, unless that has gone back since."""
+    """The present time `t` of the last run in the log, from the time of day, and never before its last event."""
     last_s = events[-1].t
     for event in reversed(events):
         match event:

@@ -21,16 +21,16 @@ _foreign = logging.getLogger("upwash.foreign")
 
 
 def log_text() -> None:
-    """From now on the log is text, one line a message, even where drones or services put line ends into it."""
+    """Makes the log text, one line a message, even if drones or services put line ends into it."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_TextFormatter(_TEXT))
     logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
 def log_json() -> None:
-    """From now on each line on standard error is a JSON object, also what libraries write there.
+    """Makes each line on standard error a JSON object, also lines that libraries write.
 
-    They write to file descriptor 2, past Python; it is read back through a pipe.
+    Libraries write to file descriptor 2, past Python; it is read back through a pipe.
     """
     lines = os.fdopen(os.dup(2), "w", buffering=1)
     reading, writing = os.pipe()
@@ -76,7 +76,7 @@ class _JsonFormatter(_TextFormatter):
 
 
 class RateLimitedLog(logging.Filter):
-    """Lets five lines a second through, 50 after a rest; the next line says how many were left out."""
+    """Lets five lines a second through, 50 after a rest; the next line has the number of those left out."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -14,30 +14,30 @@ _log = logging.getLogger("upwash.service_manager")
 
 
 class ServiceManager:
-    """The service manager that listens at the address; without an address there is none, and nothing is sent."""
+    """The service manager at the address; without an address, methods send nothing."""
 
     def __init__(self, address: str) -> None:
         self._address = address
 
     @property
     def environment(self) -> dict[str, str]:
-        """The variables that another program needs to report to it."""
+        """The environment variables with which another program can report to it."""
         return {_VARIABLE: self._address} if self._address else {}
 
     def ready(self) -> None:
-        """The program serves, with the configuration that it read last."""
+        """Report that the program serves, with the configuration that it read last."""
         self._send("READY=1")
 
     def reloading(self) -> None:
-        """The program reads its configuration again; `ready` ends it."""
+        """Report that the program reads its configuration again; `ready` ends that state."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def main_is(self, process: int) -> None:
-        """The service is that process from now on."""
+        """Report that the service's main process is the one of that number from now on."""
         self._send(f"MAINPID={process}")
 
     def stopping(self, status: str) -> None:
-        """The program is ending; `status` says what it waits for."""
+        """Report that the program is ending; `status` is a text for people, such as what it waits for."""
         self._send(f"STOPPING=1\nSTATUS={status}")
 
     def _send(self, state: str) -> None:

@@ -29,9 +29,9 @@ def on_signal(number: signal.Signals, do: Callable[[], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stopping_politely(stop: Callable[[str], bool | None]) -> Iterator[None]:
-    """The first SIGINT or SIGTERM calls `stop`, and the second cancels what runs.
+    """In the block, the first SIGINT or SIGTERM calls `stop`, and the second cancels the current task.
 
-    If `stop` returns False, what runs is being stopped already, and the first signal cancels it.
+    If `stop` returns False, the task is being stopped already, and the first signal cancels it.
     """
     loop = asyncio.get_running_loop()
     running = asyncio.current_task()
@@ -53,7 +53,7 @@ def stopping_politely(stop: Callable[[str], bool | None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def ending_in_time() -> Iterator[Callable[[float], None]]:
-    """Yields a function that ends the program in that many seconds, with exit code 1, if the block still runs."""
+    """Yields a function of seconds: after them the program ends, with exit code 1, if the block still runs."""
 
     def end() -> None:
         _log.error("what was under way did not end in time: ending without it")
@@ -72,7 +72,7 @@ def ending_in_time() -> Iterator[Callable[[float], None]]:
 
 @contextlib.contextmanager
 def outliving_the_terminal() -> Iterator[None]:
-    """A terminal that is closed ends nothing; output to it is lost from then on."""
+    """In the block, a closed terminal does not end the program; output to it is lost from then on."""
     terminals = [handle for handle in (0, 1, 2) if os.isatty(handle)]
 
     def let_go() -> None:

@@ -24,7 +24,7 @@ MOST_REPORTS_PER_S = 2000  # two for each call
 
 
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
-    """To the instance, first: what to serve, and where.
+    """To the instance, first: the service to run, and where to serve.
 
     gRPC listens at `listen`. It gets the connections of the inherited socket, or of the address `outside`, where TLS
     admits holders of the same `credentials` only. If `is_announced`, a connection's first line names its caller.

@@ -1,4 +1,4 @@
-"""The program's end of a service instance: its control line, and what all instances do by it.
+"""The program's end of a service instance: its control line, and what all kinds of instances share.
 
 The other end may be a hostile service. Its messages are limited in length and number, and reports count only if they
 are possible: calls of admitted drones, of declared methods, no longer than the instance has run.
@@ -297,7 +297,7 @@ class ControlledInstance(ABC):
 
     @abstractmethod
     async def open(self) -> None:
-        """Let callers in; raises InstanceError if the instance cannot be reached."""
+        """Let callers in through the door; raises InstanceError if the instance cannot be reached."""
 
     async def freeze(self) -> None:
         """Suspend what runs; raises InstanceError."""

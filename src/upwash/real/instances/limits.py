@@ -40,7 +40,7 @@ def limit_files() -> None:
 
 
 def unenforced_limits() -> list[str]:
-    """The names of the limits that can be exceeded; limits that hold stay on this process."""
+    """The names of the limits that can be exceeded; has the side effect that the others stay on this process."""
     import mmap  # instances, which import this module, need none of these
     import os
     import tempfile

@@ -41,10 +41,10 @@ class ServiceProcess(Protocol):
     """What runs an instance: a group of processes, or a container."""
 
     async def ended(self) -> int:
-        """The exit code of its first process once that has ended; negative for a signal."""
+        """Waits for the end of the first process, and returns its exit code; negative for a signal."""
 
     async def end(self) -> None:
-        """End it with all processes that it started; returns when they are gone."""
+        """End the first process and all that it started; returns when they are gone."""
 
 
 Run = Callable[[InstanceSpec, Handed], Awaitable[ServiceProcess]]

@@ -133,7 +133,7 @@ class ProcessGroup:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it has not ended yet."""
+        """Whether the process has not ended yet."""
         return self._process.returncode is None
 
     async def ended(self) -> int:

@@ -1,4 +1,4 @@
-"""What a service instance may see: bubblewrap's arguments. An instance sets its `limits` on itself.
+"""The sandbox of a service instance: bubblewrap's arguments. An instance sets its `limits` on itself.
 
 In a sandbox there is no network except the inherited socket. Files of the system, Python and the service are there,
 read-only, and a /tmp of its own in memory. There are no devices except those that the operator names, no processes
@@ -151,7 +151,7 @@ class Sandbox:
 
 
 def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -> Sandbox:
-    """A sandbox that was tried, with its limits; raises UsageError with the remedy if this machine has none."""
+    """A sandbox that was tested here, with its limits; raises UsageError with the remedy if none works."""
     bubblewrap = shutil.which("bwrap")
     if bubblewrap is None:
         raise UsageError("bubblewrap is not installed: `apt install bubblewrap`")
@@ -186,7 +186,10 @@ def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -
 
 @contextlib.contextmanager
 def open_call_filter(*, pins: bool = False) -> Iterator[int]:
-    """A file descriptor from which one bubblewrap can read its call filter; raises UsageError."""
+    """A file descriptor from which one bubblewrap can read its filter of system calls; raises UsageError.
+
+    With `pins` a process cannot choose other processors.
+    """
     text = call_filter(pins=pins)
     reading, writing = os.pipe()
     try:

@@ -1,4 +1,4 @@
-"""The filter of system calls for a service in a sandbox, as bubblewrap takes it.
+"""The filter of system calls for a service in a sandbox, in the format that bubblewrap reads.
 
 Namespaces hide named objects. The filter refuses the rest: sockets to the host of a virtual machine, memory that no
 limit counts, and parts of the kernel that only attackers need. Without a table for the processor there is no sandbox.

@@ -5,13 +5,13 @@ and time. A known caller is bounded in connections, requests and frames. A reque
 by its deadline, and cancelling it ends it at the other end. The daemon's key stays in the door: gRPC and services
 never hold it.
 
-- link.py, way.py     a drone's end of gRPC, and what is measured of the way to a server
+- link.py, way.py     a drone's end of gRPC, and measurements of the network path to a server
 - listener.py         the server's end of gRPC
 - direct.py           both ends of calls over a socket pair
-- requests.py         what both listeners do with a request
+- requests.py         handles requests, for both listeners
 - door.py, tls.py     accepts, checks certificates, and hands the bytes on
 - limits.py           the door's bounds
-- proxy.py            from a door into an instance, and who calls
+- proxy.py            passes connections from a door into an instance, with the caller's name
 - streams.py          connections of bytes, and sockets that listen
 - hand_over.py        gives the listening socket to the next daemon
 

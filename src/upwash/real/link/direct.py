@@ -1,7 +1,7 @@
 """Calls between a program and an instance that it started, over a socket pair.
 
-The pair needs no address and no file, and no other program can call. Messages are frames of MessagePack with a
-length of 4 bytes before them, the highest first. The instance's end is not believed: a service shares its process.
+The pair needs no address and no file, and no other program can call. Messages are frames of MessagePack behind a
+length of 4 bytes, big-endian. The instance's end is not trusted, as a service shares its process.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class DirectRequest(msgspec.Struct, frozen=True, array_like=True, tag=1):
 
 
 class DirectCancel(msgspec.Struct, frozen=True, array_like=True, tag=2):
-    """To the instance: the reply to the request of that number is not waited for any more."""
+    """To the instance: nobody waits for the reply to the request of that number any more."""
 
     number: int
 
@@ -68,7 +68,7 @@ Calls = tuple[asyncio.StreamReader, asyncio.StreamWriter]  # the program's end, 
 
 
 def frame(message: msgspec.Struct) -> bytes:
-    """The message as it is written."""
+    """The encoded message: its length, then MessagePack."""
     body = _encoder.encode(message)
     return len(body).to_bytes(_LENGTH_BYTES) + body
 
@@ -93,7 +93,7 @@ def _length_of(head: bytes, most_bytes: int) -> int:
 
 
 async def direct_pair() -> tuple[Calls, socket.socket]:
-    """The program's end and the instance's; raises OSError."""
+    """A new socket pair: the program's end as streams, and the instance's socket; raises OSError."""
     calls, theirs = await connected_pair(limit=_SEND_BYTES)
     for end in (calls[1].get_extra_info("socket"), theirs):
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
@@ -113,11 +113,11 @@ class DirectListener:
         self._waited_for: set[int] = set()
 
     def start(self) -> None:
-        """Begins to answer."""
+        """Begins to answer requests."""
         thread(self._listen, name="direct calls", failed=lambda _: os._exit(1)).start()
 
     def stop(self, *, grace_s: float = 0.0) -> None:
-        """Returns when the requests under way have ended."""
+        """Takes no more requests, and returns when those under way have ended; `grace_s` has no effect."""
         self._workers.shutdown(cancel_futures=True)
 
     def _listen(self) -> None:
@@ -146,7 +146,7 @@ class DirectListener:
 
 
 class DirectLink:
-    """The program's end; made in a running event loop."""
+    """The program's end, which sends requests; create it in a running event loop."""
 
     is_far = False
 
@@ -178,7 +178,7 @@ class DirectLink:
                 raise error
 
     async def close(self) -> None:
-        """Hangs up, with every request under way."""
+        """Closes the link; every request under way fails."""
         self._end("the link is closed")
 
     async def _reply(self, number: int, timeout_s: float) -> _Reply | LinkError:

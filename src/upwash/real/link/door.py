@@ -1,6 +1,6 @@
 """TLS for the daemon and for each of its instances, in front of gRPC.
 
-A peer without a certificate of the authority, or with a revoked one, gets no further than here, and takes one of a
+A peer without a certificate of the authority, or with a revoked certificate, is refused here, and takes one of a
 bounded number of connections. The bytes of a known caller are handed on, with its name, while it keeps within the
 limits. The daemon's key stays here. See docs/decisions/door.md.
 """
@@ -60,9 +60,10 @@ class Entrance:
 
 
 class Door:
-    """Lets known callers through, in a thread of its own, until it is closed.
+    """Lets callers with a trusted certificate through, in a thread of its own, until it is closed.
 
-    There `on_traffic` is called with who calls, at most once a second for a connection.
+    That thread calls `on_traffic(server, key)` when the caller with that `Client.key` sends, at most once a second
+    for a connection.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class Door:
 
     @property
     def refused(self) -> list[DoorStatus]:
-        """Who was refused, by reason; from any thread."""
+        """The refused connections, by reason; callable from any thread."""
         return [
             DoorStatus(reason, times, last, time.monotonic() - last_s)
             for reason, (times, last, last_s) in self._refused.items()
@@ -102,7 +103,7 @@ class Door:
         ]
 
     async def broken(self) -> NoReturn:
-        """Raises the defect that ends the door or an entrance."""
+        """Waits for a defect that ends the door or an entrance, and raises it."""
         await asyncio.wrap_future(self._broken)
         raise AssertionError("it has no result")
 
@@ -113,7 +114,7 @@ class Door:
         await asyncio.to_thread(self._thread.join)
 
     async def lead(self, listening: socket.socket, inside: Connect, *, server: str = "") -> Entrance:
-        """Lets callers of that socket, which becomes the door's, through to `inside`, an instance of that server."""
+        """Leads callers of the listening socket, now the door's, to `inside`, an instance of the server."""
         host, port = listening.getsockname()[:2]
         address = f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
         listening.setblocking(False)
@@ -126,7 +127,7 @@ class Door:
         return Entrance(endpoint_of(listening), address, lambda: self._there(end(accepting)))
 
     async def trust(self, trust: Trust) -> None:
-        """Trusts these certificates from now on; connections of others end."""
+        """Trusts exactly these certificates from now on; connections of others end."""
         await self._there(self._change_trust(trust))
 
     def _break(self, defect: Exception) -> None:
@@ -180,7 +181,7 @@ class Door:
                 self._strangers.add(task, site)
 
     async def _welcome(self, connection: socket.socket, site: str, inside: Connect, server: str) -> None:
-        """From the first byte of a connection to its last."""
+        """Serve one connection, from its first byte to its last."""
         try:
             async with asyncio.timeout(self._limits.silence_s):
                 await readable(connection)  # a silent peer takes no turn
@@ -274,7 +275,7 @@ def _close_unseen(connection: socket.socket, task: asyncio.Task[Any]) -> None:
 
 
 def _site(address: str) -> str:
-    """An IPv4 address, or the network of an IPv6 one."""
+    """The part of an address that counts as one site: an IPv4 address, or the network of an IPv6 address."""
     parsed = ip_address(address.partition("%")[0])
     if isinstance(parsed, IPv6Address) and parsed.ipv4_mapped is None:
         return str(IPv6Address(int(parsed) >> _IPV6_SITE_BITS << _IPV6_SITE_BITS))
@@ -301,7 +302,7 @@ def _plainly(error: OSError) -> str:
 async def opened_door(
     trust: Trust, limits: DoorLimits | None = None, *, on_traffic: OnTraffic = lambda _server, _key: None
 ) -> AsyncIterator[Door]:
-    """A door that is closed after the block; a defect that ends it ends the block."""
+    """A door for the block, closed after it; a defect of the door ends the block."""
     door = Door(trust, limits, on_traffic=on_traffic)
     try:
         async with beside(door.broken(), name="the door"):
@@ -314,9 +315,10 @@ Lead = Callable[[str, Connect], Awaitable[Entrance]]  # to an instance of the se
 
 
 def leading(door: Door, host: str, ports: Mapping[int, int] = MappingProxyType({0: 0})) -> Lead:
-    """Leads callers in at the first free one of the ports on that interface, each with the port that they see.
+    """A function that opens an entrance at the first free port of that host.
 
-    With port 0 the system chooses, and callers see that port. Raises InstanceError where no port is free.
+    `ports` maps each port to the port that callers see. With port 0 the system chooses, and callers see that port.
+    The function raises InstanceError if no port is free.
     """
 
     async def lead(server: str, inside: Connect) -> Entrance:

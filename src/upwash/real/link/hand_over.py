@@ -1,4 +1,4 @@
-"""A new daemon replaces the old one, so that its program can be changed while drones fly.
+"""A new daemon replaces the running one, so that its program can be changed while drones fly.
 
     the old daemon                                   the new daemon, its child
     starts it, with the listening socket and         reads the configuration, takes up the leases,
@@ -41,14 +41,14 @@ class Served(Struct, frozen=True):
 
 
 class Used(Struct, frozen=True):
-    """What drones and teams have used of a server."""
+    """The usage of a server by drones and by teams."""
 
     drones: Sequence[DroneUsage]
     teams: Sequence[TeamUsage]
 
 
 class HandedOver(Struct, frozen=True):
-    """What the new daemon gets; the files are numbers of open ones."""
+    """What the new daemon gets from the old one; the `..._file` fields are open file descriptors."""
 
     listen: str
     socket_file: int
@@ -57,7 +57,7 @@ class HandedOver(Struct, frozen=True):
     usage_file: int = -1  # earlier versions give none
 
     def usage(self) -> Mapping[str, Used]:
-        """What has been used of each server, nothing where it cannot be read; can be called once."""
+        """The usage of each server, empty if it cannot be read; call it only once."""
         if self.usage_file < 0:
             return {}
         try:
@@ -84,7 +84,7 @@ _usage = msgspec.json.Decoder(dict[str, Used])
 
 
 def handed_over(environment: MutableMapping[str, str]) -> HandedOver | None:
-    """What the daemon before handed over; None where there was none."""
+    """The hand-over of the former daemon from the environment, which is removed there; None without one."""
     given = environment.pop(_VARIABLE, "")
     return msgspec.json.decode(given, type=HandedOver) if given else None
 
@@ -100,7 +100,7 @@ async def hand_over(
 ) -> int:
     """Starts this program as it is on the disk now, with that environment; returns its process once it is ready.
 
-    Raises UpwashError where it ends before, or is not ready in time. After an error it does not run any more.
+    Raises UpwashError if the process ends before or is not ready in time; it does not run any more then.
     """
     ready, theirs = socket.socketpair()
     with ready:

@@ -1,4 +1,4 @@
-"""What a door allows: connections, handshakes, and requests, counted by the frames of HTTP/2 connections."""
+"""A door's bounds on connections, handshakes, and requests, which are counted by frames of HTTP/2."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class DoorLimits:
 class ConnectionLimits:
     """At most `most` connections, and `per_group` in a group: an address, or a certificate. The oldest is cancelled.
 
-    Newcomers are let in: an honest caller needs a moment only, or connects again because its connection is dead.
+    A new connection replaces the oldest: an honest caller needs only a moment, or connects again after a dead one.
     """
 
     def __init__(self, most: int, *, per_group: int) -> None:
@@ -63,7 +63,7 @@ class ConnectionLimits:
         return len(self._groups)
 
     def add(self, connection: asyncio.Task[Any], group: str) -> None:
-        """Counts the connection; cancels the connection that must go for it."""
+        """Adds the connection; cancels an older connection if a bound is exceeded."""
         self._groups[connection] = group
         self._sizes[group] += 1
         if self._sizes[group] > self._per_group:
@@ -72,7 +72,7 @@ class ConnectionLimits:
             self._cancel_oldest(self._sizes.most_common(1)[0][0])
 
     def remove(self, connection: asyncio.Task[Any]) -> None:
-        """Counts the connection no longer."""
+        """Removes the connection."""
         group = self._groups.pop(connection, None)
         if group is not None:
             self._sizes[group] -= 1
@@ -86,7 +86,7 @@ class ConnectionLimits:
 
 
 class RateLimit:
-    """Lets `per_s` callers pass in a second, twice as many after a rest, in the order of their arrival.
+    """Lets `per_s` callers a second pass, twice as many after a rest, in the order of their arrival.
 
     Without the order, callers that try again at once could keep out a caller that waits.
     """
@@ -112,7 +112,7 @@ class FrameCounter:
     def count(self, chunk: bytes) -> Counter[str]:
         """The frames that begin in the next bytes.
 
-        `begun` and `broken_off` requests, `data` of bodies, `window` for replies; all others are `idle`.
+        Kinds: `begun` and `broken_off` requests, `data` of bodies, `window` for replies; all others are `idle`.
         """
         counted: Counter[str] = Counter()
         at = 0
@@ -149,7 +149,7 @@ class CertificateLimit:
         }
 
     def take(self, counted: Counter[str], now_s: float) -> None:
-        """Raises ConnectionAbortedError where these frames exceed a bound."""
+        """Counts these frames; raises ConnectionAbortedError if they exceed a bound."""
         for kinds, allowance in self._allowances.items():
             number = sum(counted[kind] for kind in kinds)
             if number and not allowance.take(number, now_s=now_s):

@@ -82,11 +82,11 @@ _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: 
 
 
 class _Silent(Unreachable):
-    """The other end takes connections and does not answer."""
+    """Raised when the other end takes connections and does not answer."""
 
 
 class _Unheard(Unreachable):
-    """TCP did not connect in the time of an attempt."""
+    """Raised when TCP did not connect in the time of an attempt."""
 
 
 class GrpcDialer:
@@ -147,7 +147,7 @@ class GrpcDialer:
         )
 
     async def trouble(self, server: str) -> str:
-        """What is wrong with the way to a server that was dialled, "" for nothing; takes seconds to find out."""
+        """The trouble of the network path to a dialled server, "" for none; may take seconds."""
         way = self._ways.get(server)
         if way is None:
             return ""
@@ -158,12 +158,12 @@ class GrpcDialer:
 class GrpcLink:
     """One channel; requests are futures of the synchronous stack, settled on the event loop.
 
-    gRPC ends no request, at its deadline or as its channel closes, before what it has begun to write is written:
-    where the other end reads nothing, perhaps never. So deadlines are kept here, and nothing waits for gRPC.
+    gRPC ends a request, at its deadline or when its channel closes, only after it has written what it began to write:
+    perhaps never, if the other end reads nothing. So deadlines are kept here, and nothing waits for gRPC.
 
-    Where a server takes connections and is silent, the way is measured; if its round trips take longer than was
-    known, a new connection gets that time. The deadline of a call is hard; the answer of a daemon may take longer by
-    the round trips of the way.
+    If a server takes connections and is silent, the path is measured; if its round trips take longer than known, a
+    new connection gets that time. The deadline of a call is hard; a daemon's answer may take longer by the path's
+    round trips.
     """
 
     def __init__(
@@ -188,7 +188,7 @@ class GrpcLink:
 
     @property
     def is_far(self) -> bool:
-        """Whether a round trip is known to take long."""
+        """Whether the measured round trip is long, as over a mobile network."""
         return self._way.round_trip_s > _FAR_S
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
@@ -227,7 +227,7 @@ class GrpcLink:
                 return reply
 
     async def close(self) -> None:
-        """Breaks the connection off, with every request under way."""
+        """Closes the connection at once; every request under way fails."""
         if self._closed:
             return
         self._closed = True
@@ -236,7 +236,7 @@ class GrpcLink:
         self._hang_up()
 
     async def _learned_more(self) -> bool:
-        """Whether the way takes longer than was known; then a new connection gets the time that it needs."""
+        """Measure the path; if it is slower than known, begin a connection with more time, and return True."""
         for learn in (self._way.measure, self._way.look):
             await learn()
             if self._way.attempt_s > _LONGER * self._attempt_s and not self._closed:
@@ -314,7 +314,7 @@ class GrpcLink:
 
 
 def _patience(way: Way) -> list[tuple[str, int]]:
-    """How long gRPC waits until it takes an attempt, or a connection, for dead."""
+    """gRPC's options for the time after which an attempt or a connection counts as dead."""
     return [
         ("grpc.min_reconnect_backoff_ms", round(1000 * way.attempt_s)),  # which is gRPC's limit of an attempt
         ("grpc.keepalive_timeout_ms", round(1000 * (_KEEPALIVE_S + way.more_s(_FIRST_ROUND_TRIPS)))),
@@ -326,7 +326,7 @@ def _with(error: LinkError, trouble: str) -> str:
 
 
 def _longest_replies(max_reply_bytes: Mapping[str, int]) -> str:
-    """gRPC's own rules of a channel: a longer reply is not even received."""
+    """gRPC's configuration of a channel that bounds the length of replies, by service and method."""
     rules = [
         ({"service": _DAEMON}, LONGEST_REPLY_BYTES),
         ({"service": _DAEMON, "method": _STATUS}, LONGEST_STATUS_BYTES),
@@ -337,7 +337,7 @@ def _longest_replies(max_reply_bytes: Mapping[str, int]) -> str:
 
 
 def _in_words(details: str, max_message_bytes: int) -> str:
-    """gRPC's words about a size, with the remedy; other words stay as they are."""
+    """gRPC's message about a size, replaced by ours with the remedy; other messages stay unchanged."""
     found = _LARGER.search(details)
     if found is None:
         return details
@@ -353,7 +353,7 @@ def _in_words(details: str, max_message_bytes: int) -> str:
 
 
 def _plainly(details: str) -> str:
-    """What gRPC says of a connection that failed, without what it says around that."""
+    """The essence of gRPC's message about a failed connection."""
     for sign, trouble in _OUTDATED.items():
         if sign in details:
             return f"{trouble}; this computer's clock says {at_second(datetime.now(UTC))}"

@@ -42,8 +42,8 @@ WhoIs = Callable[[str], Client]  # at the other end of gRPC's peer
 class Listener:
     """Answers requests at one address, each in a thread of the listener's.
 
-    `who_is` knows callers by their connections, which a door has announced; without it callers name themselves. A
-    caller that takes long to send its body keeps only itself waiting.
+    `who_is` returns the caller of a connection, as a door announced it; without `who_is` callers name themselves. A
+    caller that sends its body slowly delays no other.
     """
 
     def __init__(self, listen: str, requests: Requests, *, who_is: WhoIs | None = None) -> None:
@@ -67,7 +67,7 @@ class Listener:
         self.address = listen if listen.startswith("unix:") else f"{listen.rpartition(':')[0]}:{port}"
 
     def add(self, handlers: grpc.GenericRpcHandler) -> None:
-        """Answers one more kind of requests at the same address, before `start`."""
+        """Answers one more kind of requests at the same address; call it before `start`."""
         self._server.add_generic_rpc_handlers((handlers,))
 
     def start(self) -> None:
@@ -96,7 +96,7 @@ def _is_in_use(listen: str) -> bool:
 
 
 def cannot_listen(listen: str) -> UsageError:
-    """The error where the address cannot be listened at, with the remedy."""
+    """The error for an address at which this program cannot listen, with the remedy."""
     return UsageError(
         f"cannot listen on {listen}: the address is in use or not this machine's; "
         "stop the other program or choose another address"
@@ -104,14 +104,14 @@ def cannot_listen(listen: str) -> UsageError:
 
 
 class HealthCheck(grpc.GenericRpcHandler):  # type: ignore[misc]
-    """Answers gRPC's health check, of all (no name) or of one of these names; it offers nothing to watch."""
+    """Answers gRPC's health check for the whole server (no name) or one of these names; it offers no Watch."""
 
     def __init__(self, names: Collection[str] = (), *, serving: Callable[[], bool] = lambda: True) -> None:
         self._questions = {_health_question(name) for name in ("", *names)}
         self._serving = serving
 
     def service(self, handler_call_details: Any) -> Any:
-        """The handler of a health check."""
+        """The handler if the request is a health check, else None."""
         if handler_call_details.method != HEALTH_CHECK:
             return None
         return grpc.unary_unary_rpc_method_handler(self._answer)
@@ -165,7 +165,7 @@ class _Handlers(grpc.GenericRpcHandler):  # type: ignore[misc]
 
 
 def _status_of(error: BaseException) -> grpc.StatusCode:
-    """gRPC's code for an error. Drones of a version without turns take either of the first two for a refusal."""
+    """gRPC's code for an error. Drones of a version without turns treat both of the first two as a refusal."""
     match error:
         case NoLease():
             return grpc.StatusCode.PERMISSION_DENIED

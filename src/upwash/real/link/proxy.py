@@ -39,12 +39,12 @@ _MOST_CONNECTIONS = 1024
 
 
 def announcement(client: Client) -> bytes:
-    """The first line of a connection."""
+    """The first line of a connection, which names the client."""
     return msgspec.json.encode(client) + b"\n"
 
 
 def announcing_at(path: str) -> Connect:
-    """Announces clients at the unix socket of an instance, which gives a connection to gRPC for each."""
+    """A function that announces a client at an instance's unix socket, and yields its connection to gRPC."""
 
     @contextlib.asynccontextmanager
     async def connect(client: Client) -> AsyncIterator[StreamEnd]:
@@ -89,12 +89,12 @@ class GrpcSocket:
 
     @contextlib.asynccontextmanager
     async def connect(self, client: Client) -> AsyncIterator[StreamEnd]:
-        """The same, as an end that can be joined."""
+        """A connection for that client, as an end for `join`; forgotten after the block."""
         async with self.connection(client) as connection, _end_of(connection) as end:
             yield end
 
     def client(self, peer: str) -> Client:
-        """The client at the other end of gRPC's peer; an unnamed one after it hung up."""
+        """The client at gRPC's address `peer`; an unnamed client after it hung up."""
         return self._clients.get(peer, Client(""))
 
 
@@ -162,9 +162,9 @@ async def _announced(caller: StreamEnd) -> Client:
 
 
 class GivenSocket(socket.socket):
-    """A socket that never waits.
+    """A socket whose calls never block.
 
-    The process that gave it may keep it and make it block, which both share: so each call says not to wait.
+    The giving process may keep the socket and make it block, a mode that both share; so each call asks not to wait.
     """
 
     def recv(self, bufsize: int, flags: int = 0, /) -> bytes:
@@ -192,7 +192,7 @@ def _give(connection: socket.socket, over: asyncio.Transport) -> None:
 
 
 async def take(over: socket.socket) -> GivenSocket:
-    """The connection that an instance gives over that unix socket; raises OSError where it gives none in time."""
+    """The connection that an instance gives over that unix socket; raises OSError if it gives none in time."""
     try:
         async with asyncio.timeout(_GIVEN_S):
             await readable(over)

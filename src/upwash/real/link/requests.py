@@ -1,4 +1,4 @@
-"""What a listener does with a request, over gRPC and over a socket pair: lets it in, has it answered, bounds both."""
+"""Handles requests, over gRPC and over a socket pair: admits them, has them answered, and bounds both."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _log.addFilter(RateLimitedLog())
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who sent a request, the time left for its answer in seconds, if known, and whether they still wait."""
+    """The sender of a request, the seconds left for its answer, if known, and whether the sender still waits."""
 
     client: Client
     time_left_s: Callable[[], float | None]
@@ -32,9 +32,9 @@ Gate = Callable[[str, Caller], None]
 
 
 class Requests:
-    """Has `handler` answer at most `concurrent` requests at a time, `each` of one drone; refuses others.
+    """Has `handler` answer requests, at most `concurrent` at a time and `each` for one drone; refuses others.
 
-    `gate` may refuse a request before its body is received, so that a caller who is not served takes no memory.
+    `gate` may refuse a request before its body is received, so that a refused caller takes no memory.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Requests:
     def answer(self, path: str, caller: Caller, receive: Callable[[], bytes]) -> bytes:
         """The reply to the body that `receive` returns; raises UpwashError with what the caller may read.
 
-        Any other error is a defect of the handler, and in the log.
+        Any other error is a defect of the handler: it is logged, and the caller gets a general text.
         """
         try:
             with self._counted(caller.client.key):
@@ -95,12 +95,12 @@ class Requests:
 
 
 def words_for_caller(error: BaseException) -> str:
-    """What a caller reads of an error of `Requests.answer`: of a defect only that there is one."""
+    """The text for a caller about an error of `Requests.answer`, without details of a defect."""
     return printable(str(error)) if isinstance(error, UpwashError) else "the server failed; its log says why"
 
 
 def too_large(what: str, size: int, most: int, *, whose: str, key: str = "max_message_bytes") -> str:
-    """Why a request or a result of that size is not carried, and the remedy; `whose` configuration limits it."""
+    """The text that refuses a request or result of that size, with the remedy in the configuration of `whose`."""
     return (
         f"the {what} has {size} bytes, more than {key} = {most}: make it smaller, or raise that in the "
         f"configuration of {whose}"

@@ -1,4 +1,4 @@
-"""Connections of bytes, and handing the bytes on."""
+"""Byte streams, and passing bytes between two of them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _rooms = threading.local()
 
 
 def room() -> memoryview:
-    """The buffer into which all connections of this thread read, one after the other: bytes are handed on at once."""
+    """The buffer into which all connections of this thread read; each hands its bytes on at once."""
     if not hasattr(_rooms, "room"):
         _rooms.room = memoryview(bytearray(_ROOM_BYTES))
     found: memoryview = _rooms.room
@@ -29,9 +29,9 @@ def room() -> memoryview:
 
 
 class StreamEnd(asyncio.BufferedProtocol):
-    """This end of a connection: bytes that arrive are kept until it is joined to another, and then handed on there.
+    """This end of a connection: arriving bytes are kept until it is joined to another end, then passed on there.
 
-    `made` is called once it is connected; `lost` is done when the connection is over.
+    `made` is called once it is connected; the future `lost` is done when the connection is over.
     """
 
     transport: asyncio.Transport
@@ -46,7 +46,7 @@ class StreamEnd(asyncio.BufferedProtocol):
         self._other: StreamEnd | None = None
 
     async def line(self) -> bytes:
-        """The first line that arrives, before it is joined; raises OSError where none does, or a long one."""
+        """The first line that arrives, before `join`; raises OSError if none comes or the line is too long."""
         while b"\n" not in self._early:
             if self.lost.done() or len(self._early) > _LONGEST_LINE_BYTES:
                 raise ConnectionAbortedError("it said no line")
@@ -57,7 +57,7 @@ class StreamEnd(asyncio.BufferedProtocol):
         return line
 
     def lead_to(self, other: StreamEnd, watch: Callable[[bytes], None] = lambda _: None) -> None:
-        """Hands on there what has arrived and arrives; `watch` sees it before, and ends it by raising OSError."""
+        """Passes arriving bytes on to `other`; `watch` gets them first, and ends it all by raising OSError."""
         self._other, self._watch = other, watch
         early = bytes(self._early)
         self._early.clear()
@@ -66,33 +66,33 @@ class StreamEnd(asyncio.BufferedProtocol):
             self.data_received(early)
 
     def close(self) -> None:
-        """Ends it when all is sent: once only, or a TLS connection could not be broken off in Python 3.11.2."""
+        """Closes the connection when all is sent, and only once: Python 3.11.2 cannot abort TLS after two closes."""
         if not self.transport.is_closing():
             self.transport.close()
 
     def hang_up(self) -> None:
-        """Breaks it off at once, if there still is one."""
+        """Aborts the connection, if there still is one."""
         hang_up(self.transport)
 
     # --- what asyncio calls ---------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """It is connected."""
+        """Called by the loop when it is connected."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - of a stream
         self.transport = transport
         transport.set_write_buffer_limits(_WAITING_BYTES)
         self._made(self)
 
     def get_buffer(self, _sizehint: int) -> memoryview:
-        """The buffer to read into."""
+        """The buffer into which the loop reads."""
         return room()
 
     def buffer_updated(self, count: int) -> None:
-        """Bytes were read into the buffer."""
+        """Called by the loop when bytes were read into the buffer."""
         self.data_received(bytes(room()[:count]))
 
     def data_received(self, data: bytes) -> None:
-        """Bytes have arrived."""
+        """Keeps arrived bytes, or passes them on."""
         if self._other is None:
             self._early += data
             if len(self._early) > _MOST_EARLY_BYTES:
@@ -109,17 +109,17 @@ class StreamEnd(asyncio.BufferedProtocol):
             self._other.transport.write(data)
 
     def pause_writing(self) -> None:
-        """The peer does not read fast enough."""
+        """Stops reading at the other end, as this peer reads too slowly."""
         if self._other is not None:
             self._other.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """The peer has read enough."""
+        """Reads at the other end again, as this peer has read enough."""
         if self._other is not None:
             self._other.transport.resume_reading()
 
     def connection_lost(self, _error: Exception | None) -> None:
-        """It is over, for any reason."""
+        """Called by the loop when the connection is over, for any reason."""
         if not self.lost.done():
             self.lost.set_result(None)
         self._come.set()
@@ -128,9 +128,10 @@ class StreamEnd(asyncio.BufferedProtocol):
 async def join(
     outer: StreamEnd, inner: StreamEnd, *, watch: Callable[[bytes], None] = lambda _: None
 ) -> None:
-    """Hands on the bytes that arrive at either end to the other, until one hangs up; then both are closed.
+    """Passes bytes between both ends until one hangs up; then both are closed.
 
-    `watch` sees the bytes from outside before they are handed on, and ends it all by raising OSError.
+    `watch` gets the bytes from outside before they are passed on, and ends both by raising OSError, which is raised
+    here.
     """
     outer.lead_to(inner, watch)
     inner.lead_to(outer)
@@ -143,13 +144,13 @@ async def join(
 
 
 def hang_up(transport: asyncio.WriteTransport) -> None:
-    """Breaks the connection off at once, if there still is one."""
+    """Aborts the connection, if there still is one."""
     with contextlib.suppress(AttributeError):  # Python 3.11.2's word for a TLS connection that has ended
         transport.abort()
 
 
 async def readable(connection: socket.socket) -> None:
-    """Returns when bytes, a connection or the end have arrived."""
+    """Waits until the socket has bytes, a connection, or its end to read."""
     loop = asyncio.get_running_loop()
     come = asyncio.Event()
     loop.add_reader(connection, come.set)
@@ -189,6 +190,6 @@ def listening_socket(address: str) -> socket.socket:
 
 
 def endpoint_of(listening: socket.socket) -> str:
-    """The endpoint that drones get: a port is enough, as they know how this machine is reached."""
+    """The endpoint that drones get: `unix:PATH`, or `:PORT` alone, as they know this machine's address."""
     name = listening.getsockname()
     return f"unix:{name}" if isinstance(name, str) else f":{name[1]}"

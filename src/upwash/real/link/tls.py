@@ -20,7 +20,7 @@ _LAST_WORDS_S = 1.0
 
 
 async def shake_hands(connection: socket.socket, context: ssl.SSLContext, *, within_s: float) -> StreamEnd:
-    """The connection once its peer has shown a certificate of the context's authority; raises OSError."""
+    """The TLS connection, after its peer has shown a certificate of the context's authority; raises OSError."""
     end = StreamEnd()
     tls = _Tls(context, end)
     await asyncio.get_running_loop().connect_accepted_socket(lambda: tls, connection)
@@ -34,7 +34,7 @@ async def shake_hands(connection: socket.socket, context: ssl.SSLContext, *, wit
 
 
 class _Tls(asyncio.Transport, asyncio.BufferedProtocol):
-    """The protocol of a socket's transport, and the transport of a `StreamEnd`."""
+    """TLS between a socket's transport, whose protocol it is, and a `StreamEnd`, whose transport it is."""
 
     def __init__(self, context: ssl.SSLContext, end: StreamEnd) -> None:
         super().__init__()
@@ -69,7 +69,7 @@ class _Tls(asyncio.Transport, asyncio.BufferedProtocol):
         return self._socket.is_closing()
 
     def close(self) -> None:
-        """Ends it when all is sent, soon in any case."""
+        """Closes the connection when all is sent, and soon in any case."""
         if self.is_closing():
             return
         with contextlib.suppress(ssl.SSLError):  # no handshake, or the peer has not ended TLS itself
@@ -128,7 +128,7 @@ class _Tls(asyncio.Transport, asyncio.BufferedProtocol):
         del self._end  # which has this as its transport: all memory of TLS goes now
 
     def _shake(self) -> None:
-        """Goes on with the handshake; raises SSLWantReadError until it is done, OSError where it fails."""
+        """Continue the handshake; raises SSLWantReadError until it is done, OSError if it fails."""
         self._received_bytes += self._incoming.pending
         try:
             self._tls.do_handshake()

@@ -1,4 +1,4 @@
-"""Round-trip time and lost packet sizes of the way to a server, measured with connections of this module's own."""
+"""The network path to a server: its round-trip time, and packet sizes that it loses, measured by own connections."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _LOSES_LARGE = (
 
 @dataclass(frozen=True, slots=True)
 class _Tried:
-    """One try of TLS: when TCP was connected, whether bytes came back, and when TLS was done, or None."""
+    """One attempt of TLS: seconds until TCP connected and TLS was done (or None), and whether bytes came back."""
 
     connect_s: float
     heard: bool
@@ -45,10 +45,10 @@ class _Tried:
 
 
 class Way:
-    """The way to one server, at the latest `address`; without credentials it is on this machine, and not measured.
+    """The network path to one server, at its latest `address`; without credentials it is local, and not measured.
 
-    `round_trip_s` is 0 until a round trip was measured. The last look at the way found `trouble`, which keeps
-    requests from getting through, and `silence`: why a server that takes connections does not answer.
+    `round_trip_s` is 0 until it was measured. The last `look` found `trouble`, which keeps requests from getting
+    through, and `silence`: why a server that takes connections does not answer. Both are "" for none.
     """
 
     def __init__(self, server: str, address: str, credentials: Credentials | None) -> None:
@@ -62,25 +62,25 @@ class Way:
 
     @property
     def attempt_s(self) -> float:
-        """How long one attempt to connect may take."""
+        """The longest time (s) of one attempt to connect."""
         return _QUICK_ATTEMPT_S + self.more_s(_ROUND_TRIPS)
 
     def more_s(self, round_trips: float) -> float:
-        """How long these round trips take."""
+        """The seconds that these round trips take."""
         return round_trips * self.round_trip_s
 
     def own_trouble(self) -> str:
-        """What makes others refuse this end's certificate now, "" for nothing."""
+        """Why others refuse this end's certificate now; "" if it is valid."""
         return self._credentials.problem_at(datetime.now(UTC)) if self._credentials else ""
 
     def answered(self, seconds: float, *, large: bool) -> None:
-        """A request was answered; its round trip took at most that long."""
+        """Note that a request was answered; its round trip took at most these seconds."""
         self.round_trip_s = min(self.round_trip_s or _LONGEST_ROUND_TRIP_S, seconds)
         if large:
             self.trouble = ""
 
     async def measure(self) -> bool:
-        """Takes the round trip from the time that TCP takes to connect; whether it connects."""
+        """Measures the round trip by the time that TCP takes to connect; returns whether it connects."""
         if self._credentials is None:
             return False
         try:
@@ -90,7 +90,7 @@ class Way:
         return True
 
     async def look(self) -> None:
-        """Finds out what is wrong with the way, or with the daemon at its end; once a minute."""
+        """Finds the trouble of the path, or of the daemon at its end; at most once a minute."""
         if self._credentials is None:
             return
         if self._look is None or (self._look.done() and time.monotonic() - self._looked_s > _VALID_S):
@@ -98,7 +98,7 @@ class Way:
         await asyncio.shield(self._look)
 
     def suspect(self) -> None:
-        """Has the way looked at in the background: `trouble` tells the result."""
+        """Begins `look` in the background; `trouble` has the result later."""
         if self._look is None or self._look.done():
             begin(self.look())
 
@@ -145,7 +145,7 @@ def _silence(full: _Tried, small: _Tried, limit_s: float) -> str:
 
 
 async def _in_thread(work: Callable[[], T]) -> T:
-    """What the work returns or raises, from a thread that does not hold up the program's end."""
+    """The result or exception of `work` in a thread that does not delay the program's end."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[T] = loop.create_future()
 
@@ -172,7 +172,7 @@ def _connect_s(address: str) -> float:
 
 
 def _connected(address: str, limit_s: float, segment_bytes: int | None = None) -> tuple[socket.socket, float]:
-    """A connection to the first address that takes one, and when that attempt began; raises OSError."""
+    """A TCP connection to the first address that accepts, and when that attempt began; raises OSError."""
     host, _, port = address.rpartition(":")
     failure = OSError("no address")
     for family, kind, _, _, place in socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM):
@@ -194,7 +194,7 @@ def _connected(address: str, limit_s: float, segment_bytes: int | None = None) -
 def _shaken(
     address: str, context: ssl.SSLContext, server: str, limit_s: float, segment_bytes: int | None
 ) -> _Tried:
-    """Tries TLS, in packets of that size at most; raises OSError where TCP does not connect."""
+    """Tries TLS, in packets of that size at most; raises OSError if TCP does not connect."""
     connection, began_s = _connected(address, limit_s, segment_bytes)
     connect_s = time.monotonic() - began_s
     connection.settimeout(limit_s)

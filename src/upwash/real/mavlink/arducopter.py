@@ -1,4 +1,4 @@
-"""An ArduCopter, steered in GUIDED by targets that it answers."""
+"""The driver of an ArduCopter, steered in GUIDED by targets that it confirms."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _mode_name(number: int) -> str:
 
 
 def _failsafe(telemetry: VehicleTelemetry, mode: str) -> str:
-    """Its system status is critical while a fail-safe lasts; a breached fence has a report of its own."""
+    """Why a fail-safe may have chosen the mode; "" without one."""
     if mode not in _FAILSAFE_MODES:
         return ""
     if telemetry.dead_man:
@@ -105,7 +105,10 @@ ARDUCOPTER = FirmwareProfile(
 
 
 class ArduCopterAutopilot(MavlinkAutopilot):
-    """Targets are DO_REPOSITION, which never changes the mode and is refused outside the vehicle's fence."""
+    """The autopilot of an ArduCopter.
+
+    Targets are DO_REPOSITION, which never changes the mode and is refused outside the vehicle's fence.
+    """
 
     return_mode, land_mode, usual_way_home = _RTL, _LAND, ARDUCOPTER_WAY_HOME
 
@@ -119,7 +122,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
 
     @property
     def stopping_place(self) -> Position:
-        """Straight ahead, by how recorded flights brake."""
+        """Where the vehicle would come to rest if it braked now: straight ahead, as in recorded flights."""
         velocity = self._telemetry.velocity
         if velocity is None:
             return self.position
@@ -127,11 +130,11 @@ class ArduCopterAutopilot(MavlinkAutopilot):
 
     @property
     def dead_man(self) -> DeadMan:
-        """A script in the autopilot."""
+        """The dead man's switch: a script in the autopilot."""
         return self._dead_man
 
     async def learn(self) -> None:
-        """Its energy facts."""
+        """Reads the battery's stages and the way home from the vehicle's parameters."""
         self._energy = arducopter_energy(await read_quantities(self.vehicle, ARDUCOPTER_QUANTITIES))
 
     async def _fenced(self, limits: VehicleLimits) -> VehicleLimits:
@@ -162,7 +165,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         await self._while_ours(step, lambda: self._climbed(altitude_m))
 
     async def _lift_off(self, step: str, altitude_m: float) -> None:
-        """Commands the take-off. Where only the answer was lost, the repeated command is refused in the air."""
+        """Command the take-off. If only the answer was lost, the vehicle refuses the repeated command in the air."""
         flew, latch = self._telemetry.in_the_air, self.vehicle.latch
         take_off, straight_up = mavlink.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6
         try:
@@ -178,7 +181,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         latch.settle_target(obeyed=True)
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
-        """By DO_CHANGE_SPEED, once it obeys that."""
+        """Sets the speed of the following legs, by DO_CHANGE_SPEED once the vehicle obeys that."""
         await super().set_ground_speed(ground_speed_m_s)
         if self._obeys_speed:
             await self._send_speed("set ground speed")
@@ -188,7 +191,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         await self._arrival(step, position, self._arrived)
 
     async def _stop(self) -> None:
-        """Aims at where it can stop, so that it does not fly back."""
+        """Brake: aim at the stopping place, so that the vehicle does not fly back."""
         stop = self.stopping_place
         await self._send_target("hold", stop)
         await self._arrival("hold", stop, self._rests_at)
@@ -200,7 +203,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         )
 
     async def _arrival(self, step: str, target: Position, arrived: Callable[[Position], bool]) -> None:
-        """Returns on arrival; repeats the target, which may have been lost, while the vehicle comes no nearer."""
+        """Return on arrival; repeat the target, which may have been lost, while the vehicle comes no nearer."""
         vehicle = self.vehicle
         while not arrived(target):
             near_m = distance_m(self.position, target) - self._settings.progress_m
@@ -218,7 +221,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
                 self._obeys_speed = True
 
     async def _send_target(self, step: str, position: Position) -> None:
-        """Above the sea: a home that a ground station moves changes no target."""
+        """Send the target with its altitude above the sea, which a home moved by a ground station does not change."""
         place, reposition = self._tracker.above_sea(position), mavlink.MAV_CMD_DO_REPOSITION
         target, latch = self._frame.position(place), self.vehicle.latch
         try:
@@ -235,7 +238,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
             raise AutopilotRefused(step, problem, error.vehicle_said) from error
 
     def _is_too_fast(self) -> bool:
-        """Whether it still flies faster than the speed that was sent a while ago."""
+        """Whether the vehicle still flies faster than the speed sent a while ago."""
         settings, velocity = self._settings, self._telemetry.velocity
         limit_m_s = self._ground_speed_m_s * settings.speed_tolerance + settings.arrival_speed_m_s
         too_fast = velocity is not None and velocity.ground_m_s > limit_m_s

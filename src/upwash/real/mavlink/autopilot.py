@@ -27,7 +27,7 @@ _EXTENDED_SYS_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 
 
 class MavlinkAutopilot(ReportingAutopilot):
-    """A found vehicle with its verbs; the subclass has their commands."""
+    """The autopilot of a found vehicle; a subclass has the firmware's commands."""
 
     return_mode: ClassVar[str]
     land_mode: ClassVar[str]
@@ -36,7 +36,7 @@ class MavlinkAutopilot(ReportingAutopilot):
     # --- before the flight ----------------------------------------------------------------------------------
 
     async def claim(self, *, resumes: bool) -> None:
-        """By its last heartbeat."""
+        """Claims the vehicle for the program, by its last heartbeat; AutopilotOverruled if that is refused."""
         async with self.vehicle.limited("start", self._settings.margin_s):
             await self.vehicle.until("start", lambda: self._telemetry.mode is not None)
         self.vehicle.claim("start", resumes=resumes)
@@ -45,11 +45,11 @@ class MavlinkAutopilot(ReportingAutopilot):
             await self.learn()
 
     async def inspect(self) -> None:
-        """Looks at the vehicle by questions alone; AutopilotRefused where it cannot be flown."""
+        """Checks the vehicle by questions alone; raises AutopilotRefused if it cannot be flown."""
         require_version(self.vehicle)
 
     async def ready(self) -> None:
-        """Inspects it, and waits for its own checks without a command; tells its reasons as they change."""
+        """Checks the vehicle, and waits until it may be armed, without a command; reports the reasons of the wait."""
         await self.inspect()
         settings, vehicle = self._settings, self.vehicle
         deadline_s = vehicle.now_s + settings.ready_timeout_s
@@ -79,7 +79,7 @@ class MavlinkAutopilot(ReportingAutopilot):
             )
 
     def _tell_delay(self, reasons: tuple[str, ...]) -> None:
-        """Tells new reasons why it cannot be armed; without new ones the last known stay."""
+        """Report new reasons why the vehicle cannot be armed; without any the last reasons stay."""
         reasons = reasons or self._delayed_by or ()
         if reasons != self._delayed_by:
             self._delayed_by = reasons
@@ -93,7 +93,7 @@ class MavlinkAutopilot(ReportingAutopilot):
         return AutopilotRefused("arm", f"the vehicle was not ready within {within_s:g} s{because}", said)
 
     def _may_be_armed(self) -> bool:
-        """Whether its checks pass in the mode to be flown, or the vehicle was lost, which ends the wait too."""
+        """Whether the vehicle's checks pass in the mode to be flown; True too if it was lost, to end the wait."""
         telemetry = self._telemetry
         ready = telemetry.can_be_armed and telemetry.knows_its_place and not self._tracker.restless
         return bool(ready) or not self.vehicle.is_ours
@@ -104,7 +104,7 @@ class MavlinkAutopilot(ReportingAutopilot):
         return tuple(dict.fromkeys(reasons))
 
     def _own_reasons(self) -> tuple[str, ...]:
-        """The reasons in its reports, without texts: its checks may pass in a mode that needs no position."""
+        """The reasons against arming in its reports, as its checks may pass in a mode that needs no position."""
         if self._tracker.restless:
             return (self._tracker.restless,)
         unsure = self._telemetry.can_be_armed and not self._telemetry.knows_its_place
@@ -112,12 +112,12 @@ class MavlinkAutopilot(ReportingAutopilot):
 
     @abstractmethod
     def _ask_why_not_armable(self) -> None:
-        """Has the vehicle tell what keeps it from being armed."""
+        """Ask the vehicle for its reasons against arming."""
 
     # --- verbs ----------------------------------------------------------------------------------------------
 
     async def arm(self) -> None:
-        """Starts the motors, and tries again while its last checks object; AutopilotRefused has its reason."""
+        """Starts the motors, and tries again while the last checks fail; raises AutopilotRefused with the reason."""
         vehicle, settings = self.vehicle, self._settings
         deadline_s = vehicle.now_s + settings.ready_timeout_s
         async with vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
@@ -142,7 +142,7 @@ class MavlinkAutopilot(ReportingAutopilot):
         await self.vehicle.arm("arm", armed=True)
 
     async def takeoff(self, altitude_m: float) -> None:
-        """Climbs straight up to the altitude above home; returns when it is reached."""
+        """Takes off straight up to the altitude above home; returns when it is reached."""
         step = f"takeoff to {altitude_m:g} m"
         async with self.vehicle.limited(step, self._vertical_s(altitude_m)):
             await self._climb(step, altitude_m)
@@ -151,12 +151,12 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _climb(self, step: str, altitude_m: float) -> None: ...
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
-        """Sets the speed of the legs that follow."""
+        """Sets the ground speed of the following legs, in metres per second."""
         check_speed(ground_speed_m_s)
         self._ground_speed_m_s = ground_speed_m_s
 
     async def goto(self, position: Position) -> None:
-        """Flies to the position; returns on arrival, at rest and with a position that it is sure of."""
+        """Flies to the position; returns on arrival, at rest, with a position that the vehicle is sure of."""
         step = f"goto {position.east_m:.1f} m east, {position.north_m:.1f} m north"
         async with self.vehicle.limited(step, self._leg_s(position)):
             await self._fly_to(step, position)
@@ -165,7 +165,7 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _fly_to(self, step: str, position: Position) -> None: ...
 
     async def turn_to(self, heading_deg: float) -> None:
-        """Returns once it reports that heading, nearly."""
+        """Turns the nose to the heading; returns once the vehicle reports it, within a few degrees."""
         step = f"turn to {heading_deg:g} degrees"
 
         def points_there() -> bool:
@@ -183,16 +183,16 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _begin_turn(self, step: str, heading_deg: float) -> None: ...
 
     async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
-        """As COMMAND_LONG."""
+        """Sends a payload command as COMMAND_LONG; returns once the vehicle has accepted it."""
         async with self.vehicle.limited(name, self._settings.margin_s):
             await self.vehicle.command(name, number, *parameters)
 
     def say(self, severity: int, text: str) -> None:
-        """As STATUSTEXT, in chunks where it is long."""
+        """Sends a text to ground stations as STATUSTEXT, a long text in chunks."""
         self.vehicle.say(severity, text)
 
     async def hold(self) -> None:
-        """Stops and hovers as soon as it can."""
+        """Stops the vehicle; returns when it hovers."""
         async with self.vehicle.limited("hold", self._settings.margin_s):
             await self._stop()
 
@@ -200,13 +200,13 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _stop(self) -> None: ...
 
     async def return_home_and_land(self) -> None:
-        """Flies back to where it took off and lands; returns on touchdown."""
+        """Flies back to the vehicle's home and lands; returns on touchdown."""
         altitude_m = max(self.position.altitude_m, self._settings.return_altitude_m)
         home_s = self._leg_s(self._tracker.home or _HOME) + 2 * self._vertical_s(altitude_m)
         await self._land_in("return home and land", self.return_mode, timeout_s=home_s)
 
     async def land(self) -> None:
-        """Lands where it is; returns on touchdown."""
+        """Lands where the vehicle is; returns on touchdown."""
         await self._land_in("land", self.land_mode, timeout_s=self._vertical_s(self.position.altitude_m))
 
     async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
@@ -231,7 +231,7 @@ class MavlinkAutopilot(ReportingAutopilot):
             raise AutopilotRefused(step, "the vehicle stands on the ground; nothing was sent")
 
     async def _while_ours(self, step: str, done: Callable[[], bool]) -> None:
-        """Returns when it is done; raises where the vehicle is lost, or stops its motors, first."""
+        """Return when `done` is true; raise if the vehicle is lost, or stops its motors, before."""
         vehicle = self.vehicle
         await vehicle.until(step, lambda: done() or not vehicle.is_ours or not self._telemetry.armed)
         if done():
@@ -243,11 +243,11 @@ class MavlinkAutopilot(ReportingAutopilot):
         return self._rests_at(target) and self._tracker.is_sure
 
     def _rests_at(self, target: Position) -> bool:
-        """By its own report, on which a hold must rely: the vehicle may doubt its place for long."""
+        """Whether the vehicle rests at the target by its own report, even if it doubts its position."""
         return distance_m(self.position, target) <= self._settings.arrival_distance_m and self._at_rest()
 
     def _climbed(self, altitude_m: float) -> bool:
-        """At rest at the altitude, and known to fly: its landed state may come later than its position."""
+        """Whether the vehicle rests at the altitude and is known to fly; its landed state may come late."""
         missing_m = altitude_m - self.position.altitude_m
         near = missing_m <= self._settings.arrival_distance_m
         return near and self._at_rest() and self._telemetry.in_the_air
@@ -256,13 +256,13 @@ class MavlinkAutopilot(ReportingAutopilot):
         return self._telemetry.speed_m_s < self._settings.arrival_speed_m_s
 
     def _landed(self, since_s: float) -> bool:
-        """By a landed state since then; without one, by its motors, which it stops after touchdown."""
+        """Whether a landed state came since then; without such reports, whether the motors have stopped."""
         if self._telemetry.stands is None:
             return not self._telemetry.armed
         return self.stands and self.vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
 
     async def _touch_down(self, step: str, begun_s: float) -> None:
-        """Returns on touchdown; raises where the vehicle is lost, or its motors stop in the air, before."""
+        """Return on touchdown; raise if the vehicle is lost, or its motors stop in the air, before."""
         vehicle, telemetry = self.vehicle, self._telemetry
         vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
 
@@ -276,7 +276,7 @@ class MavlinkAutopilot(ReportingAutopilot):
             raise AutopilotRefused(step, "its motors stopped in the air", vehicle.said_lately)
 
     def _leg_s(self, end: Position) -> float:
-        """The longest time that a flight to there may take."""
+        """The longest time (s) that a flight to `end` may take."""
         slowest_m_s = self._ground_speed_m_s * self._settings.slowest_share
         rise_m = abs(end.altitude_m - self.position.altitude_m)
         return ground_distance_m(self.position, end) / slowest_m_s + self._vertical_s(rise_m)

@@ -31,11 +31,11 @@ async def connect_autopilot(
     system: int | None = None,
     waiting: Callable[[str, float], None] = lambda *_: None,
 ) -> MavlinkAutopilot:
-    """Returns once the vehicle sends heartbeats on the connection; raises AutopilotError if it does not.
+    """The autopilot of the vehicle on the connection, after its heartbeat; raises AutopilotError without one.
 
-    `connection` is that of `MavlinkLink`. With `signing` the driver signs all messages, and hears signed ones alone.
-    `system` selects the vehicle. Without `system` exactly one vehicle may be on the link: AutopilotRefused names them
-    if there are several. While the vehicle is silent, `waiting` gets the reason and the seconds since the start.
+    `connection` is as for `MavlinkLink`. With `signing` the driver signs all messages, and accepts only signed
+    messages. `system` selects the vehicle; without it exactly one vehicle may be on the link, else AutopilotRefused
+    names them. While the vehicle is silent, `waiting` gets the reason and the seconds since the start.
     """
     check_speed(ground_speed_m_s)
     vehicle = MavlinkVehicle(connection, settings.patience, (ARDUCOPTER, PX4), signing=signing, system=system)

@@ -1,7 +1,7 @@
 """ports.DeadMan for ArduPilot: a script in the autopilot (dead_man.lua) that listens to this program's heartbeats.
 
-Each heartbeat says how long a silence the script must bear, so nothing has to be undone in the autopilot when
-this program dies. docs/decisions/dead-man.md has the reasons.
+Each heartbeat contains the longest silence that the script must tolerate, so nothing must be undone in the autopilot
+when this program dies. docs/decisions/dead-man.md has the reasons.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def script() -> tuple[int, bytes]:
 
 
 def promise(silence_s: float, action: DeadManAction) -> int:
-    """The custom_mode of heartbeats that promise no longer silence, and name the action after one."""
+    """The custom_mode of heartbeats: it promises no longer silence, and names the action after a longer one."""
     tenths = math.floor(silence_s * 10)
     if not 0 < tenths <= _MOST_TENTHS:
         raise ValueError(f"{silence_s} s of silence cannot be promised")
@@ -55,7 +55,7 @@ def promise(silence_s: float, action: DeadManAction) -> int:
 
 
 class LuaDeadMan:
-    """The script in one vehicle's autopilot."""
+    """The dead man's switch of one ArduPilot: a script in its autopilot."""
 
     def __init__(self, vehicle: MavlinkVehicle) -> None:
         self._vehicle = vehicle
@@ -64,7 +64,7 @@ class LuaDeadMan:
         vehicle.heartbeat_word = self._word
 
     async def missing(self) -> str:
-        """By the script's parameters, which are there while it runs."""
+        """Why the switch cannot be used, from the parameters that a running script has; "" if it can."""
         version, _ = script()
         parameters = await read_parameters(self._vehicle, (VERSION, _SCRIPTING_ON))
         running, scripting = parameters.get(VERSION), parameters.get(_SCRIPTING_ON)
@@ -84,7 +84,7 @@ class LuaDeadMan:
         return f"the dead man in the autopilot is of another version of upwash; {install}"
 
     async def install(self) -> str:
-        """Uploads the script if it differs, and has the autopilot restart all its scripts."""
+        """Uploads the script if it differs, restarts the autopilot's scripts, and returns what was done."""
         vehicle, (version, text) = self._vehicle, script()
         vehicle.require_control(_STEP)
         if vehicle.telemetry.armed:
@@ -101,7 +101,7 @@ class LuaDeadMan:
         return ""
 
     async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
-        """By each heartbeat from now on."""
+        """Arms the switch, by each heartbeat from now on; raises AutopilotRefused if the script does not confirm."""
         self._promise = promise(silence_s, action)
         self._vehicle.missed_after_s = max(self._vehicle.patience.quiet_after_s, silence_s - _EARLY_S)
         if missing := await self.missing():
@@ -114,7 +114,7 @@ class LuaDeadMan:
             raise AutopilotTimeout(_STEP, problem, self._vehicle.said_lately)
 
     async def release(self) -> None:
-        """By each heartbeat from now on, and by some extra ones."""
+        """Releases the switch, by each heartbeat from now on and some extra ones."""
         if not self._promise:
             return
         self._promise = GOODBYE
@@ -124,7 +124,7 @@ class LuaDeadMan:
             await self._confirmed(0.0, _GOODBYES)
 
     def _word(self) -> int:
-        """Nothing before `watch`; goodbye once the vehicle is not the program's any more."""
+        """The custom_mode of the next heartbeat: 0 before `watch`, the promise, or a goodbye for a lost vehicle."""
         return self._promise if self._vehicle.is_ours or not self._promise else GOODBYE
 
     async def _running_version(self) -> float | None:
@@ -161,13 +161,13 @@ class LuaDeadMan:
 
 
 class NoDeadMan:
-    """The dead man of a firmware that has none: nothing but its refusals."""
+    """The dead man's switch of a firmware that has none: it refuses everything."""
 
     def __init__(self, firmware: str) -> None:
         self._why = f"upwash has no dead man for {firmware}: leave autopilot.dead_man_s out"
 
     async def missing(self) -> str:
-        """All of it."""
+        """Why the switch cannot be used: the firmware has none."""
         return self._why
 
     async def install(self) -> str:
@@ -179,4 +179,4 @@ class NoDeadMan:
         raise AutopilotRefused(_STEP, self._why)
 
     async def release(self) -> None:
-        """Nothing was promised."""
+        """Does nothing, as nothing was armed."""

@@ -1,6 +1,6 @@
 """The vehicle's own fence: its parameters and its list of areas, as places of the mission.
 
-A list that makes no sense is refused as a whole: a fence that is only partly known keeps the vehicle out of nothing.
+A list with an impossible item is refused as a whole, as a partly known fence protects nothing.
 Sources: ArduPilot's AC_Fence.cpp and AC_PolyFence_loader.cpp, ModeRTL::compute_return_target; PX4's geofence.cpp and
 failsafe.cpp.
 """
@@ -49,7 +49,7 @@ _CIRCLES = (mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, mavlink.MAV_CMD_NAV_FENC
 async def arducopter_limits(
     vehicle: MavlinkVehicle, frame: LocalFrame, limits: VehicleLimits, parameters: Mapping[str, float]
 ) -> VehicleLimits:
-    """An ArduCopter's, whose way home is kept below its ceiling by its margin.
+    """The limits of an ArduCopter, whose returns stay below its ceiling by its margin.
 
     FENCE_AUTOENABLE switches the fence on at arming (3) or at the end of the take-off (1, 2), with FENCE_ENABLE
     0 too. Targets up to the border are accepted; the margin keeps none out.
@@ -81,7 +81,7 @@ async def arducopter_limits(
 async def px4_limits(
     vehicle: MavlinkVehicle, frame: LocalFrame, limits: VehicleLimits, parameters: Mapping[str, float]
 ) -> VehicleLimits:
-    """A PX4's, which has to be in each of its areas to stay in; AutopilotRefused where it falls at a border."""
+    """The limits of a PX4, which must be in every area to stay in; AutopilotRefused if it would fall at a border."""
     action, farthest_m = parameters.get("GF_ACTION"), parameters.get("GF_MAX_HOR_DIST", 0.0)
     if not action:
         return replace(limits, untold=_untold(parameters, "GF_ACTION"))
@@ -100,7 +100,7 @@ async def px4_limits(
 
 
 def _check_action(vehicle: MavlinkVehicle, action: float, parameters: Mapping[str, float]) -> None:
-    """Warns of surprising actions at the border; AutopilotRefused where the vehicle falls there."""
+    """Warn of surprising actions at the border; AutopilotRefused if the vehicle would fall there."""
     if action == _TERMINATES:
         raise AutopilotRefused(
             "arm",
@@ -130,7 +130,7 @@ def _homeless(limits: VehicleLimits, radius: float) -> tuple[str, ...]:
 
 
 def _circle_around(home: Position | None, radius_m: float) -> list[Fence]:
-    """The fence of a greatest distance from home; none while home is not known."""
+    """The fence of a greatest distance from home; empty while home is unknown."""
     if home is None or radius_m <= 0:
         return []
     return [Fence(f"the vehicle's fence of {radius_m:g} m around its home", Circle(home, radius_m), True)]
@@ -147,7 +147,7 @@ class _Item:
 
 
 async def _download_areas(vehicle: MavlinkVehicle, frame: LocalFrame) -> list[Fence]:
-    """The areas of the vehicle's fence list; AutopilotError where the list is incomplete or makes no sense."""
+    """The areas of the vehicle's fence list; AutopilotError if the list is incomplete or has impossible items."""
     async with vehicle.limited("fence", _LONGEST_S):
         count = (await _asked(vehicle, None)).count
         if count > _MOST_ITEMS:
@@ -160,7 +160,7 @@ async def _download_areas(vehicle: MavlinkVehicle, frame: LocalFrame) -> list[Fe
 
 
 async def _asked(vehicle: MavlinkVehicle, number: int | None) -> Message:
-    """The item of that number; None: the count of items."""
+    """The vehicle's answer for the item of that number; for None, the count of items."""
     kind, what = "MISSION_ITEM_INT", f"item {number}"
     question = mavlink.MAVLink_mission_request_int_message(*vehicle.ids, number or 0, _TYPE)
     if number is None:
@@ -219,7 +219,7 @@ def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
 
 
 def _joined(fences: Sequence[Fence]) -> list[Fence]:
-    """The areas to stay in as one fence, first; one area is enough then."""
+    """The fences, with all areas to stay in joined into one fence, so that being in one of them is enough."""
     inclusions = [fence for fence in fences if fence.inclusion]
     if len(inclusions) < 2:
         return list(fences)

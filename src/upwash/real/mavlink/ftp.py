@@ -1,4 +1,4 @@
-"""Files on an autopilot, over MAVLink FTP (mavlink.io/en/services/ftp.html): small ones, whole, one at a time.
+"""Files on an autopilot, over MAVLink FTP (mavlink.io/en/services/ftp.html): small files, whole, one at a time.
 
 pymavlink packs and parses the message that carries it, `upwash.mavlink.ftp` its payload.
 """
@@ -35,7 +35,7 @@ class FileRefused(AutopilotRefused):
 
 
 class FileClient:
-    """The files of one vehicle. Each verb returns when it is done, and raises AutopilotError otherwise."""
+    """The files of one vehicle; each method returns when it is done, or raises AutopilotError."""
 
     def __init__(self, vehicle: MavlinkVehicle) -> None:
         self._vehicle = vehicle
@@ -50,7 +50,7 @@ class FileClient:
         return True
 
     async def make_directory(self, path: str) -> None:
-        """Makes a directory, unless it is there."""
+        """Makes a directory, unless it exists."""
         try:
             await self._ask(f"make {path}", Opcode.CREATE_DIRECTORY, data=path.encode())
         except FileRefused as refused:
@@ -58,15 +58,15 @@ class FileClient:
                 raise
 
     async def read(self, path: str) -> bytes | None:
-        """The whole file; None where there is none."""
+        """The contents of the file; None if it does not exist."""
         return await self._again(lambda: self._read(path))
 
     async def write(self, path: str, content: bytes) -> None:
-        """Makes or replaces the file, and reads it back; AutopilotRefused where the content differs."""
+        """Writes or replaces the file, and reads it back; AutopilotRefused if the content differs."""
         await self._again(lambda: self._write(path, content))
 
     async def _again(self, transfer: Callable[[], Awaitable[_T]]) -> _T:
-        """Repeats the whole transfer after a refusal: a request that came late may have spoilt it."""
+        """Repeat the whole transfer after a refusal, as a late request may have disturbed it."""
         async with self._vehicle.limited("files", _LONGEST_S):
             for _ in range(_TRANSFERS - 1):
                 with contextlib.suppress(FileRefused):
@@ -99,7 +99,7 @@ class FileClient:
             raise FileRefused(f"read back what was written to {path}", Trouble.FAIL)
 
     async def _read_part(self, path: str, session: int, offset: int) -> bytes:
-        """Empty at the end of the file."""
+        """The next bytes of the file from `offset`; empty at its end."""
         place = f"read {path}", Opcode.READ_FILE
         try:
             answer = await self._ask(*place, session=session, offset=offset, size=MOST_DATA_BYTES)
@@ -110,7 +110,7 @@ class FileClient:
         return answer.data
 
     async def _reset(self) -> None:
-        """Closes and writes open files: ArduPilot has one file open at a time, for all clients."""
+        """Close open files, which also writes them: ArduPilot has one file open at a time, for all clients."""
         await self._ask("close all files", Opcode.RESET_SESSIONS)
 
     async def _ask(
@@ -123,7 +123,7 @@ class FileClient:
         data: bytes = b"",
         size: int | None = None,
     ) -> Packet:
-        """The vehicle's answer; a repeated request keeps its number, and is carried out once."""
+        """The vehicle's answer to a request; a repeated request keeps its number, so that it is carried out once."""
         vehicle, self._number = self._vehicle, (self._number + 1) % 2**16
         request = Packet(self._number, session, opcode, offset=offset, data=data, size=size)
         payload = list(request.payload())

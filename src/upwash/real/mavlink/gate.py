@@ -24,7 +24,7 @@ _log = logging.getLogger("upwash.mavlink")
 
 
 class Troubles:
-    """Calls `tell` with troubles of the link, which may repeat without end."""
+    """Passes troubles of the link to `tell`, without all their repetitions."""
 
     def __init__(self, tell: Callable[[LinkTrouble], None] = lambda _: None) -> None:
         self._tell = tell
@@ -32,13 +32,13 @@ class Troubles:
         self._times: Counter[tuple[LinkTroubleName, str]] = Counter()
 
     def once(self, about: LinkTroubleName, why: str) -> None:
-        """Tells the first trouble of its kind."""
+        """Report the first trouble of its kind."""
         if about not in self._told:
             self._told.add(about)
             self._tell(LinkTrouble(about=about, why=why))
 
     def count(self, about: LinkTroubleName, what: str, why: str) -> bool:
-        """Tells the first, tenth, hundredth trouble with `what` and so on; whether it told this one."""
+        """Report the first, tenth, hundredth trouble about `what`, and so on; return whether it was reported."""
         self._times[about, what] += 1
         times = self._times[about, what]
         tells = str(times).rstrip("0") == "1"
@@ -47,7 +47,7 @@ class Troubles:
         return tells
 
     def spare(self, message: Message, step: Callable[[], object]) -> bool:
-        """Whether the step took the message in. An exception ends the step alone: it is logged and counted."""
+        """Run the step; return whether it succeeded. An exception ends only this step: it is logged and counted."""
         try:
             step()
         except Exception as error:  # noqa: BLE001 - a defect in one message's handling may not end the connection

@@ -1,12 +1,11 @@
-"""Which of the autopilots on a link is the vehicle that is followed, and the wait for it.
+"""Which autopilot on a link is the followed vehicle, and the wait for it.
 
 The evidence, and what it means:
 
 - A heartbeat of component 1 that names ArduPilot or PX4 and the type of a vehicle is an autopilot's. Gimbals,
   cameras, ground stations and companion computers have other types or no autopilot, and never count.
 - Two systems with an autopilot are two vehicles. The configuration has to name the vehicle to fly.
-- A heartbeat with the followed ids and another autopilot or type is another program's. It says nothing
-  of the vehicle.
+- A heartbeat with the followed ids and another autopilot or type is another program's, and is ignored.
 - Two clocks since boot, or two serial numbers of hardware, with the followed ids are two vehicles with one system id.
 """
 
@@ -56,7 +55,7 @@ _REMEDIES = {
 
 @dataclass(frozen=True, slots=True)
 class AutopilotInfo:
-    """An autopilot as its heartbeat describes it; `firmware` is empty where it cannot be flown."""
+    """An autopilot as its heartbeat describes it; `firmware` is "" if it cannot be flown."""
 
     system: int
     component: int
@@ -66,17 +65,17 @@ class AutopilotInfo:
 
     @property
     def kind(self) -> str:
-        """Its type in words, such as "quadrotor"."""
+        """The vehicle's type in words, such as "quadrotor"."""
         return name_of("MAV_TYPE", self.type).removeprefix("MAV_TYPE_").replace("_", " ").lower()
 
     @property
     def is_vehicle(self) -> bool:
-        """Whether it may be another vehicle; antenna trackers and the like have autopilots too."""
+        """Whether the autopilot is a vehicle's; antenna trackers and the like have autopilots too."""
         return self.autopilot in _AUTOPILOTS and self.type in (*_COPTERS, *_OTHER_VEHICLES)
 
     @property
     def runs(self) -> str:
-        """Its firmware and type, such as "ArduCopter quadrotor"."""
+        """The firmware and type, such as "ArduCopter quadrotor"."""
         runs = self.firmware or _AUTOPILOTS.get(self.autopilot) or name_of("MAV_AUTOPILOT", self.autopilot)
         return f"{runs} {self.kind}"
 
@@ -85,9 +84,10 @@ class AutopilotInfo:
 
 
 class Identity:
-    """The followed vehicle: it has that `system`, or without `system` it is the only vehicle.
+    """Recognizes the followed vehicle: the one with that `system`, or without `system` the only vehicle.
 
-    `firmwares` can be flown. `tell` gets what a person should know about others on the link, once for each kind.
+    Vehicles with one of the `firmwares` can be flown. Warnings about other senders on the link are reported once for
+    each kind.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Identity:
         return (self.vehicle.system, self.vehicle.component) if self.vehicle else None
 
     def follows(self, message: Message) -> bool:
-        """Whether it is the heartbeat of the vehicle, or while there is none, of a vehicle that can be followed."""
+        """Whether the message is a heartbeat of the vehicle, or of one that can be followed while there is none."""
         if not from_autopilot(message):
             return False
         sender = self._described(message)
@@ -120,7 +120,7 @@ class Identity:
         return bool(sender.firmware) and self.system in (None, sender.system)
 
     def meet(self, message: Message) -> bool:
-        """Notes the sender of a heartbeat; whether the sender is the vehicle from now on."""
+        """Note the sender of a heartbeat; return whether it became the followed vehicle."""
         self.overhear(message)
         if self.vehicle is not None or not self.follows(message):
             return False
@@ -128,7 +128,7 @@ class Identity:
         return True
 
     def overhear(self, message: Message) -> None:
-        """Notes a sender that is not followed, such as at another address."""
+        """Note the sender of a message that is not followed, for example at another address."""
         if not from_autopilot(message) or self.ids == sender_of(message):
             return
         sender = self._described(message)
@@ -154,7 +154,7 @@ class Identity:
 
     @property
     def doubt(self) -> str:
-        """Why it is not certain which vehicle is followed, and what to do; empty where it is certain."""
+        """Why it is uncertain which vehicle is followed, and what to do; "" if it is certain."""
         if self._twins.evidence:
             return self._twins_problem()
         if self.vehicle is None or not self._others():
@@ -215,7 +215,7 @@ class Identity:
 
 
 def sender_of(message: Message) -> tuple[int, int]:
-    """Its system and component."""
+    """The system and component of a message's sender."""
     return message.get_srcSystem(), message.get_srcComponent()
 
 

@@ -44,8 +44,8 @@ class MavlinkLink:
 
     `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD` (UsageError
     otherwise), or a function that opens a line, such as one in memory. `heard` gets each believed message. Over
-    `udpin` only the peer is heard and answered (see `Peer`); `overheard` gets the messages of others. With `signing`
-    all outgoing messages are signed, and only messages that are signed with the same key are heard.
+    `udpin` only one peer is received and answered (see `Peer`); `overheard` gets the messages of other senders. With
+    `signing` all outgoing messages are signed, and only messages signed with the same key are received.
     """
 
     def __init__(

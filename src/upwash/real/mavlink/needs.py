@@ -1,4 +1,4 @@
-"""What must hold before the motors run: the firmware's version and abilities, and PX4's fail-safe settings.
+"""Checks before the motors run: the firmware's version and abilities, and PX4's fail-safe settings.
 
 Each check raises AutopilotRefused before arming. A vehicle that does not tell its version is flown if it has what
 upwash needs.
@@ -64,14 +64,14 @@ async def ask_version(vehicle: MavlinkVehicle) -> Version | None:
 
 
 def require_version(vehicle: MavlinkVehicle) -> None:
-    """Refuses a version that is older than the oldest that can be flown."""
+    """Raises AutopilotRefused for a version older than the oldest that can be flown."""
     version, firmware = vehicle.version, vehicle.firmware
     if version is not None and version.numbers < firmware.oldest.numbers:
         raise _refused(f"the vehicle runs {firmware.name} {version}", vehicle)
 
 
 async def require_reposition(vehicle: MavlinkVehicle) -> None:
-    """Refuses a vehicle that does not know MAV_CMD_DO_REPOSITION.
+    """Raises AutopilotRefused if the vehicle does not know MAV_CMD_DO_REPOSITION.
 
     The vehicle is disarmed, and the program's. The command names a place that is not on the Earth, and lacks the flag
     that would change the mode. A firmware that knows the command denies it: ArduCopter's
@@ -87,7 +87,7 @@ async def require_reposition(vehicle: MavlinkVehicle) -> None:
 
 
 async def require_current_mode(vehicle: MavlinkVehicle) -> None:
-    """Refuses a vehicle that does not report CURRENT_MODE."""
+    """Raises AutopilotRefused if the vehicle does not report CURRENT_MODE."""
 
     reported = await vehicle.answered(
         _STEP,
@@ -114,7 +114,7 @@ def _refused(what: str, vehicle: MavlinkVehicle) -> AutopilotRefused:
 
 
 async def check_px4_settings(vehicle: MavlinkVehicle) -> None:
-    """Tells what a PX4 does without the program, and refuses a vehicle that would fall."""
+    """Report what a PX4 does if it loses the program; AutopilotRefused if the vehicle would fall."""
     values = await read_quantities(vehicle, (_LOST, _NOTICES_AFTER, _OVERRIDE))
     lost, after_s, override = values.known(_LOST), values.known(_NOTICES_AFTER), values.known(_OVERRIDE)
     if lost in _FALLS:

@@ -1,9 +1,9 @@
 """The order and the clock of a vehicle's messages: sequence numbers, and times since boot.
 
-A vehicle numbers its messages, so an overtaken message is known by its number. Not all numbers that arrive are the
-vehicle's: bridges pack each message with number 0, count each kind of message by itself, or merge two streams. No
-more distinct messages come than true numbers count. Where more come, or the numbers leap about, they say nothing of
-the order: the time since boot, which some messages hold, tells it.
+A vehicle numbers its messages, so a message that arrives out of order is known by its number. Not all numbers are the
+vehicle's: bridges pack each message with number 0, count each kind of message by itself, or merge two streams. If
+more distinct messages come than the numbers count, or the numbers leap about, they are ignored; the time since boot,
+which some messages contain, gives the order.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Numbering:
         self._boot_ms: dict[int, int] = {}  # the latest time since boot, by message number
 
     def is_news(self, message: Message, now_s: float, *, linked: bool) -> bool:
-        """Whether it is no copy, and no later message came before it; after a silence each message is news."""
+        """Whether the message is no copy and did not arrive late; after a silence every message is news."""
         if not linked:
             self._forget()
         is_copy = self._is_copy(message, now_s)
@@ -68,7 +68,7 @@ class Numbering:
         return is_copy
 
     def _is_ahead(self, number: int, now_s: float) -> bool:
-        """Whether the number is ahead of the newest, or repeats it after a while."""
+        """Whether the number is ahead of the newest number, or repeats it after a while."""
         newest, leapt_to = self._newest, self._leapt_to
         step = 1 if newest is None else (number - newest) % 256
         if step == 0:
@@ -107,7 +107,7 @@ class Numbering:
 
 
 class BootClock:
-    """The vehicle's own clock, and its restarts, by each time since boot. `elapsed_s` never goes back."""
+    """The vehicle's own clock, and its restarts, from times since boot. `elapsed_s` never goes back."""
 
     def __init__(self) -> None:
         self.elapsed_s = 0.0
@@ -117,7 +117,7 @@ class BootClock:
         self._leapt_s: float | None = None  # when a time too far ahead was first heard
 
     def take(self, boot_s: float, now_s: float) -> bool:
-        """Takes in a time that has just arrived; whether the vehicle has restarted."""
+        """Take in a time since boot that has just arrived; return whether the vehicle has restarted."""
         step_s, passed_s = boot_s - self.boot_s, now_s - self._heard_s
         first, self._heard_s = math.isinf(self.boot_s), now_s
         if first:
@@ -135,7 +135,7 @@ class BootClock:
         return False
 
     def _leaps(self, boot_s: float, now_s: float, passed_s: float) -> None:
-        """Believes a leap if no other time comes between: after one lie, all true times would look like restarts."""
+        """Accept a leap if no other time comes between: after a false time, all true times look like restarts."""
         self.elapsed_s += passed_s
         if self._leapt_s is None:
             self._leapt_s = now_s
@@ -163,7 +163,7 @@ class Twins:
         self._hardware: set[tuple[int, bytes]] = set()
 
     def take(self, message: Message, now_s: float) -> None:
-        """Takes in a message with the ids in question, as it came."""
+        """Take in a message with the followed ids."""
         if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
             self._take_clock(message.get_msgId(), boot_ms, now_s)
         elif message.get_type() == "AUTOPILOT_VERSION" and len(self._hardware) < 2:

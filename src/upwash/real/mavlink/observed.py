@@ -1,4 +1,4 @@
-"""A vehicle at the other end of a MAVLink connection: what it reports, and questions to it.
+"""A vehicle at the other end of a MAVLink connection: its reports, and questions to it.
 
 Questions, such as for a report or a parameter, change nothing. They are always sent, also while a pilot has the
 vehicle.
@@ -63,11 +63,11 @@ _UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
 class ObservedVehicle:
     """The vehicle with that `system` on the connection, or without `system` the only vehicle on it.
 
-    Others on the connection are ignored. Messages that arrive twice or late are ignored, too: a mode that the
-    vehicle has left, an answer to an earlier attempt. An impossible message is a sign of life only, and an exception
-    in the handling of a message costs that message alone (`gate`). But while reports that tell who has the vehicle
-    cannot be taken in, the vehicle counts as silent, and gets no command. `firmware`, one of the `firmwares`, is
-    right after `found` returned.
+    Other senders are ignored. Messages that arrive twice or late are ignored, too: a mode that the vehicle has left,
+    an answer to an earlier attempt. An impossible message is a sign of life only, and an exception in the handling of
+    a message costs only that message (`gate`). But while reports of the vehicle's owner cannot be taken in, the
+    vehicle counts as silent, and gets no command. `firmware`, one of the `firmwares`, is valid after `found`
+    returned.
     """
 
     def __init__(
@@ -147,29 +147,29 @@ class ObservedVehicle:
 
     @property
     def firmware(self) -> FirmwareProfile:
-        """Its firmware, once it was found."""
+        """The vehicle's firmware; valid after `found`."""
         return self.identity.firmware
 
     @property
     def found_vehicle(self) -> AutopilotInfo:
-        """Its ids and type, once it was found."""
+        """The vehicle's ids and type; valid after `found`."""
         vehicle = self.identity.vehicle
         assert vehicle is not None, "it was not found yet"  # noqa: S101
         return vehicle
 
     @property
     def ids(self) -> tuple[int, int]:
-        """Its system and component; until it was found zeros, which address everybody."""
+        """The vehicle's system and component; before `found` zeros, which address all systems."""
         return self.identity.ids or (0, 0)
 
     @property
     def now_s(self) -> float:
-        """The loop's time."""
+        """The event loop's time, in seconds."""
         return self._loop.time()
 
     @property
     def elapsed_s(self) -> float:
-        """The vehicle's own time since its first message."""
+        """Seconds since the vehicle's first message, by its own clock."""
         return self._clock.elapsed_s
 
     @property
@@ -180,17 +180,17 @@ class ObservedVehicle:
 
     @property
     def said_lately(self) -> str:
-        """The vehicle's texts of the last seconds, the most severe first."""
+        """The vehicle's texts of the last three seconds, the most severe first."""
         return self.telemetry.said_lately(self.now_s)
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """Has `hear` called with all news, and first with those since the connection was made."""
+        """Calls `hear` with all news from now on, and first with the news since the connection was made."""
         self._hear_news = hear
         while self._unheard_news:
             hear(self._unheard_news.popleft())
 
     def tell(self, news: VehicleNews) -> None:
-        """Passes news on to the listener, or keeps them for one; floods are cut to five a second."""
+        """Passes news to the listener, or keeps them for one; floods are cut to five a second."""
         if isinstance(news, _UNBOUNDED) and not self._unbounded.take(1, now_s=self.now_s):
             what = type(news).__name__
             self._troubles.count("flood", what, f"the vehicle says more than is told and logged ({what})")
@@ -202,7 +202,7 @@ class ObservedVehicle:
 
     @contextlib.contextmanager
     def listening(self, hear: Callable[[Message], None]) -> Iterator[None]:
-        """Has `hear` called with each message of the vehicle until the end of the block."""
+        """Calls `hear` with each message of the vehicle until the end of the block."""
         self._listeners.append(hear)
         try:
             yield
@@ -215,24 +215,24 @@ class ObservedVehicle:
         return self.now_s < self._last_heard_s + self.patience.quiet_after_s
 
     async def link_lost(self) -> None:
-        """Returns after `quiet_after_s` without a message of the vehicle."""
+        """Waits until no message of the vehicle has come for `quiet_after_s`."""
         while self.linked:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout_at(self._last_heard_s + self.patience.quiet_after_s):
                     await self._news.wait()
 
     async def link_restored(self) -> None:
-        """Returns when a message of the vehicle comes, at once while it is linked."""
+        """Waits for a message of the vehicle; returns at once while it is linked."""
         while not self.linked:
             await self._news.wait()
 
     @property
     def silent_s(self) -> float:
-        """The time since the vehicle's last message."""
+        """Seconds since the vehicle's last message."""
         return self.now_s - self._last_heard_s
 
     def heard_since(self, number: int, time_s: float) -> bool:
-        """Whether the message of that number has come since then."""
+        """Whether a message of that number has come since `time_s`."""
         return self._streams.heard_s(number) >= time_s
 
     @property
@@ -247,7 +247,7 @@ class ObservedVehicle:
         await self._link.close()
 
     def _keep_up(self, work: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
-        """Repeats the work after a defect, with a warning: a vehicle that hears nothing may end the flight."""
+        """Run the work, and again after a defect, with a warning: a vehicle without messages may end the flight."""
 
         def tell(defect: Exception) -> None:
             why = f"a defect of upwash: {type(defect).__name__}: {defect}"
@@ -257,7 +257,7 @@ class ObservedVehicle:
         return start(kept, name="the vehicle's link", failed=only_logged)
 
     async def until(self, step: str, condition: Callable[[], bool]) -> None:
-        """Returns when the condition, checked at each message, is true; raises AutopilotLost on silence."""
+        """Waits until the condition, checked at each message, is true; raises AutopilotLost on silence."""
         while not condition():
             try:
                 async with asyncio.timeout_at(self._last_heard_s + self.patience.lost_after_s):
@@ -268,7 +268,7 @@ class ObservedVehicle:
                 raise AutopilotLost(step, problem) from None
 
     async def happens(self, step: str, condition: Callable[[], bool], *, within_s: float) -> bool:
-        """Whether the condition comes true within the time."""
+        """Waits for the condition; returns whether it became true within the time."""
         try:
             async with asyncio.timeout(within_s):
                 await self.until(step, condition)
@@ -278,7 +278,7 @@ class ObservedVehicle:
 
     @contextlib.asynccontextmanager
     async def limited(self, step: str, timeout_s: float) -> AsyncIterator[None]:
-        """Raises AutopilotTimeout where the block takes longer; silences of the link do not count."""
+        """Raises AutopilotTimeout if the block takes longer; silences of the link do not count."""
         begun_s, silent_before_s = self.now_s, self._silence_so_far_s()
         timer: asyncio.TimerHandle
 
@@ -306,7 +306,7 @@ class ObservedVehicle:
         self._link.send(message)
 
     def ask_for(self, number: int) -> None:
-        """Asks for one report of that message number. A mode comes by HEARTBEAT, up to a second late by itself."""
+        """Asks for one report of that message number; HEARTBEAT has the mode, and comes once a second by itself."""
         self.question(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
     def question(self, command: int, *parameters: float) -> None:
@@ -316,7 +316,7 @@ class ObservedVehicle:
     async def answered(
         self, step: str, ask: Callable[[], None], answer: Callable[[], object], *, times: int
     ) -> bool:
-        """Asks up to `times` times, while `answer` is false; whether it is true in the end."""
+        """Asks up to `times` times, until `answer()` is true; returns whether it is true in the end."""
         for _ in range(times):
             if answer():
                 return True
@@ -365,7 +365,7 @@ class ObservedVehicle:
         news.set()
 
     def _take_in(self, message: Message, now_s: float) -> bool:
-        """Whether all of it was taken in; no step misses the message because another fails."""
+        """Run all steps with the message; return whether all succeeded. A failed step does not skip the others."""
         steps = (
             self._look_for_restart,
             self.telemetry.take,
@@ -383,7 +383,7 @@ class ObservedVehicle:
         return all(done)
 
     def _count_as_heard(self, message: Message, now_s: float, *, is_report: bool, linked: bool) -> None:
-        """It is a sign of life, and a report if it was taken in."""
+        """Note a message as a sign of life, and if `is_report` as a report."""
         self._silent_s = self._silence_so_far_s()
         self._last_heard_s = now_s
         self._only_signed &= is_signed(message)
@@ -394,13 +394,13 @@ class ObservedVehicle:
             self._streams.begin(self.firmware, now_s)
 
     def _suspect_dead_man(self, now_s: float) -> None:
-        """In a silence of the link the dead man's own text is lost."""
+        """Suspect the dead man's switch after a long silence, in which its own text is lost."""
         if self.silent_s >= self.missed_after_s:
             why = f"its dead man, after {self.silent_s:.0f} s without a link"
             self.telemetry.suspect_dead_man(why, now_s)
 
     def _look_for_restart(self, message: Message, now_s: float) -> None:
-        """Reports a restart to the latch; the landed state from before it is not true any more."""
+        """Report a restart to the latch; forget the landed state from before it."""
         before_s, boot_ms = self._clock.boot_s, getattr(message, "time_boot_ms", None)
         if boot_ms is None or not self._clock.take(boot_ms / 1e3, now_s):
             return
@@ -409,7 +409,7 @@ class ObservedVehicle:
         self._judge(lambda: self.latch.report_restart(why, now_s))
 
     def judge_target(self, place: Position | None) -> None:
-        """Reports the vehicle's target, above the sea, to the latch; None: it follows a velocity."""
+        """Report the vehicle's target, above the sea, to the latch; None: the vehicle follows a velocity."""
         self._judge(lambda: self.latch.report_target(place, self.now_s))
 
     def _judge(self, report: Callable[[], None]) -> None:
@@ -419,7 +419,7 @@ class ObservedVehicle:
             self.tell(self.latch.control)
 
     def _take_control(self, message: Message, now_s: float) -> None:
-        """Feeds the latch with each heartbeat, and with reports of modes that a fail-safe chose."""
+        """Report each heartbeat to the latch, and modes that a fail-safe chose."""
         if self.telemetry.mode is None or message.get_type() not in _TELL_THE_MODE:
             return
         if message.get_type() != "FENCE_STATUS":
@@ -440,7 +440,7 @@ class ObservedVehicle:
             self.tell(text)
 
     async def _accompany(self) -> None:
-        """Heartbeats as a companion computer: as a ground station it would hide the loss of the real one."""
+        """Send heartbeats as a companion computer: a second ground station would hide the loss of the real one."""
         while True:
             await self._link.opened.wait()
             self.beat()
@@ -451,7 +451,7 @@ class ObservedVehicle:
             await asyncio.sleep(_HEARTBEAT_S)
 
     async def _watch_link(self) -> None:
-        """Tells of each silence, once the vehicle was found."""
+        """Report each silence, once the vehicle was found."""
         while self.identity.ids is None:
             await self._news.wait()
         while True:
@@ -462,7 +462,7 @@ class ObservedVehicle:
             self.tell(LinkRestored(silent_s=round(self._last_heard_s - since_s, 1)))
 
     def _look_at_reports(self) -> None:
-        """Asks for missing reports, and tells of sequence numbers that do not count up."""
+        """Ask for missing reports, and warn of sequence numbers that do not count up."""
         if not self._asks:
             return
         numbering = self._numbering

@@ -44,8 +44,8 @@ _MOST = {"": 1e3, "%": 100.0, "mAh": 1e7, "s": 3_600.0, "m": 10_000.0, "m/s": 10
 class Reading(dict[str, float]):
     """The finite values of a vehicle's parameters, by name.
 
-    `absent` holds the names of parameters that the vehicle does not have, `senseless` the values that are no numbers.
-    No answer came for a parameter that is in none of them.
+    `absent` has the names of parameters that the vehicle does not have, `senseless` the values that are no numbers.
+    For a parameter that is in neither, no answer came.
     """
 
     def __init__(self, values: Mapping[str, float], absent: frozenset[str]) -> None:
@@ -66,8 +66,8 @@ class Reading(dict[str, float]):
 class VehicleQuantity:
     """A quantity, with the names of its parameter, the oldest first, and the size of each name's unit in `unit`.
 
-    `usual` stands for an unknown value. If `usual` is None, `without` says what follows from an unknown value. A
-    value below `least`, or above what any vehicle does, makes no sense, and counts as unknown.
+    `usual` replaces an unknown value; if it is None, `without` describes the consequence. A value below `least`, or
+    above what any vehicle can do, counts as unknown.
     """
 
     what: str
@@ -79,12 +79,12 @@ class VehicleQuantity:
 
     @property
     def name(self) -> str:
-        """Its best-known name."""
+        """The best-known name of its parameter."""
         return next(iter(self.names))
 
     @property
     def instead(self) -> str:
-        """What follows from an unknown value."""
+        """The consequence of an unknown value, in words."""
         if self.usual is None:
             return self.without
         return f"{self.what} is guessed to be {self.usual:g} {self.unit}"
@@ -98,7 +98,7 @@ class QuantityValues:
     guessed: tuple[str, ...]
 
     def known(self, quantity: VehicleQuantity) -> float | None:
-        """The vehicle's value, or None."""
+        """The vehicle's value; None if unknown."""
         return self.values.get(quantity)
 
     def __getitem__(self, quantity: VehicleQuantity) -> float:
@@ -110,7 +110,7 @@ class QuantityValues:
 
 
 async def read_quantities(vehicle: MavlinkVehicle, quantities: Sequence[VehicleQuantity]) -> QuantityValues:
-    """Asks for all of them. Each unknown quantity becomes a `VehicleSetting`, which says what follows."""
+    """Asks the vehicle for the quantities; reports each unknown quantity as a `VehicleSetting`."""
     reading = await read_parameters(vehicle, [tuple(quantity.names) for quantity in quantities])
     values: dict[VehicleQuantity, float] = {}
     guessed: list[str] = []
@@ -139,9 +139,9 @@ async def read_parameters(vehicle: MavlinkVehicle, wanted: Iterable[str | Names]
 
 
 async def set_parameter(vehicle: MavlinkVehicle, name: str, value: float) -> None:
-    """Returns once the vehicle reports the value; AutopilotTimeout where it does not take it.
+    """Sets a parameter; returns once the vehicle reports the value, raises AutopilotTimeout if it does not.
 
-    It does not ask who has the vehicle: only for parameters that leave the flight as it is.
+    Does not check who has the vehicle, so use it only for parameters that do not affect the flight.
     """
     answers, absent = await _read(vehicle, [name])
     before = answers.get(name)

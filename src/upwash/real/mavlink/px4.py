@@ -1,4 +1,4 @@
-"""A PX4, steered in OFFBOARD along a course of setpoints (docs/decisions/px4.md)."""
+"""The driver of a PX4, steered in OFFBOARD along a course of setpoints (docs/decisions/px4.md)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,11 @@ _SETTLES_S = 1.0  # more than COM_FAIL_ACT_T
 
 
 class Px4Autopilot(MavlinkAutopilot):
-    """In OFFBOARD from the end of its take-off: a mode that another program or a pilot sets shows in its reports."""
+    """The autopilot of a PX4.
+
+    It flies in OFFBOARD from the end of its take-off, so that a mode set by a pilot or another program shows in
+    reports.
+    """
 
     return_mode, land_mode, usual_way_home = RTL, LAND, PX4_WAY_HOME
 
@@ -59,7 +63,7 @@ class Px4Autopilot(MavlinkAutopilot):
         self._holds = False
 
     async def close(self) -> None:
-        """Leaves it hovering after a hold: without setpoints, OFFBOARD ends in COM_OBL_RC_ACT."""
+        """Closes the driver; after a hold the vehicle hovers in LOITER, as OFFBOARD ends without setpoints."""
         try:
             if self._holds and self._stream.course is not None and self.vehicle.is_ours:
                 with contextlib.suppress(AutopilotError):
@@ -71,20 +75,20 @@ class Px4Autopilot(MavlinkAutopilot):
     # --- before the flight ----------------------------------------------------------------------------------
 
     async def claim(self, *, resumes: bool) -> None:
-        """Waits where a fail-safe has only begun: PX4 hovers for some seconds before it acts."""
+        """Claims the vehicle, after the end of a fail-safe's delay: PX4 hovers for some seconds before it acts."""
         if resumes and self._telemetry.armed and failsafe(self._telemetry, ""):
             wait_s = await px4_failsafe_delay_s(self.vehicle) + _SETTLES_S
             await self.vehicle.happens("start", lambda: self.vehicle.mode_name != LOITER, within_s=wait_s)
         await super().claim(resumes=resumes)
 
     async def inspect(self) -> None:
-        """Checks that its firmware reports what is needed, and its settings for the loss of the program."""
+        """Checks the firmware's reports and its settings for the loss of the program; raises AutopilotRefused."""
         await super().inspect()
         await require_current_mode(self.vehicle)
         await check_px4_settings(self.vehicle)
 
     async def learn(self) -> None:
-        """Its energy facts and its abilities."""
+        """Reads the battery's stages, the way home and the greatest speeds from the vehicle's parameters."""
         values = await read_quantities(self.vehicle, PX4_QUANTITIES)
         self._energy, self._stream.abilities = px4_energy(values), px4_abilities(values)
 
@@ -96,7 +100,7 @@ class Px4Autopilot(MavlinkAutopilot):
         await self._change_mode("arm", LOITER)
 
     def _may_be_armed(self) -> bool:
-        """By its checks for AUTO.LOITER, in any mode."""
+        """Whether the vehicle's checks for AUTO.LOITER pass, in any mode."""
         telemetry = self._telemetry
         if self.vehicle.mode_name != LOITER:
             telemetry.can_be_armed = bool((telemetry.armable_modes or 0) & LOITER_STATE)
@@ -117,7 +121,7 @@ class Px4Autopilot(MavlinkAutopilot):
     # --- in the air -----------------------------------------------------------------------------------------
 
     async def _climb(self, step: str, altitude_m: float) -> None:
-        """In AUTO.TAKEOFF, and in OFFBOARD before that ends in Hold, which a pilot may choose, too."""
+        """Climb in AUTO.TAKEOFF, and enter OFFBOARD before that ends in Hold, a mode that a pilot may choose, too."""
         if not self._telemetry.armed:
             raise AutopilotRefused(step, "the vehicle is not armed; nothing was sent")
         begun_s = self.vehicle.now_s  # home moves until the motors run
@@ -136,7 +140,7 @@ class Px4Autopilot(MavlinkAutopilot):
         await self._while_ours(step, lambda: course.ended and self._climbed(altitude_m))
 
     def _nears(self, top_m: float) -> bool:
-        """Whether its take-off may end by itself before OFFBOARD, unless OFFBOARD is requested now."""
+        """Whether OFFBOARD must be requested now, before the take-off ends by itself."""
         climb_m_s = self._telemetry.velocity.up_m_s if self._telemetry.velocity else 0.0
         from_m = max(_UP_M, top_m - _ENDS_BELOW_M - _TAKES_OVER_S * climb_m_s)
         return self._telemetry.in_the_air and self.position.altitude_m >= from_m
@@ -154,12 +158,12 @@ class Px4Autopilot(MavlinkAutopilot):
 
     @property
     def stopping_place(self) -> Position:
-        """That of its course, which is ahead of it."""
+        """Where the vehicle would come to rest if it braked now: the course's stopping place."""
         course = self._stream.course
         return self.position if course is None else course.stopping_place
 
     async def _stop(self) -> None:
-        """Brakes, and stays where that ends."""
+        """Brake, and stay where the vehicle comes to rest."""
         self._require_flying("hold")
         course = await self._enter_offboard("hold")
         course.stop()
@@ -173,7 +177,7 @@ class Px4Autopilot(MavlinkAutopilot):
     # --- modes ----------------------------------------------------------------------------------------------
 
     async def _enter_offboard(self, step: str) -> SetpointCourse:
-        """Has it follow the course: a new one from where it is, unless it follows one already."""
+        """Make the vehicle follow a course, and return it: a new one from here, unless it follows one already."""
         vehicle, stream = self.vehicle, self._stream
         vehicle.require_control(step)
         self._holds = False
@@ -206,9 +210,9 @@ class Px4Autopilot(MavlinkAutopilot):
         parameters: Sequence[float],
         done: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Commands until the vehicle reports the mode, or `done`; its answers do not count.
+        """Repeat the command until the vehicle reports the mode, or `done` is true; its answers do not count.
 
-        Of its two answers to DO_SET_MODE, the first is always yes.
+        PX4 answers DO_SET_MODE twice, and the first answer is always yes.
         """
         vehicle = self.vehicle
         for _ in range(vehicle.patience.attempts):
@@ -225,7 +229,7 @@ class Px4Autopilot(MavlinkAutopilot):
         raise AutopilotRefused(step, f"the vehicle does not enter {mode}, it is in {vehicle.mode_name}", said)
 
     async def _is_reported(self, step: str, condition: Callable[[], bool]) -> bool:
-        """Asks for reports until the condition is true; AutopilotOverruled where the vehicle is lost first."""
+        """Ask for reports until the condition is true; AutopilotOverruled if the vehicle is lost before."""
         vehicle = self.vehicle
         until_s = vehicle.now_s + _MODE_WITHIN_S
         while not condition() and vehicle.now_s < until_s:
@@ -246,7 +250,7 @@ class Px4Autopilot(MavlinkAutopilot):
             self._velocities.popleft()
 
     def _at_rest(self) -> bool:
-        """By the mean of its velocities: its reports of a hover are mostly noise."""
+        """Whether the mean of its last velocities is small, as single reports of a hover are mostly noise."""
         velocities = [velocity for _, velocity in self._velocities]
         if not velocities:
             return False

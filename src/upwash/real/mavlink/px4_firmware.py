@@ -1,4 +1,4 @@
-"""What a PX4 reports, and what its modes, fail-safes and events mean."""
+"""The meaning of a PX4's reports, modes, fail-safes and events."""
 
 from __future__ import annotations
 
@@ -46,7 +46,10 @@ def _mode_name(number: int) -> str:
 
 
 def failsafe(telemetry: VehicleTelemetry, _mode: str) -> str:
-    """In a fail-safe the commanded mode differs from the flown mode, or the system status is critical."""
+    """Why a fail-safe may have chosen the mode; "" without one.
+
+    In a fail-safe the commanded mode differs from the flown mode, or the system status is critical.
+    """
     modes = telemetry.flown_and_intended_mode
     if modes is not None and modes[0] == telemetry.mode:
         flown, intended = modes
@@ -58,7 +61,7 @@ def failsafe(telemetry: VehicleTelemetry, _mode: str) -> str:
 
 
 def _cause(telemetry: VehicleTelemetry) -> str:
-    """An invalid position as the cause; empty without a failed check or estimate."""
+    """An invalid position as the cause, in brackets; "" without a failed check or estimate of it."""
     for number, _ in _failed(telemetry, _PLACES):
         return f" ({words_of(number)})"
     return " (it does not know its position)" if telemetry.knows_its_place is False else ""
@@ -82,7 +85,7 @@ def _take(telemetry: VehicleTelemetry, message: Message, now_s: float) -> None:
 
 
 def _take_event(telemetry: VehicleTelemetry, event: Any, now_s: float) -> None:
-    """Failed checks come as a whole set after each change; its last event may be lost."""
+    """Take in an event; failed checks come as a whole set after each change, of which the last event may be lost."""
     number, name = event.id_of_event, _event_name(event.id_of_event)
     if name == _CHECKS_BEGIN:
         _hear_checks(telemetry, now_s)
@@ -99,7 +102,7 @@ def _take_event(telemetry: VehicleTelemetry, event: Any, now_s: float) -> None:
 
 
 def _hear_checks(telemetry: VehicleTelemetry, now_s: float) -> None:
-    """The failed checks that concern the mode that is flown, and were not in the last set.
+    """Report the failed checks that concern the flown mode and were not in the last set.
 
     PX4 calls the signal for OFFBOARD lost when the setpoints need a position and the position is not valid
     (offboardCheck.cpp), though the setpoints come: the failed check of the position says why.
@@ -135,7 +138,7 @@ def _hear(telemetry: VehicleTelemetry, severity: int, text: str, now_s: float) -
 
 
 def words_of(number: int) -> str:
-    """What the event of that number is about."""
+    """The text of the event of that number."""
     if kind := EVENTS.get(number):
         return kind.text
     name = _event_name(number)
@@ -149,7 +152,7 @@ def _event_name(number: int) -> str:
 
 @cache
 def _event_names() -> Mapping[int, str]:
-    """Of PX4 1.16.1, by bench/px4_events.py."""
+    """The names of PX4 1.16.1's events by number, from bench/px4_events.py."""
     with resources.files("upwash.real.mavlink").joinpath("px4_events.csv").open(encoding="utf-8") as table:
         return {int(row["number"]): row["name"] for row in csv.DictReader(table)}
 

@@ -1,4 +1,4 @@
-"""Which bytes of a connection are believed: by signature and, where anyone may send, by the sender's address."""
+"""Which bytes of a connection are accepted: by signature and, on a port to which anyone may send, by address."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _HEARTBEAT = re.compile(rb"\xfd\x09[\x00\x01]...\x01\x00\x00\x00|\xfe\x09..\x01\
 
 
 def from_autopilot(message: Message) -> bool:
-    """Whether it is the heartbeat of an autopilot."""
+    """Whether the message is an autopilot's heartbeat."""
     if message.get_type() != "HEARTBEAT" or message.get_srcSystem() == 0:
         return False
     flies = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
@@ -30,12 +30,12 @@ def from_autopilot(message: Message) -> bool:
 
 
 def is_signed(message: Message) -> bool:
-    """Whether it has a signature, right or wrong."""
+    """Whether the message has a signature, valid or not."""
     return bool(message.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
 
 
 class MessageReceiver:
-    """Passes believed messages on to `heard`; `refused` is why an autopilot's last heartbeat was not believed.
+    """Passes accepted messages to `heard`; `refused` is why an autopilot's last heartbeat was not accepted.
 
     `follows` recognizes the vehicle's heartbeat. `overheard` gets the messages of other senders.
     """
@@ -58,15 +58,15 @@ class MessageReceiver:
         return PacketReader(self._signing)
 
     def take(self, data: bytes, reader: PacketReader | None = None) -> bool:
-        """Passes on the messages in the bytes of a stream, or in a datagram; whether any was believed.
+        """Pass on the messages in the bytes of a stream, or in a datagram; return whether any was accepted.
 
-        A datagram holds whole messages. It is read by itself: a broken datagram cannot spoil the next.
+        A datagram has whole messages. It is read by itself, so that a broken datagram cannot affect the next.
         """
         messages, _ = self._judged(data, reader or self.reader())
         return self._pass_on(messages)
 
     def meet(self, data: bytes) -> tuple[bool, bool]:
-        """Passes on a datagram of an unknown sender only if it holds the vehicle's heartbeat.
+        """Pass on a datagram of an unknown sender only if it contains the vehicle's heartbeat.
 
         Returns whether it was passed on, and whether a holder of the key signed an autopilot's heartbeat in it.
         """
@@ -78,7 +78,7 @@ class MessageReceiver:
         return False, has_key
 
     def overhear(self, data: bytes) -> None:
-        """Notes the autopilots in a datagram of another address; with a key, only those that have the key."""
+        """Note the autopilots in a datagram from another address; with a key, only those that have the key."""
         for message, _ in PacketReader().read(data):
             packet = bytes(message.get_msgbuf())
             if self._signing is None or self._signing.forgery(packet) is None:
@@ -90,7 +90,7 @@ class MessageReceiver:
         return bool(messages)
 
     def _judged(self, data: bytes, reader: PacketReader) -> tuple[list[Message], bool]:
-        """The believed messages, and whether an autopilot's heartbeat was refused for its age alone."""
+        """The accepted messages, and whether an autopilot's heartbeat was refused only for its age."""
         read = reader.read(data)
         late = False
         for message, refusal in read:
@@ -101,12 +101,12 @@ class MessageReceiver:
 
 
 class Peer:
-    """The one address that a port which anyone may send to listens to and answers.
+    """The one address from which an open UDP port accepts datagrams, and to which it answers.
 
-    It is the address of the first heartbeat of the vehicle. After `moved_after_s` without a believed message, as
-    when a router restarts, the vehicle's heartbeat from another port of the same host makes that port the peer;
-    where messages are signed, from any host. Without signatures the first sender is believed, and every sender
-    that uses the peer's address.
+    It is the address of the vehicle's first heartbeat. After `moved_after_s` without an accepted message, as when a
+    router restarts, the vehicle's heartbeat from another port of the same host makes that port the peer; if messages
+    are signed, from any host. Without signatures the first sender is accepted, and every sender that uses the peer's
+    address.
     """
 
     def __init__(self, receiver: MessageReceiver, *, moved_after_s: float, signed: bool) -> None:
@@ -122,15 +122,15 @@ class Peer:
 
     @property
     def answered(self) -> Address | None:
-        """The address to send to.
+        """The address to which to send; None while there is none.
 
-        A vehicle without GPS may sign with the time of its last flight. It adopts our time once it hears our
-        heartbeat, and is believed from then on. Nothing else is sent before there is a peer.
+        A vehicle without GPS may sign with the time of its last flight. It adopts our time once it receives our
+        heartbeat, and is accepted from then on. So a heartbeat, and nothing else, is sent before there is a peer.
         """
         return self.address or self._late
 
     def take(self, data: bytes, address: Address, now_s: float) -> None:
-        """Receives the peer's datagram, or makes the sender of the vehicle's heartbeat the peer."""
+        """Take in the peer's datagram, or make the sender of the vehicle's heartbeat the peer; ignore all others."""
         if address == self.address:
             if self._receiver.take(data):
                 self._heard_s = now_s
@@ -156,7 +156,7 @@ class Peer:
             self._ignore(address)
 
     def _overhear(self, data: bytes, now_s: float) -> None:
-        """Notes another vehicle at another address, at a rate that a flood does not raise."""
+        """Note another vehicle at another address, at a bounded rate."""
         if now_s - self._overheard_s >= _OVERHEARD_EACH_S and _may_introduce(data):
             self._overheard_s = now_s
             self._receiver.overhear(data)

@@ -1,4 +1,4 @@
-"""What a vehicle over MAVLink reports, as ports.Autopilot has it: the half of a driver that commands nothing."""
+"""The half of a MAVLink driver that only reports: those methods of ports.Autopilot that send no command."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _POSITION, _HOME_POSITION, _SYSTEM_TIME = (
 
 
 class ReportingAutopilot(ABC):
-    """A found vehicle, whose reports are read."""
+    """Reads the reports of a found vehicle."""
 
     usual_way_home: ClassVar[WayHome]  # until the vehicle's parameters are read
 
@@ -76,27 +76,27 @@ class ReportingAutopilot(ABC):
 
     @property
     def dead_man(self) -> DeadMan:
-        """None, unless a subclass has one."""
+        """The dead man's switch; one that refuses everything, unless a subclass has another."""
         return NoDeadMan(self.vehicle.firmware.name)
 
     @property
     def velocity(self) -> Velocity | None:
-        """The reported velocity over the ground."""
+        """The reported velocity relative to the ground; None without a report."""
         return self._telemetry.velocity
 
     @property
     @abstractmethod
     def stopping_place(self) -> Position:
-        """Where it would come to rest if it braked now."""
+        """The position where the vehicle would come to rest if it braked now."""
 
     @property
     def heading_deg(self) -> float | None:
-        """Where its nose points, by its report."""
+        """The reported heading in degrees clockwise from north; None without a report."""
         return self._telemetry.heading_deg
 
     @property
     def telemetry(self) -> Telemetry:
-        """The last reports together."""
+        """The vehicle's last reports."""
         reported = self._telemetry
         return Telemetry(
             position=self.position,
@@ -111,32 +111,32 @@ class ReportingAutopilot(ABC):
 
     @property
     def wind(self) -> Velocity | None:
-        """The wind that it estimates."""
+        """The wind as the vehicle estimates it; None without a report."""
         return self._telemetry.wind
 
     @property
     def energy(self) -> EnergyFacts:
-        """By its parameters, once `limits` has read them; by the firmware's own defaults until then."""
+        """The battery's stages and the way home: the firmware's defaults until `limits` has read the parameters."""
         return structs.replace(self._energy, home=self._tracker.home)
 
     @property
     def pace(self) -> Pace | None:
-        """That of its firmware."""
+        """How the average vehicle with this firmware flies; None if unknown."""
         return PACES.get(self.vehicle.firmware.name.lower())
 
     @property
     def control(self) -> Control:
-        """Who has it."""
+        """The vehicle's owner, and why."""
         return self.vehicle.latch.control
 
     @property
     def armed(self) -> bool:
-        """Whether its motors run."""
+        """Whether the motors run, by the last heartbeat."""
         return self._telemetry.armed
 
     @property
     def stands(self) -> bool:
-        """By its landed state, unless it falls; without one, by its altitude with its motors stopped."""
+        """Whether the vehicle stands: by its landed state unless it falls, else if it is low with stopped motors."""
         stands = self._telemetry.stands
         if stands is None:
             low = self._telemetry.position is None or abs(self.position.altitude_m) <= _LOW_M
@@ -147,17 +147,17 @@ class ReportingAutopilot(ABC):
         return self.vehicle.heard_since(_POSITION, self._telemetry.disarmed_s + _FALL_SEEN_S)
 
     def _may_fall(self) -> bool:
-        """Whether its motors stopped just now, or it has been falling since."""
+        """Whether the motors stopped just now, or the vehicle has been falling since."""
         velocity = self._telemetry.velocity
         falls = velocity is not None and velocity.up_m_s < -_FALLS_M_S
         return not self._seen_after_disarming() or falls
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """All news, and first those since it was connected."""
+        """Calls `hear` with all news, and first with the news since the connection was made."""
         self.vehicle.listen(hear)
 
     async def in_the_air(self) -> bool:
-        """By its landed state; waits for a report of it."""
+        """Whether the vehicle flies, by its landed state; waits for a report of it."""
         telemetry = self._telemetry
 
         def known() -> bool:
@@ -171,7 +171,7 @@ class ReportingAutopilot(ABC):
         return telemetry.armed and telemetry.in_the_air
 
     async def stood(self) -> None:
-        """When it stands disarmed, and has shown by its clock whether it restarted; sends nothing."""
+        """Waits, without a command, until the vehicle stands disarmed and its clock shows whether it restarted."""
         vehicle = self.vehicle
         await vehicle.until("follow", lambda: not self._telemetry.armed and self.stands)
         disarmed_s = self._telemetry.disarmed_s
@@ -196,9 +196,11 @@ class ReportingAutopilot(ABC):
         await self.vehicle.close()
 
     async def home_above_sea_m(self, tell_delay: Callable[[], None]) -> float:
-        """The altitude of its home above the sea, by questions alone; calls `tell_delay` before a longer wait.
+        """The altitude of the vehicle's home above the sea (m); calls `tell_delay` before a long wait.
 
-        AutopilotRefused where its home is not known in the time for its checks.
+        Only questions are sent.
+
+        Raises AutopilotRefused if the home is not known within the time for the vehicle's checks.
         """
         within_s = self._settings.ready_timeout_s
         deadline_s = self.vehicle.now_s + within_s
@@ -223,7 +225,7 @@ class ReportingAutopilot(ABC):
         )
 
     async def limits(self) -> VehicleLimits:
-        """By its home, its parameters and its fence list."""
+        """The vehicle's limits, from its home, its parameters and its fence list."""
         await self._know_home()
         await self.learn()
         home = self._telemetry.home
@@ -235,11 +237,11 @@ class ReportingAutopilot(ABC):
 
     @abstractmethod
     async def learn(self) -> None:
-        """Reads the parameters of its battery's stages, its way home and its abilities."""
+        """Read the parameters of the battery's stages, the way home and the greatest speeds."""
 
     @abstractmethod
     async def _fenced(self, limits: VehicleLimits) -> VehicleLimits:
-        """The limits with those of its fence."""
+        """The limits, with those of the vehicle's fence added."""
 
 
 def check_speed(ground_speed_m_s: float) -> None:

@@ -1,7 +1,7 @@
 """Setpoints for a PX4 in OFFBOARD: a moving point on the way to the target, streamed to the vehicle.
 
-A vehicle flies to a setpoint a leg away with all its speed, and overshoots. A point that accelerates, cruises and
-brakes keeps the speed of the leg. It stops at its own stopping place: the vehicle never flies back to it.
+A vehicle flies to a setpoint a leg away at full speed, and overshoots. A point that accelerates, cruises and brakes
+keeps the speed of the leg. To stop, the point brakes ahead of the vehicle, so that the vehicle never flies back.
 
 Setpoints are sent while the vehicle is ours and linked. PX4 goes back to OFFBOARD by itself when setpoints come
 again after their loss. So after a silence of the vehicle, none is sent before it has reported its mode: a pilot may
@@ -40,7 +40,7 @@ _WITHOUT_YAW = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE | _YAW_RATE_IGNORED
 
 @dataclass(frozen=True, slots=True)
 class Abilities:
-    """The vehicle's own limits."""
+    """The vehicle's greatest speeds and acceleration."""
 
     ground_speed_m_s: float = 12.0
     climb_m_s: float = 3.0
@@ -49,7 +49,7 @@ class Abilities:
 
 
 class SetpointCourse:
-    """A point with a velocity that goes to its target, or brakes where it has none."""
+    """A moving point that goes to its target, or brakes without one."""
 
     def __init__(self, position: Position, velocity: Velocity, abilities: Abilities) -> None:
         self.position = position
@@ -62,26 +62,26 @@ class SetpointCourse:
         self._ground_speed_m_s = 0.0
 
     def aim(self, target: Position, *, ground_speed_m_s: float) -> None:
-        """It goes there from now on."""
+        """Let the point go to `target` from now on."""
         self._target = target
         self._ground_speed_m_s = min(ground_speed_m_s, self._abilities.ground_speed_m_s)
 
     def stop(self) -> None:
-        """It brakes from now on, and stays where it comes to rest."""
+        """Let the point brake from now on, and stay where it comes to rest."""
         self._target = None
 
     @property
     def stopping_place(self) -> Position:
-        """Where it would come to rest if it braked now."""
+        """The position where the point would come to rest if it braked now."""
         return ahead(self.position, self.velocity, self.velocity.speed_m_s / (2 * self._acceleration_m_s2))
 
     @property
     def ended(self) -> bool:
-        """Whether it is at its target, or at rest where it has none."""
+        """Whether the point rests at its target, or anywhere without one."""
         return self._target in (None, self.position) and self.velocity.speed_m_s < _AT_REST_M_S
 
     def advance(self, passed_s: float, *, vehicle: Position) -> None:
-        """Moves on by that time, slower while the vehicle is far away, and not at all while it is farther."""
+        """Move the point on by `passed_s`, more slowly the farther the vehicle is behind, and finally not at all."""
         share = min(1.0, max(0.0, 2.0 - distance_m(self.position, vehicle) / _LAG_ALLOWED_M))
         self.setpoint_velocity, self.setpoint_acceleration = Velocity(), Velocity()
         if share > 0 and passed_s > 0:
@@ -104,7 +104,7 @@ class SetpointCourse:
         self.position = moved
 
     def _wanted(self, step_s: float) -> tuple[Velocity, float]:
-        """The velocity that it should have, and the largest change towards it in a second."""
+        """The velocity that the point should have, and the largest change towards it in a second."""
         if self._target is None:
             return Velocity(), self._acceleration_m_s2
         here, target, left_m = self.position, self._target, distance_m(self.position, self._target)
@@ -144,7 +144,7 @@ def _towards(velocity: Velocity, wanted: Velocity, change_m_s: float) -> Velocit
 
 
 class SetpointStream:
-    """Has the vehicle follow a course, from `begin` to `end`."""
+    """Sends the vehicle the setpoints of a course, from `begin` to `end`."""
 
     def __init__(self, vehicle: MavlinkVehicle, tracker: PositionTracker) -> None:
         self.abilities = Abilities()
@@ -156,7 +156,7 @@ class SetpointStream:
         self._task: asyncio.Task[None] | None = None
 
     def begin(self) -> SetpointCourse:
-        """Streams from now on the vehicle's place, and then the course's."""
+        """Begin to send setpoints; return the new course, which starts at the vehicle's place and velocity."""
         velocity = self._vehicle.telemetry.velocity or Velocity()
         self.course = SetpointCourse(self._tracker.position, velocity, self.abilities)
         if self._task is None:
@@ -165,11 +165,11 @@ class SetpointStream:
         return self.course
 
     def end(self) -> None:
-        """Sends no more setpoints."""
+        """Stop sending setpoints; `begin` starts again."""
         self.course = self.heading_deg = None
 
     async def close(self) -> None:
-        """Ends it for good."""
+        """Stop sending setpoints for good, and end the task."""
         self.end()
         await end(self._task)
 

@@ -1,4 +1,4 @@
-"""When a verb is true, and how long the driver waits."""
+"""When an action counts as complete, and how long the driver waits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Patience:
 
 @dataclass(frozen=True, slots=True)
 class FlightSettings:
-    """When a verb is true, and when it has taken too long; silences of the link are not counted."""
+    """When an action counts as complete, and when it has taken too long; silences of the link do not count."""
 
     arrival_distance_m: float = 1.0
     arrival_speed_m_s: float = 0.5

@@ -1,4 +1,4 @@
-"""The key for signed messages, from its file; beside that lies the latest time that was used with it."""
+"""The key for signed messages in its file, and beside it the latest time that was used with it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ _PASSPHRASE_BYTES = 24
 
 
 def read_signing(file: Path) -> Signing:
-    """Signs with the file's key, later than any program before did with the same file; raises CredentialsError.
+    """The signing with the file's key, at later times than any earlier program used; raises CredentialsError.
 
-    The latest time is kept in a file beside it, named `.time`: a computer may start with a clock that is behind.
+    The latest time is kept in a file beside it, with the suffix `.time`, as a computer may start with a clock that is
+    behind.
     """
     key = read_key(file)
     kept_in = file.with_name(f"{file.name}.time")
@@ -46,7 +47,7 @@ def read_key(file: Path) -> bytes:
 
 
 def make_signing_key(file: Path) -> str:
-    """Writes a new key; returns the passphrase from which a ground station makes the same key."""
+    """Writes a new key; returns the passphrase that gives a ground station the same key."""
     passphrase = secrets.token_urlsafe(_PASSPHRASE_BYTES)
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -1,4 +1,4 @@
-"""The reports of a vehicle: requests for them, their measured rates, and what follows from a rate that is too low.
+"""The reports of a vehicle: requests for them, their measured rates, and what to do about a low rate.
 
 A rate that is too low has one of two causes, and the vehicle's MESSAGE_INTERVAL tells the causes apart. If the
 interval differs from the request, another program or the vehicle changed it: the driver repeats the request, ever
@@ -38,7 +38,7 @@ _KEPT = 256  # times of arrival: some seconds of the fastest report
 
 @dataclass(slots=True)
 class _Stream:
-    """One kind of report, as it comes."""
+    """The arrivals of one kind of report."""
 
     came_s: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
     began_s: float = math.inf  # after a pause
@@ -57,7 +57,7 @@ class _Stream:
 class Streams:
     """Requests the reports that the driver needs: at the start, and again after a rate fell or the link was silent.
 
-    `ask` sends a question: a MAV_CMD and its parameters.
+    `ask(number, *parameters)` sends a MAV_CMD that only asks.
     """
 
     def __init__(self, ask: Callable[..., None], *, quiet_after_s: float, troubles: Troubles) -> None:
@@ -76,7 +76,7 @@ class Streams:
         self._is_answered = False
 
     def heard(self, message: Message, now_s: float) -> None:
-        """A message has come."""
+        """Note that a message has come."""
         stream = self._streams[message.get_msgId()]
         if now_s - stream.heard_s > self._quiet_after_s:
             stream.began_s = now_s
@@ -88,18 +88,18 @@ class Streams:
             asked.set_hz = 1e6 / interval_us if interval_us > 0 else 0.0
 
     def heard_s(self, number: int) -> float:
-        """When a message of that number last came; minus infinity where none did."""
+        """When a message of that number last came; minus infinity if none did."""
         return self._streams[number].heard_s
 
     def begin(self, firmware: FirmwareProfile, now_s: float) -> None:
-        """Requests all reports: at once from a vehicle that was just found, by and by after a silence."""
+        """Request all reports: at once from a vehicle that was just found, a few at a time after a silence."""
         self._firmware = firmware
         together = len(firmware.streams_hz) if math.isinf(self._asked_s) else _ASKED_TOGETHER
         self._times, self._confirmed_times, self._questioned, self._next_s = 0, 0, None, -math.inf
         self._ask_for_all(now_s, together=together)
 
     def look(self, now_s: float, *, linked: bool, received_share: float) -> None:
-        """Asks for what is missing or comes too rarely; `received_share` is of the messages that the vehicle sent."""
+        """Ask for reports that are missing or too rare; `received_share` of the vehicle's messages arrive."""
         if not linked:  # what it does not hear fills a narrow link
             return
         if self._due:
@@ -162,7 +162,7 @@ class Streams:
         return None
 
     def _ask_again(self, rare: int, now_s: float) -> None:
-        """The first time at once, and then after a look at the interval that the vehicle was set to."""
+        """Ask again for a rare report: at once the first time, later after a question for its present interval."""
         if now_s < self._next_s:
             return
         if self._times and self._questioned is None:
@@ -185,7 +185,7 @@ class Streams:
             self._troubles.once("rates", _rates_problem(number, self._streams[number], wanted_hz))
 
     def _settle(self, number: int, now_s: float) -> None:
-        """Asks for less where less comes than the vehicle was set to, or there is no room for its answer."""
+        """Request fewer reports, as the link carries fewer than the vehicle was set to send."""
         self._confirmed_times += 1
         if self._confirmed_times < _CONFIRMED_TIMES or self._share <= _LEAST_SHARE:
             return
@@ -201,7 +201,7 @@ class Streams:
 
 
 def _fewest(wanted: float, received_share: float) -> float:
-    """The least number of reports at a rate that is high enough; on a lossy link chance takes some."""
+    """The least number of reports that counts as enough, with an allowance for chance on a lossy link."""
     expected = wanted * received_share
     return min(_TOO_RARE * expected, expected - _CHANCE * math.sqrt(expected * (1 - received_share)))
 

@@ -1,4 +1,4 @@
-"""What a vehicle last reported, and what differs between the firmwares that report it."""
+"""A vehicle's last reports, and the differences between firmwares."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RemoteControl:
         self._heard_s = self._moved_s = -math.inf
 
     def take(self, message: Message, now_s: float) -> None:
-        """Takes in a report; a vehicle without a remote control reports no channels."""
+        """Take in RC_CHANNELS; a vehicle without a remote control reports no channels."""
         if not message.chancount:
             self._channels_us = ()
             return
@@ -81,7 +81,7 @@ class RemoteControl:
 
 @dataclass(slots=True)
 class VehicleTelemetry:
-    """What the vehicle last reported; None stands for a value that it has not reported."""
+    """The vehicle's last reports; None for a value that it has not reported."""
 
     mode: int | None = None
     armed: bool = False
@@ -116,7 +116,7 @@ class VehicleTelemetry:
     _chunks: list[str] = field(default_factory=list)
 
     def take(self, message: Message, now_s: float) -> None:
-        """Remembers what the message reports."""
+        """Take in the reports of a message."""
         match message.get_type():
             case "HEARTBEAT":
                 self._take_heartbeat(message, now_s)
@@ -180,18 +180,18 @@ class VehicleTelemetry:
                 self.wind = Velocity(message.wind_y, message.wind_x)
 
     def hear_text(self, text: VehicleSaid, now_s: float) -> None:
-        """Remembers a text of the vehicle."""
+        """Take in a text of the vehicle."""
         self.texts.append((now_s, text))
         self.texts_heard += 1
         if text.text.startswith(_DEAD_MAN_ACTS):
             self.suspect_dead_man("its dead man, which did not hear this program", now_s)
 
     def suspect_dead_man(self, why: str, now_s: float) -> None:
-        """The vehicle's dead man may have acted: it may cause a change of mode in the next seconds."""
+        """Note that the dead man's switch may have acted, and may explain a change of mode in the next seconds."""
         self.dead_man, self._dead_man_s = why, now_s
 
     def said_since(self, since_s: float) -> str:
-        """The texts since then with their severities, the most severe first; empty without any."""
+        """The texts since `since_s` with their severities, the most severe first, as one line; "" without any."""
         texts = sorted(
             (text for said_s, text in self.texts if said_s >= since_s), key=lambda text: text.severity
         )
@@ -203,36 +203,36 @@ class VehicleTelemetry:
 
     @property
     def speed_m_s(self) -> float:
-        """Its speed; infinite while it does not report it."""
+        """The speed in metres per second; infinite while not reported."""
         return self.velocity.speed_m_s if self.velocity else math.inf
 
     @property
     def home_above_sea_m(self) -> float:
-        """By its two altitudes; 0 while it does not know its place."""
+        """The altitude of home above the sea (m), from the two reported altitudes; 0 while unknown."""
         if self.position is None or self.above_sea_m is None:
             return 0.0
         return self.above_sea_m - self.position.altitude_m
 
     @property
     def on_ground(self) -> bool:
-        """Whether it reports that it stands on the ground."""
+        """Whether the reported landed state is on the ground."""
         return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
 
     @property
     def stands(self) -> bool | None:
-        """The same; None while its landed state is unknown."""
+        """Whether the reported landed state is on the ground; None while unknown."""
         return None if self.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED else self.on_ground
 
     @property
     def in_the_air(self) -> bool:
-        """Whether it reports that it has left the ground."""
+        """Whether the reported landed state is off the ground."""
         return self.landed_state in _IN_THE_AIR
 
     def _take_battery(self, percent: int) -> None:
         self.battery_percent = float(percent) if percent >= 0 else None  # -1: not known
 
     def _whole_text(self, message: Message) -> str:
-        """The text, empty while parts of it are missing."""
+        """The text of a message; "" while parts of it are missing."""
         if not getattr(message, "id", 0):
             return str(message.text)
         if message.chunk_seq == 0 or message.id != self._text:
@@ -256,7 +256,7 @@ def _gps_fix(message: Message) -> GpsFix:
 
 
 def _nothing_more(_telemetry: VehicleTelemetry, _message: Message, _now_s: float) -> None:
-    """It reports nothing of its own."""
+    """Take in nothing, for a firmware without reports of its own."""
 
 
 STREAMS_HZ: Mapping[int, float] = {
@@ -273,13 +273,13 @@ STREAMS_HZ: Mapping[int, float] = {
 
 @dataclass(frozen=True, slots=True)
 class FirmwareProfile:
-    """One kind of autopilot.
+    """The properties of one kind of autopilot.
 
-    `mode_name` names a custom mode; the program steers in `own_mode`. `failsafe` says why a fail-safe may have
-    chosen the mode of that name, or nothing. `streams_hz` are the reports that the driver needs, by message; the
-    vehicle sends those in `sent_at_times` only on occasion. All versions have the parameter
-    `always_has`. `oldest` is the oldest version that can be flown: older ones lack what upwash `needs`. `take`
-    has the telemetry remember what only this firmware reports, at that time.
+    `mode_name` names a custom mode; the program steers in `own_mode`. `failsafe` returns why a fail-safe may have
+    chosen the mode of that name, or "". `streams_hz` has the rates of the reports that the driver needs, by message;
+    the vehicle sends those in `sent_at_times` only on occasion. All versions have the parameter `always_has`.
+    `oldest` is the oldest version that can be flown: older versions lack what upwash `needs`. `take` takes in reports
+    that only this firmware sends.
     """
 
     name: str

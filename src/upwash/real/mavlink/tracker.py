@@ -1,4 +1,4 @@
-"""Where a vehicle is by its reports, relative to the mission's home, and whether it can be there.
+"""A vehicle's reported position relative to the mission's home, and whether it can be true.
 
 Altitudes count from the ground below the take-off, by the vehicle's altitude above the sea. A ground station may move
 the vehicle's home in flight: the reported height above home then changes at once.
@@ -28,7 +28,7 @@ _MANY_JUMPS = 3  # in that time: no filter settles so
 
 
 class PositionTracker:
-    """Follows a vehicle's position, home and target; tells the latch of a target in the program's own mode."""
+    """Follows a vehicle's position, home and target; reports a target in the program's own mode to the latch."""
 
     def __init__(self, vehicle: MavlinkVehicle, frame: LocalFrame) -> None:
         self._vehicle = vehicle
@@ -56,47 +56,47 @@ class PositionTracker:
 
     @property
     def home(self) -> Position | None:
-        """Where it returns to; None while it does not say."""
+        """The vehicle's home, where it returns; None while not reported."""
         home = self._telemetry.home
         return self._frame.position(home).at_altitude(0.0) if home else None
 
     @property
     def is_sure(self) -> bool:
-        """Whether the vehicle can be where it reports, and reports that it is sure."""
+        """Whether the reported position can be true, and the vehicle reports that it is sure of it."""
         return self._telemetry.knows_its_place is not False and not self._continuity.doubt_m
 
     @property
     def doubt(self) -> str:
-        """Why its position cannot be true, in words; empty where it can."""
+        """Why the reported position cannot be true; "" if it can."""
         doubt_m = self._continuity.doubt_m
         return f"its reported position jumped {doubt_m:.0f} m, farther than it can fly" if doubt_m else ""
 
     @property
     def restless(self) -> str:
-        """Why its position is too restless for a take-off, in words; empty where it is calm."""
+        """Why the position is too restless for a take-off; "" if it is calm."""
         if not self._jumps_lately():
             return ""
         return f"its reported position jumped {self._continuity.jumps[-1][1]:.0f} m while it stands"
 
     @property
     def leaps_to_and_fro(self) -> bool:
-        """Whether its position jumps again and again, as where two vehicles send with one identity."""
+        """Whether the position jumps again and again, as if two vehicles sent with the same ids."""
         return self._jumps_lately() >= _MANY_JUMPS
 
     def fix_ground(self) -> None:
-        """Altitudes count from its home as it is now on."""
+        """Count altitudes from the vehicle's present home from now on."""
         telemetry = self._telemetry
         if telemetry.position is not None and telemetry.above_sea_m is not None:
             self._ground_m = telemetry.home_above_sea_m
         self._home = self._present_home()
 
     def above_sea(self, position: Position) -> GeoPosition:
-        """The place on the Earth of a position; its altitude is above the sea."""
+        """The place on the Earth of a position, with its altitude above the sea."""
         ground_m = self._telemetry.home_above_sea_m if self._ground_m is None else self._ground_m
         return self._frame.geo(position.at_altitude(position.altitude_m + ground_m))
 
     def hear(self, message: Message) -> None:
-        """Takes in a message of the vehicle."""
+        """Take in a message of the vehicle."""
         time_s, velocity = self._vehicle.elapsed_s, self._telemetry.velocity or Velocity()
         match message.get_type():
             case "GLOBAL_POSITION_INT" if self._telemetry.position is not None:
@@ -140,7 +140,7 @@ class PositionTracker:
         return sum(jumped_s >= since_s for jumped_s in self._jumped_s)
 
     def _look_at_home(self) -> None:
-        """Tells where a home was moved to in the flight."""
+        """Report a home that was moved in the flight."""
         now, before = self._present_home(), self._home
         if self._ground_m is None or now is None or before is None or distance_m(now, before) <= _STAYS_M:
             return
@@ -148,6 +148,6 @@ class PositionTracker:
         self._vehicle.tell(HomeMoved.of(now.at_altitude(now.altitude_m - self._ground_m)))
 
     def _present_home(self) -> Position | None:
-        """Its altitude is above the sea."""
+        """The vehicle's home relative to the mission's, its altitude above the sea; None if unknown."""
         home = self._telemetry.home
         return self._frame.position(home) if home else None

@@ -1,4 +1,4 @@
-"""A vehicle at the other end of a MAVLink connection: commands that it answers.
+"""A vehicle at the other end of a MAVLink connection: commands to it, and their answers.
 
 Every command passes the latch (`core.vehicle.control`): it is sent only while the vehicle is the program's.
 """
@@ -24,7 +24,7 @@ _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
 class MavlinkVehicle(ObservedVehicle):
-    """A vehicle that gets commands, while it is the program's."""
+    """Sends commands to a vehicle while it is the program's."""
 
     version: Version | None = None  # of its firmware; None where it does not tell it
     _texts_said = 0  # long ones, each with a number
@@ -35,7 +35,7 @@ class MavlinkVehicle(ObservedVehicle):
         return self.latch.control.is_ours
 
     def claim(self, step: str, *, resumes: bool) -> None:
-        """Takes the vehicle for the program; AutopilotOverruled where it may not."""
+        """Claims the vehicle for the program; raises AutopilotOverruled if that is refused."""
         self._judge(
             lambda: self.latch.claim(self.now_s, own_mode=self.firmware.own_mode, resumes=resumes),
         )
@@ -46,18 +46,18 @@ class MavlinkVehicle(ObservedVehicle):
         self.latch.require(step, self.said_lately)
 
     def steer(self, step: str, message: Message) -> None:
-        """Sends a command that gets no answer; AutopilotOverruled unless the program has the vehicle."""
+        """Sends a command without an answer; raises AutopilotOverruled unless the program has the vehicle."""
         self.require_control(step)
         self._link.send(message)
 
     async def command(
         self, step: str, command: int, *parameters: float, expect: Callable[[], None] = lambda: None
     ) -> None:
-        """Has the vehicle accept a COMMAND_LONG; missing parameters are 0."""
+        """Sends a COMMAND_LONG, missing parameters 0; returns when the vehicle accepts it, as `accept` does."""
         await self.accept(step, self.command_long(command, *parameters), expect)
 
     def command_int(self, command: int, place: GeoPosition, frame: int, *parameters: float) -> Message:
-        """A COMMAND_INT to the vehicle, whose degrees arrive exactly; the altitude is in the frame."""
+        """A COMMAND_INT to the vehicle, which carries degrees exactly; the altitude counts in that frame."""
         padded = (*parameters, *[0.0] * (4 - len(parameters)))
         x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
         return mavlink.MAVLink_command_int_message(
@@ -65,7 +65,9 @@ class MavlinkVehicle(ObservedVehicle):
         )
 
     async def accept(self, step: str, command: Message, expect: Callable[[], None] = lambda: None) -> None:
-        """Returns when the vehicle accepts; raises AutopilotRefused, or AutopilotTimeout without an answer.
+        """Sends the command; returns when the vehicle accepts it.
+
+        Raises AutopilotRefused, or AutopilotTimeout without an answer.
 
         `expect` announces the command's effect to the latch, just before each attempt.
         """
@@ -79,7 +81,7 @@ class MavlinkVehicle(ObservedVehicle):
             raise AutopilotRefused(step, problem, self.telemetry.said_since(begun_s))
 
     async def result(self, step: str, command: Message, expect: Callable[[], None] = lambda: None) -> int:
-        """The vehicle's answer (MAV_RESULT) to the command, which is repeated until the answer comes.
+        """Sends the command until the answer comes; returns the answer (MAV_RESULT).
 
         Attempts while the link is silent do not count.
         """
@@ -98,7 +100,7 @@ class MavlinkVehicle(ObservedVehicle):
         raise AutopilotTimeout(step, problem, self.telemetry.said_since(begun_s))
 
     async def confirm_control(self, step: str) -> None:
-        """Returns after a fresh heartbeat if the vehicle is still the program's; AutopilotOverruled otherwise.
+        """Waits for a fresh heartbeat; raises AutopilotOverruled unless the vehicle is still the program's then.
 
         The last heartbeat may be a second old, or from before a silence: a pilot may have taken the vehicle since.
         """
@@ -114,7 +116,7 @@ class MavlinkVehicle(ObservedVehicle):
         self.require_control(step)
 
     async def change_mode(self, step: str, parameters: Sequence[float], mode: str) -> None:
-        """Returns when the vehicle reports the mode, which DO_SET_MODE with the parameters leads to."""
+        """Commands DO_SET_MODE with the parameters; returns when the vehicle reports the mode."""
         await self._effect(
             step,
             lambda: self.mode_name == mode,
@@ -124,7 +126,7 @@ class MavlinkVehicle(ObservedVehicle):
         )
 
     async def arm(self, step: str, *, armed: bool) -> None:
-        """Returns when the vehicle reports that its motors run, or that they stand still."""
+        """Arms or disarms the vehicle; returns when it reports so."""
         if armed:
             self.require_alone(step)
         await self._effect(
@@ -143,7 +145,7 @@ class MavlinkVehicle(ObservedVehicle):
         command: int,
         *parameters: float,
     ) -> None:
-        """Repeats the command until the vehicle reports its effect: an answer may belong to an earlier attempt."""
+        """Repeat the command until the vehicle reports its effect, as an answer may belong to an earlier attempt."""
         for _ in range(self.patience.attempts):
             try:
                 await self.command(step, command, *parameters, expect=expect)
@@ -158,7 +160,7 @@ class MavlinkVehicle(ObservedVehicle):
         raise AutopilotTimeout(step, problem, self.said_lately)
 
     def say(self, severity: int, text: str) -> None:
-        """Sends a text to all listeners of the vehicle; a long one in chunks that share a number."""
+        """Sends a text to all receivers of the vehicle's messages; a long text in chunks that share a number."""
         body = text.encode()
         if len(body) <= _CHUNK_BYTES:
             self._link.send(mavlink.MAVLink_statustext_message(severity, body))

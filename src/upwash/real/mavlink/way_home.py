@@ -1,4 +1,4 @@
-"""A vehicle's parameters of its battery's stages, its way home and its legs.
+"""A vehicle's parameters for its battery's stages, its way home and its legs.
 
 Up to version 4.6, ArduCopter's parameters are in cm, cm/s, cm/s² and ms. Version 4.7.0 renamed most of them, and
 counts in metres. PX4's parameters are in metres and in shares of a full battery.
@@ -75,7 +75,7 @@ ARDUCOPTER_QUANTITIES = (
 
 
 def arducopter_energy(values: QuantityValues) -> EnergyFacts:
-    """The stages in percent of the capacity, and the way home."""
+    """An ArduCopter's battery stages in percent of the capacity, and its way home."""
     return EnergyFacts(
         low_percent=_stage_percent(values, _LOW),
         critical_percent=_stage_percent(values, _CRITICAL),
@@ -94,7 +94,7 @@ def arducopter_energy(values: QuantityValues) -> EnergyFacts:
 
 
 def _stage_percent(values: QuantityValues, stage: VehicleQuantity) -> float | None:
-    """The stage is a charge that is left; 0 stands for none."""
+    """The stage in percent, from its parameter in mAh; None if it is 0 or unknown."""
     left_mah, capacity_mah = values.known(stage), values.known(_CAPACITY)
     return 100 * left_mah / capacity_mah if left_mah and capacity_mah else None
 
@@ -117,7 +117,7 @@ PX4_QUANTITIES = (
 
 
 def px4_energy(values: QuantityValues) -> EnergyFacts:
-    """The stages, and the way home."""
+    """A PX4's battery stages in percent, and its way home."""
     return EnergyFacts(
         low_percent=values.known(_LOW_SHARE) or None,  # 0 stands for none
         critical_percent=values.known(_CRITICAL_SHARE) or None,
@@ -129,5 +129,5 @@ def px4_energy(values: QuantityValues) -> EnergyFacts:
 
 
 def px4_abilities(values: QuantityValues) -> Abilities:
-    """How its legs may be flown."""
+    """The greatest speeds and acceleration of a PX4."""
     return Abilities(values[_FASTEST], values[_PX4_CLIMB], values[_PX4_DESCENT], values[_PX4_ACCELERATION])

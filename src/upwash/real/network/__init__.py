@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class SurveyFinding:
-    """One thing that a flight needs, what it is now, and what keeps it from being used, with the remedy."""
+    """One thing that a flight needs, its present state, and its trouble with the remedy; "" without trouble."""
 
     subject: str
     found: str

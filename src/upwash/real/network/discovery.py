@@ -1,7 +1,7 @@
 """Servers of the networks that this computer is in, by multicast DNS: RFC 6762, and service discovery, RFC 6763.
 
-Any computer in the network may announce any server. So an address is found, and no more: what answers there must
-show the certificate of that server.
+Any computer in the network may announce any server. So only an address is found: the program there must show the
+certificate of that server.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _KIND = "_upwash._tcp.local."
 
 @contextlib.asynccontextmanager
 async def announcing(names: Collection[str], host: str, port: int) -> AsyncIterator[None]:
-    """Announces the servers of a daemon that listens there, until the end of the block."""
+    """Announces the servers of the daemon at that address, until the end of the block."""
     listens = ip_address(host.strip("[]").partition("%")[0])
     addresses = _own_addresses(listens.version) if listens.is_unspecified else [listens]
     at_one = isinstance(listens, IPv4Address) and not listens.is_unspecified
@@ -41,7 +41,7 @@ async def announcing(names: Collection[str], host: str, port: int) -> AsyncItera
 
 
 async def find(server: str, *, within_s: float, interface: str | None = None) -> str:
-    """The address that the server is announced at; raises Unreachable where it is not within that time."""
+    """The announced address of the server; raises Unreachable if it is not announced within that time."""
     info = AsyncServiceInfo(_KIND, f"{server}.{_KIND}")
     async with _opened(interface) as network:
         await info.async_request(network.zeroconf, 1000 * within_s)
@@ -56,7 +56,7 @@ async def find(server: str, *, within_s: float, interface: str | None = None) ->
 
 @contextlib.asynccontextmanager
 async def _opened(interface: str | None) -> AsyncIterator[AsyncZeroconf]:
-    """The network at the interface of that address, or at all interfaces of now."""
+    """Multicast DNS on the interface of that address, or on all present interfaces."""
     interfaces = InterfaceChoice.All if interface is None else [interface]
     try:
         network = AsyncZeroconf(interfaces=interfaces, ip_version=IPVersion.V4Only)
@@ -69,7 +69,7 @@ async def _opened(interface: str | None) -> AsyncIterator[AsyncZeroconf]:
 
 
 def _own_addresses(version: int) -> list[IPv4Address | IPv6Address]:
-    """Those of that version of IP that other computers can reach without knowing an interface."""
+    """This computer's addresses of that IP version, except link-local IPv6 addresses."""
     found = [known.ip for adapter in ifaddr.get_adapters() for known in adapter.ips]
     addresses = [ip_address(ip if isinstance(ip, str) else ip[0]) for ip in found]
     return [ip for ip in addresses if ip.version == version and not (version == 6 and ip.is_link_local)]

@@ -85,7 +85,7 @@ class ManagedNetwork:
         self._scanning: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Leaves what an earlier flight left joined; UsageError where an interface cannot be used at all."""
+        """Leaves networks that an earlier flight left joined; raises UsageError if an interface cannot be used."""
         manager = await self._connected()
         state = await manager.state()
         for interface in self._interfaces:
@@ -112,7 +112,7 @@ class ManagedNetwork:
             raise
 
     async def lost(self) -> str:
-        """Returns why, once the carrier is gone, or the connection has ended for another reason."""
+        """Waits until the carrier is gone or the connection has ended, and returns why."""
         activation = self._activation
         if activation is None:
             await never()
@@ -120,7 +120,7 @@ class ManagedNetwork:
         return activation.why
 
     async def leave(self) -> None:
-        """Deactivates a network that is joined, or being joined; a failure is logged, and the next join mends it."""
+        """Deactivates the joined or joining network; a failure is logged, and repaired by the next join."""
         activation = self._activation
         if activation is None:
             return
@@ -134,7 +134,7 @@ class ManagedNetwork:
             self._activation = None
 
     async def close(self) -> None:
-        """Leaves, and gives the interfaces up."""
+        """Leaves the network, and stops using the interfaces."""
         await end(self._scanning)
         await self.leave()
         if self._manager is not None:
@@ -170,7 +170,7 @@ class ManagedNetwork:
             self._is_untidy = False
 
     async def _tidy(self, manager: NetworkManager) -> None:
-        """Ends the connections that are active of these networks, also of another program."""
+        """End active connections of these networks, also those of another program."""
         devices = await manager.devices()
         for connection in await manager.connections():
             if is_left_over(connection, devices, self._interfaces, self._networks):
@@ -205,7 +205,7 @@ class ManagedNetwork:
 
 
 class _Activation:
-    """One network that is being joined, joined, and lost, by the manager's signals."""
+    """Follows one network from joining to its loss, by the manager's signals."""
 
     def __init__(self, network: str, *, had_secret: bool) -> None:
         self.network = network
@@ -223,23 +223,23 @@ class _Activation:
 
     @property
     def stage(self) -> str:
-        """What was under way, for a message."""
+        """The present step of the activation, for a message."""
         return _STAGES.get(self._state, "NetworkManager had not begun")
 
     def follow(self, device: Device | None) -> None:
-        """Takes in the device's signals, too."""
+        """Take in the device's signals, too."""
         if device is not None:
             self._device = device.path
             self._has_carrier = device.has_carrier
 
     def is_called(self, connection: str) -> None:
-        """Takes in the connection's signals, also those from before its path was known."""
+        """Take in the connection's signals, also those from before its path was known."""
         self.connection = connection
         for signal in self._early:
             self.take_in(signal)
 
     def take_in(self, signal: Signal) -> None:
-        """Takes in one signal, which may be of another network."""
+        """Take in one signal, which may concern another network."""
         match signal:
             case Signal(""):
                 self._end("NetworkManager has stopped")

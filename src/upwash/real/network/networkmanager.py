@@ -45,7 +45,7 @@ _FORBIDDEN = (f"{_NAME}.PermissionDenied", f"{_BUS}.Error.AccessDenied")
 
 
 class DeviceKind(IntEnum):
-    """What an interface is; NetworkManager has many more kinds."""
+    """The kinds of interfaces that matter here; NetworkManager has many more."""
 
     ETHERNET = 1
     WIFI = 2
@@ -53,7 +53,7 @@ class DeviceKind(IntEnum):
 
 
 class DeviceState(IntEnum):
-    """How far an interface has come, in steps of 10."""
+    """The states of an interface, as NetworkManager numbers them."""
 
     UNMANAGED = 10
     UNAVAILABLE = 20
@@ -65,7 +65,7 @@ class DeviceState(IntEnum):
 
 
 class ConnectionState(IntEnum):
-    """How far an activation has come."""
+    """The states of an active connection that matter here."""
 
     ACTIVATED = 2
     DEACTIVATED = 4
@@ -73,7 +73,7 @@ class ConnectionState(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """A connection profile: what is stored of a network."""
+    """A stored connection profile of a network."""
 
     path: str
     uuid: str
@@ -97,7 +97,7 @@ class Device:
 
 @dataclass(frozen=True, slots=True)
 class NetworkConnection:
-    """A profile that is active, or being activated."""
+    """An active profile, or one that is being activated."""
 
     path: str
     uuid: str
@@ -109,7 +109,7 @@ class NetworkConnection:
 
 @dataclass(frozen=True, slots=True)
 class NetworkState:
-    """All interfaces, all connections that are active, and all profiles that this user may see."""
+    """All interfaces, active connections, and profiles that this user may see."""
 
     devices: Sequence[Device]
     connections: Sequence[NetworkConnection]
@@ -136,15 +136,15 @@ class Signal:
 
 
 class ObjectGoneError(NetworkError):
-    """The object does not exist any more."""
+    """Raised when an object does not exist any more."""
 
 
 class ForbiddenError(NetworkError):
-    """This user may not do that."""
+    """Raised when this user has no permission."""
 
 
 class NetworkManager:
-    """The manager on the system's bus. Each call raises NetworkError, also where it takes longer than 3 s."""
+    """NetworkManager on the system's bus; each method raises NetworkError on a failure, or after 3 s."""
 
     def __init__(self, bus: MessageBus, on_signal: Callable[[Signal], None]) -> None:
         self._bus = bus
@@ -158,7 +158,7 @@ class NetworkManager:
         return self._bus.connected
 
     async def close(self) -> None:
-        """Leaves the bus."""
+        """Disconnects from the bus."""
         self._bus.disconnect()
         await asyncio.wait([self._end])
 
@@ -176,7 +176,7 @@ class NetworkManager:
         return NetworkState(await self.devices(), await self.connections(), await self.profiles())
 
     async def profiles(self) -> list[Profile]:
-        """All that are stored and visible to this user."""
+        """The stored profiles that this user may see."""
         (paths,) = await self._call(f"{_ROOT}/Settings", f"{_NAME}.Settings", "ListConnections")
         # Another user's own is forbidden.
         return await _existing(paths, self._profile, missing=(ObjectGoneError, ForbiddenError))
@@ -188,7 +188,7 @@ class NetworkManager:
         return Profile(path, about["uuid"], name, about["type"], interface, settings)
 
     async def devices(self) -> list[Device]:
-        """All interfaces."""
+        """The interfaces of this computer."""
         return await _existing((await self._properties(_ROOT, _NAME))["AllDevices"], self._device)
 
     async def _device(self, path: str) -> Device:
@@ -198,11 +198,11 @@ class NetworkManager:
         return Device(path, about["Interface"], kind, state, has_carrier, active)
 
     async def connections(self) -> list[NetworkConnection]:
-        """All that are active."""
+        """The active connections."""
         return await _existing((await self._properties(_ROOT, _NAME))["ActiveConnections"], self.connection)
 
     async def connection(self, path: str) -> NetworkConnection:
-        """An active connection; raises ObjectGoneError where it is active no longer."""
+        """The active connection at a path; raises ObjectGoneError if it is no longer active."""
         about = await self._properties(path, _ACTIVE)
         addresses: list[str] = []
         for version in ("4", "6"):
@@ -213,23 +213,23 @@ class NetworkManager:
         return NetworkConnection(path, uuid, printable(about["Id"]), kind, devices, tuple(addresses))
 
     async def activate(self, profile: Profile, device: Device | None) -> str:
-        """Begins to activate a profile, on a device unless it makes its own; returns the connection's path."""
+        """Begins to activate a profile on the device, None if it makes its own; returns the connection's path."""
         place = device.path if device else NO_OBJECT
         (path,) = await self._call(_ROOT, _NAME, "ActivateConnection", "ooo", profile.path, place, NO_OBJECT)
         return str(path)
 
     async def deactivate(self, connection: str) -> None:
-        """Begins to end a connection; raises ObjectGoneError where it is over already."""
+        """Begins to end a connection; raises ObjectGoneError if it has ended already."""
         await self._call(_ROOT, _NAME, "DeactivateConnection", "o", connection)
 
     async def scan(self, device: Device) -> None:
-        """Has a WiFi device look for networks; it refuses scans that follow each other too fast."""
+        """Asks a WiFi device to scan for networks; it refuses scans in quick succession."""
         await self._call(device.path, _WIRELESS, "RequestScan", "a{sv}", {})
 
     # --- the bus --------------------------------------------------------------------------------------------
 
     async def listen(self) -> None:
-        """Lets the bus pass on the signals."""
+        """Subscribes to the manager's signals on the bus."""
         for rule in _SIGNALS:
             await self._call("/org/freedesktop/DBus", _BUS, "AddMatch", "s", rule)
 
@@ -312,7 +312,7 @@ async def _existing(
     *,
     missing: tuple[type[NetworkError], ...] = (ObjectGoneError,),
 ) -> list[T]:
-    """The objects at the paths, without those that are gone meanwhile."""
+    """The objects at the paths, without those that have gone in the meantime."""
     found = []
     for path in paths:
         with contextlib.suppress(*missing):

@@ -1,4 +1,4 @@
-"""Which connection profile and which interface a network needs, and what keeps them from being used."""
+"""Which connection profile and interface a network needs, and why they cannot be used."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ANY_RADIO = "connection.interface-name ''"
 
 
 def find_profile(network: str, profiles: Iterable[Profile]) -> Profile:
-    """The profile with that UUID or name; raises NetworkError where there is none, or several."""
+    """The profile with that UUID or name; raises NetworkError if there is none, or several."""
     found = [profile for profile in profiles if network in (profile.uuid, profile.name)]
     if not found:
         raise NetworkError(
@@ -48,9 +48,9 @@ def find_profile(network: str, profiles: Iterable[Profile]) -> Profile:
 
 
 def find_device(profile: Profile, interfaces: Sequence[str], devices: Iterable[Device]) -> Device | None:
-    """The first of the interfaces that the profile can be activated on; None for a profile that makes its own.
+    """The first of the interfaces on which the profile can be activated; None for a profile that makes its own.
 
-    Raises NetworkError where none is there.
+    Raises NetworkError if there is none.
     """
     if profile.interface and profile.interface not in interfaces:
         raise NetworkError(
@@ -75,7 +75,7 @@ def is_left_over(
     interfaces: Collection[str],
     networks: Collection[str],
 ) -> bool:
-    """Whether the connection is one of the networks, on one of the interfaces or on one of its own."""
+    """Whether the connection is of one of these networks, on one of these interfaces or on its own interface."""
     if connection.uuid not in networks and connection.name not in networks:
         return False
     mine = [device.path for device in devices if device.interface in interfaces]
@@ -83,7 +83,7 @@ def is_left_over(
 
 
 def interface_trouble(interface: str, networks: Collection[str], state: NetworkState) -> str:
-    """What keeps the interface from being used for the networks, with the remedy; "" for nothing."""
+    """Why the interface cannot be used for the networks, with the remedy; "" if it can."""
     device = next((device for device in state.devices if device.interface == interface), None)
     if device is None:
         makers = (profile for profile in state.profiles if profile.kind in _MAKES_ITS_OWN_DEVICE)
@@ -112,7 +112,7 @@ def modified(profile: str, settings: str) -> str:
 
 
 def _profile_troubles(profile: Profile) -> Iterator[tuple[str, str]]:
-    """What in the profile would do harm in flight, each with the setting that mends it."""
+    """The settings of the profile that would do harm in flight, each with the correct setting."""
     sections = profile.settings
     if sections["connection"].get("autoconnect", True):
         yield "joins itself whenever it can", "connection.autoconnect no"
@@ -136,9 +136,9 @@ def _profile_troubles(profile: Profile) -> Iterator[tuple[str, str]]:
 async def survey_networks(
     interfaces: Sequence[str], servers: Mapping[str, str], *, radios: int = 1
 ) -> list[SurveyFinding]:
-    """The manager, each interface, and the network of each server, by its name; nothing is joined.
+    """The state of the manager, of each interface, and of each server's network; nothing is joined.
 
-    Raises NetworkError without a manager.
+    `servers` has the network of each server. Raises NetworkError without a manager.
     """
     manager = await connect_networkmanager(lambda _: None)
     try:
@@ -168,7 +168,7 @@ def _found_of(interface: str, state: NetworkState) -> str:
 
 
 def _usable(network: str, interfaces: Sequence[str], state: NetworkState, radios: int) -> tuple[str, str]:
-    """The profile of a network and where it can be activated, and what is wrong with it."""
+    """A network's profile and interface in words, and its trouble; "" without trouble."""
     found = f"{network}: no profile"
     try:
         profile = find_profile(network, state.profiles)

@@ -1,4 +1,4 @@
-"""Certificates and secrets: who signs them, who reads them, and which certificates are trusted.
+"""Certificates and secrets: how they are signed and read, and which certificates are trusted.
 
 Laws. A secret is read only from a regular file that no other user may read, and never shown. A certificate is
 trusted if an authority of ours issued it, it is valid now, and it is not revoked: all three, at each new connection.

@@ -1,8 +1,8 @@
 """The authority that an operator keeps: it signs the certificates of all parties, and revokes them.
 
-It signs one certificate for each daemon, good for all servers that the daemon acts as, and one for each drone and
-each operator. Drones and operators hold only client certificates, so a stolen drone cannot pose as a server. A
-daemon's is good at both ends, as daemons call their peers. The subject names the role of a daemon or an operator.
+It signs one certificate for each daemon, valid for all servers of the daemon, and one for each drone and each
+operator. Drones and operators have only client certificates, so a stolen drone cannot pose as a server. A daemon's
+certificate is for both ends, as daemons call their peers. The subject names the role of a daemon or an operator.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class _Holder:
 
 
 def keys_in(folder: Path, name: str) -> KeysConfig:
-    """Where `make_keys` put the files of the holder of that name."""
+    """The paths of the files that `make_keys` writes for the holder of that name."""
     folder = folder.absolute()
     return KeysConfig(
         authority=folder / "authority.pem", certificate=folder / f"{name}.pem", key=folder / f"{name}.key"
@@ -76,10 +76,9 @@ def make_keys(
 ) -> list[Path]:
     """Makes a key and a certificate for each entry and returns the files written, the authority's if new.
 
-    Certificates last two years by default, and no longer than their authority's own. An entry of `servers` has the
-    names of all servers of a daemon; its files are called after the first. The folder's authority signs, and is made
-    if there is none. Raises UsageError, with nothing written, for a name that cannot be used or a file that is
-    already there.
+    Certificates last two years by default, and no longer than their authority's. An entry of `servers` has the names
+    of all servers of a daemon; its files are named after the first. The folder's authority signs, and is made if
+    there is none. Raises UsageError, with nothing written, for an invalid name or a file that exists.
     """
     if not all(servers):
         raise UsageError("a server without a name: give each at least one")
@@ -101,10 +100,10 @@ def make_keys(
 
 
 def renew_authority(folder: Path) -> list[Path]:
-    """Makes the folder another authority, which signs from now on, and returns the files written.
+    """Makes a new authority for the folder, which signs from now on, and returns the files written.
 
-    authority.pem has both certificates then, so that its readers trust what either signed; the former's key is kept
-    under a name of its own. Raises UsageError where there is no authority to follow.
+    authority.pem then has both certificates, so that its readers trust certificates of either; the former key is kept
+    under another name. Raises UsageError if the folder has no authority.
     """
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     former, former_key = read_public(certificate_file), read_secret(key_file)
@@ -119,7 +118,7 @@ def renew_authority(folder: Path) -> list[Path]:
 
 
 def drop_former_authorities(folder: Path) -> Path:
-    """Leaves in authority.pem only the authority that signs, and returns that file."""
+    """Removes former authorities from authority.pem, and returns that file; only the present one stays trusted."""
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     signer = _signer_among(certificate_file, read_public(certificate_file), key_file, read_secret(key_file))
     write_file(certificate_file, _pem(signer.certificate))
@@ -160,7 +159,7 @@ def _fingerprint_of(folder: Path, name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class CertificateFile:
-    """A certificate in a folder: its holder, what it is for, and until when it is valid."""
+    """A certificate in a folder: its holder, role, end of validity, fingerprint, and whether it is revoked."""
 
     holder: str
     role: str
@@ -170,7 +169,7 @@ class CertificateFile:
 
 
 def made_in(folder: Path) -> list[CertificateFile]:
-    """The certificates of a folder, by file; raises CredentialsError for a broken file."""
+    """The certificates of a folder, in the order of the files; raises CredentialsError for a broken file."""
     list_file = folder / _REVOKED_FILE
     revoked = read_revoked(list_file) if list_file.exists() else frozenset()
     made = []
@@ -201,7 +200,7 @@ def _already_there(file: Path) -> UsageError:
 
 
 def _signer(folder: Path) -> tuple[_Holder, dict[Path, bytes]]:
-    """The folder's authority, and the files that it needs if it has none."""
+    """The folder's authority; a new one, with its files to write, if the folder has none."""
     certificate, key, revoked = folder / "authority.pem", folder / "authority.key", folder / _REVOKED_FILE
     if certificate.exists() and key.exists():
         kept = _signer_among(certificate, read_public(certificate), key, read_secret(key))
@@ -218,7 +217,7 @@ def _signer(folder: Path) -> tuple[_Holder, dict[Path, bytes]]:
 
 
 def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> _Holder:
-    """The one of the authorities in a file that has this key."""
+    """The authority in a file to which this key belongs."""
     private = parsed_key(key, key_pem)
     for authority in parsed_certificates(certificate, pem):
         if isinstance(private, ec.EllipticCurvePrivateKey) and private.public_key() == authority.public_key():
@@ -260,7 +259,7 @@ def _signed(
     lasts: timedelta,
     unit: str = "",
 ) -> Certificate:
-    """A certificate with the extensions, each critical or not; without an issuer its own key signs it."""
+    """A certificate with the extensions, each critical or not; without an issuer it is self-signed."""
     units = [x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit)] if unit else []
     subject = x509.Name([*units, x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = datetime.now(UTC)
@@ -299,7 +298,7 @@ def _pem(certificate: Certificate) -> bytes:
 
 
 def _write_together(folder: Path, files: Mapping[Path, bytes]) -> None:
-    """Writes files that were not there, all or none of them; other users can never read a key."""
+    """Write new files, all or none of them; other users can never read a key."""
     is_new = not folder.exists()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)

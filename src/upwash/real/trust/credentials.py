@@ -1,4 +1,4 @@
-"""Certificates: what one party shows of itself, and which certificates of others it trusts."""
+"""Certificates: those that a party shows, and those of others that it trusts."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _LONGEST_NAME = 255
 
 @dataclass(frozen=True)
 class Credentials:
-    """PEM texts: what a party shows of itself, and what it checks others by.
+    """A party's certificate and key, and the authority of all parties, as PEM texts.
 
-    `authority` may hold the certificates of several authorities: those of any of them are trusted.
+    `authority` may have several certificates: each of these authorities is trusted.
     """
 
     authority: bytes
@@ -45,7 +45,7 @@ class Credentials:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names that the certificate is good for."""
+        """The names for which the certificate is valid."""
         from cryptography import x509
 
         try:
@@ -55,7 +55,7 @@ class Credentials:
         return tuple(names.get_values_for_type(x509.DNSName))
 
     def is_for(self, purpose: Literal["serving", "calling"]) -> bool:
-        """Whether the certificate may be shown by a server, or by a client."""
+        """Whether the certificate may be used by a server ("serving"), or by a client ("calling")."""
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -68,11 +68,11 @@ class Credentials:
 
     @property
     def expiries(self) -> dict[str, datetime]:
-        """Until when the certificate, by its first name, and its authority are valid."""
+        """The end of validity of the certificate, under its first name, and of its issuer, under "authority"."""
         return {holder: certificate.not_valid_after_utc for holder, certificate in self._chain()}
 
     def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
-        """Which certificate is not valid at that time of that clock, with its dates; "" where both are."""
+        """Which certificate is not valid at the time `now`, with its dates; "" if both are. `by` names the clock."""
         problems = (_problem(holder, known, now, by) for holder, known in self._chain())
         return next(filter(None, problems), "")
 
@@ -86,7 +86,7 @@ class Credentials:
 
 
 def at_second(time: datetime) -> str:
-    """As people write it, to the second, in UTC."""
+    """The time as text, to the second, in UTC."""
     return time.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
@@ -96,7 +96,7 @@ def fingerprint(certificate: bytes) -> str:
 
 
 def role_of(subject: str) -> Role:
-    """What a certificate is for, by its subject: parts such as "OU=operator", with commas between them."""
+    """The role of a certificate's holder, from its subject: comma-separated parts such as "OU=operator"."""
     parts = subject.split(",")
     return next((role for role, unit in UNITS.items() if f"OU={unit}" in parts), Role.DRONE)
 
@@ -105,10 +105,10 @@ def role_of(subject: str) -> Role:
 
 
 def read_credentials(authority: Path, certificate: Path, key: Path, *, valid_now: bool = True) -> Credentials:
-    """The credentials in the three files, which belong together; raises CredentialsError.
+    """The credentials in the three files; raises CredentialsError unless they belong together.
 
-    One of the authorities in the first file issued the certificate. Both are valid by this computer's clock, unless
-    that is not set yet.
+    An authority in the first file must have issued the certificate. With `valid_now` both must be valid by this
+    computer's clock.
     """
     credentials = Credentials(read_public(authority), read_public(certificate), read_secret(key))
     authorities = parsed_certificates(authority, credentials.authority)
@@ -128,7 +128,7 @@ def read_credentials(authority: Path, certificate: Path, key: Path, *, valid_now
 
 
 def read_revoked(file: Path) -> frozenset[str]:
-    """The fingerprints in a list of revoked certificates, one at the start of each line; raises CredentialsError."""
+    """The fingerprints in a file of revoked certificates, one at the start of each line; raises CredentialsError."""
     revoked = set()
     for number, text in enumerate(read_public(file).decode(errors="replace").splitlines(), start=1):
         first = text.partition(" ")[0].replace(":", "").lower()
@@ -173,7 +173,7 @@ def parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
 
 
 def refuse_outdated(file: Path, certificate: Certificate) -> None:
-    """Raises CredentialsError for a certificate that is not valid by this computer's clock."""
+    """Raises CredentialsError if the certificate is not valid by this computer's clock."""
     now = datetime.now(UTC)
     if problem := _problem(file.stem, certificate, now, "this computer's clock"):
         remedy = "make a new one"
@@ -219,14 +219,14 @@ def _issuer_among(authorities: Sequence[Certificate], holder: Certificate) -> Ce
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """Who showed a certificate, and until when it is valid."""
+    """The holder of a shown certificate, and the end of its validity."""
 
     client: Client
     ends: datetime
 
 
 class Distrusted(CredentialsError):
-    """A certificate that is not trusted, and why in short."""
+    """Raised for a certificate that is not trusted, with the reason."""
 
     def __init__(self, reason: DoorReason, message: str) -> None:
         super().__init__(message)
@@ -234,7 +234,7 @@ class Distrusted(CredentialsError):
 
 
 class Trust:
-    """TLS for a server, and the certificates that it trusts: of these authorities, and not revoked."""
+    """A server's TLS context, and the certificates that it trusts: issued by these authorities, and not revoked."""
 
     def __init__(self, credentials: Credentials, *, revoked: frozenset[str] = frozenset()) -> None:
         self.context = server_context(credentials)
@@ -242,7 +242,7 @@ class Trust:
         self._revoked = revoked
 
     def holder(self, certificate: bytes) -> Holder:
-        """The holder of a DER certificate; raises Distrusted where it is revoked, expired or not of the authority."""
+        """The holder of a DER certificate; raises Distrusted if it is revoked, expired or of another authority."""
         holder = holder_of(certificate)
         whose = f"the certificate of {holder.client.name}"
         if holder.client.certificate in self._revoked:
@@ -255,9 +255,9 @@ class Trust:
 
 
 def server_context(credentials: Credentials) -> ssl.SSLContext:
-    """TLS 1.3 with clients that show a certificate of the authority.
+    """A TLS 1.3 context for a server that requires clients to show a certificate of the authority.
 
-    Sessions are not resumed, as a revoked certificate might be.
+    Sessions are not resumed, as the certificate may have been revoked since.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
@@ -271,7 +271,7 @@ def server_context(credentials: Credentials) -> ssl.SSLContext:
 
 @functools.lru_cache(maxsize=256)
 def holder_of(certificate: bytes) -> Holder:
-    """What a DER certificate says of its holder."""
+    """The holder that a DER certificate names; the certificate is not checked."""
     from cryptography import x509
 
     parsed = x509.load_der_x509_certificate(certificate)

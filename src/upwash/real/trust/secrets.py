@@ -1,4 +1,4 @@
-"""Files of secrets, which no other user may read, and of the certificates that belong to them."""
+"""Files of secrets, which no other user may read, and files of certificates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ROOT = 0
 
 
 def read_secret(file: Path) -> bytes:
-    """The contents of a file that others may not read; raises CredentialsError where they can."""
+    """The contents of a secret file; raises CredentialsError if other users can read or change it."""
     content, status = _read(file)
     problem = exposure(stat.S_IMODE(status.st_mode), owner=status.st_uid)
     if problem:
@@ -29,14 +29,14 @@ def read_secret(file: Path) -> bytes:
 
 
 def read_public(file: Path) -> bytes:
-    """The contents of a file that all may read; raises CredentialsError."""
+    """The contents of a file that all users may read; raises CredentialsError."""
     return _read(file)[0]
 
 
 def exposure(mode: int, *, owner: int) -> str:
-    """Who else may read or change a file of that mode and owner; "" where no other user may.
+    """Which other users may read or change a file of that mode and owner, in words; "" if none may.
 
-    The group may read a file of root's: a service that runs as a user of its own gets it so.
+    The group may read a file that root owns, so that a service with a user of its own can read it.
     """
     too_much = mode & 0o077 & ~(0o040 if owner == _ROOT else 0)
     if not too_much:
@@ -46,7 +46,7 @@ def exposure(mode: int, *, owner: int) -> str:
 
 
 def load_secret(context: ssl.SSLContext, pem: bytes) -> None:
-    """Has the context show the certificate in the text, by the key in it."""
+    """Loads a certificate and its key from a PEM text into the context."""
     secret = os.memfd_create("secret")  # the ssl module reads files only
     try:
         os.write(secret, pem)
@@ -75,7 +75,7 @@ def _read(file: Path) -> tuple[bytes, os.stat_result]:
 
 
 def _without_mark(content: bytes) -> bytes:
-    """The same bytes; a text that begins with a byte order mark in UTF-8, without the mark."""
+    """The content, without a byte order mark if it is a text."""
     if not content.startswith(_MARKS) or len(content) == _RAW_KEY_BYTES:
         return content
     try:

@@ -1,4 +1,4 @@
-"""A container of Docker or Podman: what it may use and see, and how its service gets its sockets."""
+"""A container of Docker or Podman: its limits, what it sees, and how its service gets its sockets."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def definition(
 
 
 class DockerContainer:
-    """A container that runs, whose service has its sockets."""
+    """A running container whose service has its sockets."""
 
     def __init__(self, engine: DockerEngine, name: str, line: socket.socket) -> None:
         self._engine = engine
