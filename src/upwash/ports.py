@@ -108,7 +108,7 @@ class Autopilot(Protocol):
 
     @property
     def battery_percent(self) -> float | None:
-        """What is left in the battery, as last reported; None where the vehicle does not say."""
+        """The battery's charge in percent, as last reported; None if the vehicle does not report it."""
 
     @property
     def velocity(self) -> Velocity | None:
@@ -182,7 +182,7 @@ class Autopilot(Protocol):
         """Climbs to the altitude above home; returns when it is reached."""
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
-        """Sets the speed of the legs that follow."""
+        """Sets the ground speed of the following legs, in metres per second."""
 
     async def goto(self, position: Position) -> None:
         """Flies to the position; returns on arrival, at rest."""
@@ -200,10 +200,10 @@ class Autopilot(Protocol):
         """Stops and hovers where it is."""
 
     async def return_home_and_land(self) -> None:
-        """Flies back to where it took off and lands; returns on touchdown."""
+        """Flies back to the vehicle's home and lands; returns on touchdown."""
 
     async def land(self) -> None:
-        """Lands where it is; returns on touchdown."""
+        """Lands where the vehicle is; returns on touchdown."""
 
     async def disarm(self) -> None:
         """Stops the motors; refused by the vehicle in flight."""
@@ -225,7 +225,7 @@ class Network(Protocol):
         """Returns why, once the network that is joined is no longer connected; it is still to be left."""
 
     async def leave(self) -> None:
-        """Leaves the network that is joined, if any."""
+        """Leaves the joined network, if any."""
 
 
 class Link(Protocol):
@@ -239,7 +239,7 @@ class Link(Protocol):
         """Sends one request and returns its reply; raises LinkError. Cancelling it tells the other side."""
 
     async def close(self) -> None:
-        """Breaks the connection off, with every request under way."""
+        """Closes the connection at once; every request under way fails."""
 
 
 Finder = Callable[[str], Awaitable[str]]  # the address of the server of that name; raises Unreachable

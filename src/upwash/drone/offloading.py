@@ -213,7 +213,7 @@ class FailSafeOffloading:
         return (None, None) if self._failed else self._offloading.link
 
     def outlook(self) -> Outlook | None:
-        """As `Selection.outlook`."""
+        """What flying on before the open call is over would save and cost; None if nothing is known."""
         return self._guarded(self._offloading.outlook)
 
     def tell(self, event: SelectionEvent) -> None:

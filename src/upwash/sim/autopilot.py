@@ -155,7 +155,7 @@ class ModelAutopilot:
 
     @property
     def control(self) -> Control:
-        """Who has it."""
+        """The vehicle's owner, and why."""
         return self._link.control
 
     @property
@@ -165,7 +165,7 @@ class ModelAutopilot:
 
     @property
     def armed(self) -> bool:
-        """Whether its motors run."""
+        """Whether the motors run."""
         return self._vehicle.armed
 
     @property

@@ -94,7 +94,7 @@ class ModelLink:
             self._requests.discard(exchange)
 
     async def close(self) -> None:
-        """Breaks the connection off, with every request under way."""
+        """Closes the connection at once; every request under way fails."""
         self._closed = True
         for exchange in self._requests:
             self._give_up(exchange)

@@ -191,7 +191,7 @@ class MissionTurn(RunningTurn):
         self._turns.next = self
 
     def begin(self) -> None:
-        """In the mission's thread, first of all: returns when its code shall run."""
+        """In the mission's thread, first of all: returns when the mission's code may run."""
         self.come.acquire()
         sys.set_asyncgen_hooks(
             firstiter=self._loop._asyncgen_firstiter_hook,  # type: ignore[attr-defined]
@@ -215,7 +215,7 @@ class MissionTurn(RunningTurn):
         self._turns.begin_code()
 
     def end(self) -> None:
-        """In the mission's thread, last of all."""
+        """In the mission's thread, last of all: give the turn back to the loop."""
         if self._turns.end_code(self):
             self._turns.leave_for_good()
 

@@ -41,7 +41,7 @@ class ModelVehicleLink:
 
     @property
     def control(self) -> Control:
-        """Who has it."""
+        """The vehicle's owner, and why."""
         return self.latch.control
 
     @property

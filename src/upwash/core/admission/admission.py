@@ -10,13 +10,13 @@ Laws:
 - where more drones ask than there are slots they take turns (turns.py), and no turn ends a call that is under way;
 - a certificate that is revoked holds no lease, and a daemon that closes gives none;
 - what a drone tells the daemon renews its lease, and what the daemon sees of it; what an instance says does not;
-- a peer gets a lease for a drone where the drone itself would, for a bounded time, and nothing else;
+- a peer gets a lease for a drone only if the drone itself would get one, and for a bounded time;
 - a drone may have peers hold one slot at a time, and only while it has a lease here;
 - an instance goes absent, starting, running, stopping, absent; it may fall back to absent at any time;
 - an instance is known by its number, and what arrives for another number changes nothing;
-- one of another version takes a place when it is ready, and the former serves for another lease, as drones ask for
-  addresses within that time;
-- commands are to be carried out in their order.
+- an instance of another version takes over when it is ready; the former one serves for the length of one lease
+  more, as drones ask for addresses within that time;
+- commands must be carried out in their order.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class StopInstance(Struct, frozen=True):
 
 @dataclass(slots=True)
 class InstancePlace:
-    """The instance of one service, or the place for it; `numbers` gives each that is begun a number of its own."""
+    """The state of one service's instance, or its absence; `numbers` gives each new instance its number."""
 
     server: str
     service: str

@@ -79,11 +79,11 @@ class HostedServer:
 
     @property
     def slots(self) -> int:
-        """How many drones it takes at once, now."""
+        """How many drones the server takes at once now."""
         return self._measured.count if self.offer.slots == "auto" else self.offer.slots
 
     def ask_for_slot(self, drone: str, *, now_s: float) -> tuple[Denied | None, list[Command]]:
-        """Whether the drone, which holds no slot, may have one now; a holder may have to yield."""
+        """Return why the drone, without a slot, may have none now, or None; and what a holder that yields must do."""
         is_news = self.turns.asked(drone, now_s=now_s)
         free = self.slots - len(self.leases)
         rank = self.turns.rank(drone, now_s=now_s)
@@ -125,11 +125,11 @@ class HostedServer:
     # --- instances ------------------------------------------------------------------------------------------
 
     def state(self, service: str) -> InstanceState:
-        """Where the instance of the service is in its life."""
+        """The state of the service's instance."""
         return self._places[service].state
 
     def endpoints(self, services: Iterable[str]) -> dict[str, str]:
-        """Where those of the services can be called that run."""
+        """The endpoints of those of the services that run, by service."""
         return {
             service: place.endpoint for service in services if (place := self._places[service]).is_running
         }
@@ -140,7 +140,7 @@ class HostedServer:
         return place, place.begin()
 
     def has_place(self, service: str, number: int) -> bool:
-        """Whether drones are sent to the instance of that number; others end soon, or are starting."""
+        """Whether drones are sent to the instance of that number; other instances end soon, or are starting."""
         return self._places[service].number == number
 
     def ready(self, service: str, number: int, endpoint: str, *, now_s: float) -> list[Command]:
@@ -182,12 +182,12 @@ class HostedServer:
         return self._condemn(place, useless, now_s)
 
     def silent(self, service: str, why: str, *, now_s: float) -> list[Command]:
-        """Stop the running instance, which does not confirm whom it serves."""
+        """Stop the running instance, because it did not confirm the drones that it must answer."""
         place = self._places[service]
         return self._condemn(place, Useless(why, place.watch.callers), now_s)
 
     def deny(self, services: Iterable[str], drone: Client, *, now_s: float) -> list[Command]:
-        """These services raised in calls of the drone, but did not raise on the drone."""
+        """Note that these services raised in calls of the drone, but not on the drone; stop useless instances."""
         commands: list[Command] = []
         if self.leases.by_key(drone.key, now_s=now_s) is not None:
             for service in sorted(self.offer.images & frozenset(services)):
@@ -197,7 +197,10 @@ class HostedServer:
         return commands
 
     def called(self, service: str, number: int, drone: str, *, now_s: float) -> None:
-        """The instance reports a call of the drone with that `Client.key`; with a lease, it uses the service."""
+        """Note that the instance began a call of the drone with that `Client.key`.
+
+        If the drone has a lease, the service counts as used at `now_s`.
+        """
         place = self._places[service]
         if place.number == number:
             place.watch.began(drone, now_s)

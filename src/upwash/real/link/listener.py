@@ -71,7 +71,7 @@ class Listener:
         self._server.add_generic_rpc_handlers((handlers,))
 
     def start(self) -> None:
-        """Begins to answer."""
+        """Begins to answer requests."""
         self._server.start()
 
     def stop(self, *, grace_s: float = 0.0) -> None:

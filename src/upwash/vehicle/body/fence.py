@@ -46,7 +46,7 @@ class FenceArea:
     inclusion: bool
 
     def allows(self, position: Position) -> bool:
-        """Whether the vehicle may be there."""
+        """Whether the fence allows the vehicle to be at the position."""
         return self._contains(position) is self.inclusion
 
     def _contains(self, position: Position) -> bool:
