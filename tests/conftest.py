@@ -35,6 +35,7 @@ WAITING_GROUPS = (
     "podman",
     "lxd",
     "incus",
+    "tutorial",
 )
 ON_VIRTUAL_TIME = {"core", "lab", "sim"}  # folders of tests
 PRIORITY = os.getpriority(os.PRIO_PROCESS, 0)
@@ -66,9 +67,7 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Lets groups that mostly wait begin first; others that wait come among those that compute, and fill the gaps."""
     flights = [item for item in items if item.get_closest_marker("flight") and _group(item) is None]
-    for number, flight in enumerate(
-        flights
-    ):  # four at a time: each renders photos and detects, as real drones would
+    for number, flight in enumerate(flights):  # each renders photos and detects, as real drones would
         flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 4}"))
     for item in items:  # what a module's tests share is made once, and not by every process
         if _shares_with_its_module(item) and _group(item) is None:

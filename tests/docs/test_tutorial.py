@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from shutil import copytree
 from typing import NamedTuple
 
 import msgspec
@@ -18,7 +19,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-FLIGHT = ("tutorial-service.md", "tutorial-two-services.md")
+pytestmark = pytest.mark.xdist_group("tutorial")  # its pages are followed once
 TERMINAL = re.compile(r"terminal \d+")
 
 
@@ -99,13 +100,25 @@ def environment() -> dict[str, str]:
     return os.environ | {"COLUMNS": "140", "PYTEST_ADDOPTS": "-p no:cacheprovider"}
 
 
-@pytest.fixture
-def learner(tmp_path: Path) -> Learner:
+@pytest.fixture(scope="module")
+def one_service(tmp_path_factory: pytest.TempPathFactory) -> Learner:
+    """A learner at the end of the first page of the tutorial."""
+    learner = Learner(tmp_path_factory.mktemp("tutorial"))
+    learner.follow("tutorial-service.md")
+    return learner
+
+
+@pytest.fixture(scope="module")
+def two_services(one_service: Learner) -> Learner:
+    """A learner at the end of the second page, in a copy of what the first page made."""
+    learner = Learner(copytree(one_service.folder, one_service.folder.with_name("two-services")))
+    learner.follow("tutorial-two-services.md")
+    return learner
+
+
+def test_the_first_page_simulates_and_reports(tmp_path: Path) -> None:
     (tmp_path / "scenarios").symlink_to(ROOT / "scenarios")
-    return Learner(tmp_path)
-
-
-def test_the_first_page_simulates_and_reports(learner: Learner) -> None:
+    learner = Learner(tmp_path)
     learner.follow("start.md")
     assert (learner.folder / "report.html").stat().st_size > 10_000
     (shown,) = (block.text for block in blocks("start.md") if not block.language)
@@ -114,30 +127,28 @@ def test_the_first_page_simulates_and_reports(learner: Learner) -> None:
             assert part.strip() in learner.printed
 
 
-def test_a_service_of_ones_own_is_simulated_checked_and_tested(learner: Learner) -> None:
-    learner.follow("tutorial-service.md")
-    assert "nothing to warn of" in learner.printed
-    assert "2 passed" in learner.printed
-    assert "4 on s1" in learner.printed
+def test_a_service_of_ones_own_is_simulated_checked_and_tested(one_service: Learner) -> None:
+    assert "nothing to warn of" in one_service.printed
+    assert "2 passed" in one_service.printed
+    assert "4 on s1" in one_service.printed
 
 
-def test_two_services_are_simulated_and_checked(learner: Learner) -> None:
-    for page in FLIGHT:
-        learner.follow(page)
-    assert "2 services, 1 server" in learner.printed
-    assert "nothing to warn of" in learner.printed.rpartition("2 services, 1 server")[2]
-    assert "Calls of sharpness.score" in learner.printed
+def test_two_services_are_simulated_and_checked(two_services: Learner) -> None:
+    printed = two_services.printed
+    assert "2 services, 1 server" in printed
+    assert "nothing to warn of" in printed.rpartition("2 services, 1 server")[2]
+    assert "Calls of sharpness.score" in printed
 
 
 @pytest.mark.long
-def test_it_flies_on_the_desk(learner: Learner) -> None:
+def test_it_flies_on_the_desk(two_services: Learner, tmp_path: Path) -> None:
     """At ports of its own, with a vehicle that can be armed at once."""
-    for page in FLIGHT:
-        learner.follow(page)
-    serve, vehicle, fly = (block.text for block in blocks(FLIGHT[0]) if TERMINAL.fullmatch(block.title))
+    folder = copytree(two_services.folder, tmp_path / "flown")
+    shown = blocks("tutorial-service.md")
+    serve, vehicle, fly = (block.text for block in shown if TERMINAL.fullmatch(block.title))
     daemon_port, vehicle_port = free_port(), free_port()
     for name in ("drone.toml", "server.toml"):
-        file = learner.folder / name
+        file = folder / name
         text = file.read_text().replace(":7070", f":{daemon_port}").replace(":14550", f":{vehicle_port}")
         if name == "server.toml" and os.geteuid() == 0:  # docs/troubleshooting.md has this for a trial
             text = "runtime.sandbox_as_root = true\n" + text
@@ -149,7 +160,7 @@ def test_it_flies_on_the_desk(learner: Learner) -> None:
         ):
             process = running.enter_context(
                 subprocess.Popen(
-                    at_hand(command), cwd=learner.folder, stdout=subprocess.PIPE, text=True, env=environment()
+                    at_hand(command), cwd=folder, stdout=subprocess.PIPE, text=True, env=environment()
                 )
             )
             running.callback(process.terminate)
@@ -157,7 +168,7 @@ def test_it_flies_on_the_desk(learner: Learner) -> None:
             assert " ready at " in process.stdout.readline()
         flown = subprocess.run(
             at_hand(f"{fly} --json"),
-            cwd=learner.folder,
+            cwd=folder,
             capture_output=True,
             text=True,
             check=False,
