@@ -22,9 +22,11 @@ _PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 _STDERR = 2
 _MOST_PRINTED_BYTES = 2**16
 _LONGEST_REASON = 1000  # characters
-# The prefix of a reason: colours, the time, places in onnxruntime's source, the kind of the error.
+_COLOURS = re.compile(r"\x1b\[[\d;]*m")
+# The prefix of a reason: the time, places in onnxruntime's source, the kind of the error. Only the start of a word is
+# tried, as trying each letter of a long one takes seconds.
 _BEFORE_REASONS = re.compile(
-    r"\x1b\[[\d;]*m|\S+ \S+ \[\w:onnxruntime:[^\]]*\]|\S*/onnxruntime_src/.*?(?=\w+ failure \d|: FAIL :)|: FAIL :"
+    r"(?<!\S)(\S+ \S+ \[\w:onnxruntime:[^\]]*\]|\S*/onnxruntime_src/.*?(?=\w+ failure \d|: FAIL :))|: FAIL :"
 )
 
 
@@ -65,7 +67,7 @@ def _session(model: Path, threads: int, provider: Provider) -> onnxruntime.Infer
 
 
 def _unusable(provider: Provider, why: str) -> UsageError:
-    why = " ".join(words_of(_BEFORE_REASONS.sub(" ", why)).split())[:_LONGEST_REASON]
+    why = " ".join(words_of(_BEFORE_REASONS.sub(" ", _COLOURS.sub(" ", why))).split())[:_LONGEST_REASON]
     return UsageError(
         f'provider = "{provider}" cannot be used here: {why or "onnxruntime does not say why"}; install what it '
         "names, or leave the provider out to compute on the processor"
