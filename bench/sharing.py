@@ -24,7 +24,7 @@ from upwash.lab.processes import in_processes
 from upwash.lab.run import simulate_drones
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
-FLEETS, QUICK_FLEETS = (1, 2, 4, 8, 16), (1, 2)
+FLEETS, QUICK_FLEETS = (1, 2, 4, 8, 16), (1,)
 AS_THEY_ARE = ("fleet-overloaded-server", "fleet-mixed", "fleet-vanishing")
 FIELD_M, STEP_M, ROUTE_STEPS = 220.0, 20.0, 40
 

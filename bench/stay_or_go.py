@@ -24,7 +24,7 @@ from upwash.lab.scenario import read_scenario
 from upwash.support.confidence import Mean, mean_of
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"
-CHANCES = (0.0, 0.05, 0.1, 0.2, 0.5)
+CHANCES, QUICK_CHANCES = (0.0, 0.05, 0.1, 0.2, 0.5), (0.5,)
 GOING = ("go", "learn")
 ACTION_S = 5.0
 NOISE = {"noise.call": 0.03, "noise.leg": 0.02}  # as `upwash compare` gives to a scenario without any
@@ -71,9 +71,9 @@ def fly(flight: Flight) -> tuple[Flight, Flown]:
     return flight, Flown(run.result.mission_time_s, run.result.totals.turned_back)
 
 
-def gained(flown: dict[Flight, Flown], seeds: Sequence[int]) -> Iterator[Gained]:
+def gained(flown: dict[Flight, Flown], chances: Sequence[float], seeds: Sequence[int]) -> Iterator[Gained]:
     """The gains, mission by mission against the one of the same seed that stays."""
-    for chance, manner in itertools.product(CHANCES, GOING):
+    for chance, manner in itertools.product(chances, GOING):
         stays = [flown[Flight(chance, "stay", seed)].mission_s for seed in seeds]
         goes = [flown[Flight(chance, manner, seed)] for seed in seeds]
         gain: Mean = mean_of([100 * (1 - its.mission_s / s) for its, s in zip(goes, stays, strict=True)])
@@ -110,11 +110,12 @@ def main() -> None:
     parser = command_line("stay_or_go", __doc__)
     parser.add_argument("--keep", action="store_true", help="keep what comes out in bench/results")
     options = parser.parse_args()
+    chances = QUICK_CHANCES if options.quick else CHANCES
     seeds = range(1, 1 + (QUICK_SEEDS if options.quick else SEEDS))
-    wanted = [Flight(*each) for each in itertools.product(CHANCES, ("stay", *GOING), seeds)]
+    wanted = [Flight(*each) for each in itertools.product(chances, ("stay", *GOING), seeds)]
     with in_processes(fly, wanted) as results:
         flown = dict(results)
-    found = list(gained(flown, seeds))
+    found = list(gained(flown, chances, seeds))
     for row in (HEAD, *rows(found)):
         print("  ".join(f"{cell:>28}" for cell in row))
     if options.keep:
