@@ -7,11 +7,11 @@ not know.
 
 - service.py      @service and @once, stubs, and each method's request and reply
 - operations.py   which methods of a class are operations
-- settings.py     what a service's constructor takes from a configuration
+- settings.py     parameters of a service's constructor, from a configuration
 - wire.py         types that can be sent, MessagePack, and the bounds of a message
 - arrays.py       numpy's arrays in messages
 - protocol.py     messages between drones and daemons
 
-Ugly: an exception travels by the path of its class, and is made again without its constructor, as that may want
-other arguments than those that an exception keeps.
+Ugly: an exception travels with the path of its class, and is made again without its constructor, which may need
+other arguments than an exception keeps.
 """

@@ -1,8 +1,8 @@
 """Numpy's arrays in calls, with their dtype and dimensions in the type hint, as numpy itself writes them.
 
-`NDArray[np.float32]`, or `np.ndarray[tuple[int, Literal[3]], np.dtype[np.uint8]]` where the dimensions count too. An
-array is sent as a map of `dtype` (numpy's, little-endian), `shape` and `data` (its bytes, the last index fastest).
-What does not fit the hint is refused. Only services that use numpy need numpy.
+Hints are `NDArray[np.float32]`, or `np.ndarray[tuple[int, Literal[3]], np.dtype[np.uint8]]` with fixed dimensions. An
+array is sent as a map of `dtype` (numpy's, little-endian), `shape` and `data` (its bytes, the last index fastest). An
+array that does not fit the hint is refused. Only services that use numpy need numpy.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class ArrayHint:
 
 
 def is_array(cls: object) -> bool:
-    """Whether it is numpy's array class."""
+    """Whether the class is numpy's array class."""
     numpy = sys.modules.get("numpy")
     return numpy is not None and cls is numpy.ndarray
 
 
 def require_arrays(hint: Any, what: str, seen: set[Any] | None = None) -> None:
-    """Raises DeclarationError where an array in the type hint, or in a class within it, says no dtype."""
+    """Raises DeclarationError if an array in the type hint, or in a class within it, has no dtype."""
     seen = set() if seen is None else seen
     alias = typing.get_origin(hint) or hint
     if hasattr(alias, "__value__"):  # a type alias of Python 3.12; numpy 2.5 declares NDArray as one
@@ -70,7 +70,7 @@ def require_arrays(hint: Any, what: str, seen: set[Any] | None = None) -> None:
 
 @functools.cache
 def array_hint(hint: Any) -> ArrayHint:
-    """What the type hint of an array says; raises TypeError where it says no dtype of numbers."""
+    """The dtype and dimensions in an array's type hint; raises TypeError without a dtype of numbers."""
     import numpy as np
 
     shape, dtype = typing.get_args(hint) or (Any, Any)
@@ -93,7 +93,7 @@ def _size(hint: Any) -> int | None:
 
 
 def to_wire(value: Any) -> Any:
-    """An array, or a number of numpy's, as plain values; raises TypeError for any other type."""
+    """A numpy array or number as plain values for a message; raises TypeError for any other type."""
     numpy = sys.modules.get("numpy")
     if numpy is not None and isinstance(value, numpy.ndarray):
         whole = numpy.ascontiguousarray(value, value.dtype.newbyteorder("<"))
@@ -108,7 +108,7 @@ def to_wire(value: Any) -> Any:
 
 
 def from_wire(hint: Any, sent: Any) -> Any:
-    """A copy of the array that was sent; raises ValueError where it does not fit the type hint."""
+    """The array from a message's plain values, as a copy; raises ValueError if it does not fit the type hint."""
     import numpy as np
 
     meant = array_hint(hint)

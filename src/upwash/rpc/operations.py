@@ -1,4 +1,4 @@
-"""Which functions of a class are the operations of its service; an attribute that only looks like one is refused."""
+"""Which methods of a class are the operations of its service; attributes that only look like methods are refused."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _HIDE = "or begin its name with _ where only the service itself uses it"
 def operations_of(cls: type) -> dict[str, Callable[..., Any]]:
     """The public methods of a class, inherited ones too, by name.
 
-    Raises DeclarationError where there is none, and for a public attribute that callers would miss: a property, a
-    static method, another callable object, `__call__`.
+    Raises DeclarationError if there is none, and for public attributes that a stub would lack: a property, a static
+    method, another callable object, `__call__`.
     """
     if any("__call__" in vars(base) for base in cls.__mro__):
         raise DeclarationError(f"service {cls.__name__}: give __call__ a name without underscores")
@@ -30,14 +30,14 @@ def operations_of(cls: type) -> dict[str, Callable[..., Any]]:
 
 
 def _is_data(attribute: object) -> bool:
-    """Whether it is not for calls: a constant, a class or type hint, the place of an attribute in `__slots__`."""
+    """Whether the attribute is data: a constant, a class or type hint, or a member of `__slots__`."""
     if isinstance(attribute, type) or get_origin(attribute) or inspect.ismemberdescriptor(attribute):
         return True
     return not callable(attribute) and not hasattr(type(attribute), "__get__")
 
 
 def _why_not(name: str, attribute: Any) -> str:
-    """Why an attribute cannot be an operation, with the remedy; "" where it can."""
+    """Why an attribute cannot be an operation, with the remedy; "" if it can."""
     if not inspect.isfunction(attribute):
         return f"declare it as a plain method, with self, not as a {type(attribute).__name__}, {_HIDE}"
     if inspect.iscoroutinefunction(attribute):

@@ -57,19 +57,19 @@ Waiting = Annotated[int, Meta(ge=0, le=65_535)]  # drones that wait for a slot
 
 
 class AvailabilityRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Can this server serve me, and which of these services run already?"""
+    """A drone asks whether the server can serve it, and which of these services run already."""
 
     server: NameText
     services: Names
 
 
 class AvailabilityReply(msgspec.Struct, frozen=True):
-    """Yes, with the endpoints of those that run and the length of the lease; or no, with the reason.
+    """The server can serve the drone: endpoints of running services and the lease's length; or it cannot, and why.
 
-    An endpoint is a port of the host that the daemon was reached at, such as ":40000" (`resolve`). `peers` are the
-    servers that it can have prepared. `waiting` drones queue for a slot. A drone that is refused for want of a slot
-    queues too, if it asks again in `ask_again_s`, which is 0 for other refusals. A service that keeps failing is not
-    started for another `pause_s`.
+    An endpoint is a port of the daemon's host, such as ":40000" (`resolve`). `peers` are the servers to which the
+    daemon can announce the drone. `waiting` drones queue for a slot. A drone that is refused because there is no slot
+    queues too, if it asks again after `ask_again_s`, which is 0 for other refusals. A service that keeps failing is
+    not started for another `pause_s`.
     """
 
     available: bool
@@ -83,14 +83,14 @@ class AvailabilityReply(msgspec.Struct, frozen=True):
 
 
 class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Have this service running, and answer when it can be called."""
+    """A drone asks the server to start this service; the reply comes when it can be called."""
 
     server: NameText
     service: NameText
 
 
 class StartReply(msgspec.Struct, frozen=True):
-    """The endpoint to call; or why there is none, and when to ask for a slot, if only that is missing.
+    """The endpoint to call; or why there is none, and when to ask again if only a slot is missing.
 
     A service that keeps failing is not started for another `pause_s`.
     """
@@ -103,28 +103,31 @@ class StartReply(msgspec.Struct, frozen=True):
 
 
 class LeaveRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """I need this server no more."""
+    """A drone gives up its slot, or its place in the queue."""
 
     server: NameText
 
 
 class LeaveReply(msgspec.Struct, frozen=True):
-    """Noted."""
+    """The server has received the message."""
 
 
 class DenyRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Calls of these services raised there and did not raise on the drone, since the drone's last such message."""
+    """Calls of these services raised on the server, but not on the drone, since the drone's last DenyRequest."""
 
     server: NameText
     services: Names
 
 
 class DenyReply(msgspec.Struct, frozen=True):
-    """Noted."""
+    """The server has received the message."""
 
 
 class PrepareRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """I will be at your peer in `arrives_in_s`: have it start these services, and hold a slot for `hold_s` more."""
+    """A drone announces itself to a peer of the server, where it arrives in `arrives_in_s`.
+
+    The peer is asked to start these services, and to hold a slot until `hold_s` after that.
+    """
 
     server: NameText
     peer: NameText
@@ -151,7 +154,7 @@ class HoldReply(msgspec.Struct, frozen=True):
 
 
 class StatusRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How are you? Answered to operators only."""
+    """An operator asks for the daemon's state; others are refused."""
 
 
 class CertificateStatus(msgspec.Struct, frozen=True):
@@ -165,7 +168,7 @@ class StatusReply(msgspec.Struct, frozen=True):
     """The daemon's servers, its last refusals, its certificates, and how long it has run.
 
     `at_door` are connections that were refused before any request; `limits` hold for each instance of a service.
-    Replies of earlier daemons have neither.
+    Replies of earlier daemons lack both.
     """
 
     up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]
@@ -208,7 +211,7 @@ def _decode(message: bytes, expected: type[T]) -> T:
 
 
 def _clean(value: object) -> object:
-    """Plain values, lists and maps included, with each text in them escaped; refuses numbers that are not finite."""
+    """The plain value with each text in it escaped; raises ValidationError for numbers that are not finite."""
     match value:
         case str():
             return escaped(value)
@@ -222,10 +225,10 @@ def _clean(value: object) -> object:
 
 
 def resolve(endpoint: str, daemon_address: str) -> str:
-    """The address of an endpoint that a daemon gave: a port of its own host, and no other place.
+    """The address of an endpoint that a daemon gave, which must be a port of the daemon's own host.
 
-    For a daemon on a unix socket it is a socket in the same folder, or below it. Raises GarbledReply for other
-    endpoints: a server must not choose another host, or how its name is looked up.
+    For a daemon on a unix socket it must be a socket in the same folder or below. Raises GarbledReply for any other
+    endpoint: a server must not choose another host, or how its name is looked up.
     """
     if daemon_address.startswith("unix:"):
         if endpoint.startswith("unix:") and _path(daemon_address).parent in _path(endpoint).parents:

@@ -1,4 +1,4 @@
-"""Declaring a service: one class gives the local object, the instance on a server, and the typed stub.
+"""The declaration of a service: one class gives the local object, the instance on a server, and the typed stub.
 
     @service(profile_by="mode")
     class Detector:
@@ -7,7 +7,7 @@
 
 Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from parameter
 name to value, a reply a map with either `value` or `fault`. Services keep no state between calls, and a call may run
-twice: on a server and, where that gives no usable answer, on the drone. A method can forbid that:
+twice: on a server and, if that gives no usable answer, on the drone. A method can forbid that:
 
         @once
         def drop_parcel(self) -> None: ...                                # on the drone alone, never again
@@ -57,9 +57,9 @@ class ServiceFault(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Method:
-    """One operation: what a stub sends, and what an instance does with it.
+    """One operation of a service: encodes its calls for a stub, and performs them in an instance.
 
-    With `once` a call must run on the drone alone, and never a second time.
+    With `once` a call runs only on the drone, and never a second time.
     """
 
     service: str
@@ -99,21 +99,21 @@ class Method:
         return self._key(self._arguments(request))
 
     def under(self, key: str, request: bytes) -> bytes:
-        """The same request under another profile key; raises ValueError where there is no such argument."""
+        """The request with the profile argument changed to `key`; raises ValueError for an invalid key."""
         arguments = self.request.decode(request)
         return self.request.encode(
             msgspec.structs.replace(arguments, **{str(self.profile_by): self.argument(key)})
         )
 
     def argument(self, key: str) -> object:
-        """The argument with that profile key; raises ValueError where its type hint has none."""
+        """The profile argument for that key; raises ValueError if its type hint has no such value."""
         try:
             return msgspec.convert(key, self.key_type, strict=False)
         except msgspec.ValidationError as error:
             raise ValueError(f"{self.name}({self.profile_by}=...): {error}") from error
 
     def decode(self, reply: bytes) -> Any:
-        """A reply, checked against the type hints; raises GarbledReply where it does not fit them."""
+        """A reply, checked against the type hints; raises GarbledReply if it does not fit them."""
         try:
             decoded = self.reply.decode(reply)
         except msgspec.MsgspecError as error:
@@ -125,19 +125,19 @@ class Method:
         return decoded
 
     def raised(self, decoded: Any) -> str:
-        """The exception that a decoded reply carries, in short; "" where it carries a value."""
+        """The exception in a decoded reply, as a short text; "" if the reply has a value."""
         if decoded.fault is UNSET:
             return ""
         return printable(f"{decoded.fault.type.replace(':', '.')}: {decoded.fault.message}", _LONGEST_SUMMARY)
 
     def result(self, decoded: Any) -> object:
-        """The value of a decoded reply; raises the service's exception where it carries one."""
+        """The value of a decoded reply; raises the service's exception if the reply has one."""
         if decoded.fault is not UNSET:
             raise _rebuild(decoded.fault)
         return decoded.value
 
     def fault_reply(self, error: BaseException) -> bytes:
-        """The reply of a call that raised this exception."""
+        """The encoded reply of a call that raised this exception."""
         cls = type(error)
         type_path = f"{cls.__module__}:{cls.__qualname__}"
         try:
@@ -196,8 +196,8 @@ def service(
 
     Its public methods are its operations; each value of the parameter that `profile_by` names has its own estimates.
     An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be safe
-    for threads. Raises DeclarationError where a parameter, its default or a result cannot be sent, and for public
-    attributes that are no plain methods and no data.
+    for threads. Raises DeclarationError if a parameter, its default or a result cannot be sent, and for public
+    attributes that are neither plain methods nor data.
     """
 
     if declared is not None and not isinstance(declared, type):
@@ -213,7 +213,7 @@ def service(
 
 
 def once(method: Callable[P, R], /) -> Callable[P, R]:
-    """Declares that calls of a service's method run on the drone alone, and never a second time.
+    """Declares that calls of a service's method run only on the drone, and never a second time.
 
     For methods that act on the world: no call goes to a server, or is repeated after a failure.
     """
@@ -264,7 +264,7 @@ def request_of(
 ) -> tuple[Operation, Method, bytes]:
     """The operation, method and request of a stub's method with these arguments; raises TypeError as the call would.
 
-    UsageError where it is no method of a stub.
+    Raises UsageError if `call` is no method of a stub.
     """
     stub = getattr(call, _STUB, None)
     if stub is None:
@@ -296,7 +296,7 @@ def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) ->
 
 
 def _used_by(cls: type, hint: Any) -> type[msgspec.Struct] | None:
-    """The settings of the service in the type hint, which may add that it may be None."""
+    """The settings of the service in a type hint, perhaps one of `Service | None`; None without a service."""
     parts = [part for part in typing.get_args(hint) if part is not type(None)] or [hint]
     spec = vars(parts[0]).get(_SPEC) if len(parts) == 1 and isinstance(parts[0], type) else None
     if not isinstance(spec, ServiceSpec):
@@ -368,12 +368,12 @@ _FAULT = msgspec.msgpack.encode({"fault": None})[:-1]  # the beginning of a repl
 
 
 def carries_fault(reply: bytes) -> bool:
-    """Whether the reply of `Method.perform` carries an exception of the service."""
+    """Whether the reply of `Method.perform` has an exception of the service."""
     return reply.startswith(_FAULT)
 
 
 def _plain_args(error: BaseException) -> list[Any] | None:
-    """The arguments that make the exception again; None where they cannot be sent."""
+    """The arguments that make the exception again; None if they cannot be sent."""
     try:
         args = error.__reduce__()[1]
     except Exception:  # noqa: BLE001 - its own code may raise any
@@ -382,7 +382,7 @@ def _plain_args(error: BaseException) -> list[Any] | None:
 
 
 def _rebuild(fault: ServiceFault) -> Exception:
-    """The exception again, without its constructor, or a ServiceError that names it."""
+    """The exception, made again without its constructor; a ServiceError that names it if that fails."""
     cls = _exception_class(fault.type)
     for args in ((fault.message,) if fault.args is None else tuple(fault.args), (fault.message,)):
         try:
@@ -399,8 +399,8 @@ def _rebuild(fault: ServiceFault) -> Exception:
 def _exception_class(type_path: str) -> type[Exception] | None:
     """The exception class of that path, if this process has it already.
 
-    Nothing is imported and no module's own code runs: a reply must not choose what runs here. An error of upwash
-    itself is refused under any name: those report on the vehicle.
+    Nothing is imported and no module's own code runs: a reply must not choose what runs here. Errors of upwash itself
+    are refused under any name, as they report on the vehicle.
     """
     module_name, _, qualname = type_path.partition(":")
     found: object = sys.modules.get(module_name)

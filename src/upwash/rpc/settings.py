@@ -4,7 +4,7 @@
         def __init__(self, *, threads: int = 2, labels: Path | None = None) -> None: ...
 
 Settings are checked by the type hints, and travel as the plain values of JSON. A relative path counts from the
-configuration's file, so an absolute one travels.
+configuration's file, and is sent as an absolute path.
 
 A parameter whose type is a service stands for another service in the same instance, made from a table of its own
 settings, so its calls never leave that computer:
@@ -37,7 +37,7 @@ _MAKES = "__upwash_makes__"  # on settings: the class that is made of them
 
 
 def describe_settings(cls: type, used: Used = lambda _: None) -> type[msgspec.Struct]:
-    """The settings of a class, a field for each; raises DeclarationError where one cannot be configured."""
+    """A struct class with a field for each setting of `cls`; raises DeclarationError if one cannot be configured."""
     fields: list[Any] = []
     for parameter, hint in _parameters(cls):
         where = f"service {cls.__name__}: __init__'s parameter {parameter.name!r}"
@@ -65,26 +65,26 @@ def describe_settings(cls: type, used: Used = lambda _: None) -> type[msgspec.St
 
 
 def required_settings(kind: type[msgspec.Struct]) -> list[str]:
-    """The settings without which the constructor cannot be called."""
+    """The names of the settings that have no default."""
     return [field.name for field in msgspec.structs.fields(kind) if field.required]
 
 
 def plain(settings: msgspec.Struct) -> dict[str, object]:
-    """The settings as they travel."""
+    """The settings as the plain values that are sent."""
     return cast(dict[str, object], msgspec.to_builtins(settings, enc_hook=str, str_keys=True))
 
 
 def with_files(
     kind: type[msgspec.Struct], settings: PlainSettings, carried: Callable[[Path], Path]
 ) -> dict[str, object]:
-    """The same settings, with `carried` of each path in place of the path."""
+    """The settings with each path replaced by `carried(path)`."""
     checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
     found = msgspec.to_builtins(checked, enc_hook=lambda path: str(carried(path)), str_keys=True)
     return cast(dict[str, object], found)
 
 
 def construct(cls: type[T], kind: type[msgspec.Struct], settings: PlainSettings) -> T:
-    """An object of the class with these settings; raises UsageError where they do not fit, or it cannot be made."""
+    """An object of the class with these settings; raises UsageError if they do not fit, or the constructor fails."""
     try:
         checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
     except msgspec.ValidationError as error:

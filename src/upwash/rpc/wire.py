@@ -1,9 +1,9 @@
-"""Which types can be sent, and MessagePack: all that can be wrong with received bytes is one error.
+"""Which types can be sent, and MessagePack; any fault of received bytes raises one error.
 
 The values of a message bound the receiver's time and memory, so their headers are counted before any is built: one
-byte can stand for a list, which costs a hundred bytes. Binary data and numbers are skipped, so a photo costs as much
-as its few headers. A type whose values are hashed may have fewer: a sender can choose numbers whose hashes collide,
-and then the time grows with the square of their number.
+byte can mean a list, which takes a hundred bytes. Binary data and numbers are skipped, so a photo costs as much as
+its few headers. A type whose values are hashed may have fewer values: a sender can choose numbers whose hashes
+collide, and then the time grows with the square of their number.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _NUMBERS = {
 
 
 class Encoding(Generic[T]):
-    """How values of one type travel."""
+    """Encodes and decodes values of one type."""
 
     def __init__(self, hint: type[T]) -> None:
         self.type = hint

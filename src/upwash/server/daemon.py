@@ -28,9 +28,9 @@ _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of a daemon: its servers, the refusals of each, and its certificates.
+    """The state of a daemon: its servers, how often each refused, and its certificates.
 
-    `at_door` are connections that were refused before any request.
+    `at_door` counts connections that were refused before any request.
     """
 
     servers: Sequence[ServerStatus]
@@ -100,7 +100,7 @@ class EdgeServer:
         revoked: frozenset[str],
         certificates: Sequence[protocol.CertificateStatus] = (),
     ) -> None:
-        """Have the same servers offer this from now on, except to the revoked certificates."""
+        """Replace the offers of the daemon's servers, and the revoked certificates."""
         self._certificates = certificates
         self._instances.images = images
         outdated = self._instances.outdated(images)
@@ -117,7 +117,7 @@ class EdgeServer:
             raise InstanceError(f"the daemon before stays, whose services run: {'; '.join(faults)}")
 
     def take_up_usage(self, server: str, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage]) -> None:
-        """Continue the counts of the daemon before, after `take_up`."""
+        """Continue the usage counts of the former daemon; call it after `take_up`."""
         self._host.take_up_usage(server, drones, teams, now_s=self._now_s())
 
     async def emptied(self) -> None:
@@ -135,7 +135,7 @@ class EdgeServer:
         )
 
     def seen(self, server: str, drone: str) -> None:
-        """Renew the lease of a drone, known by `Client.key`, whose calls passed the door."""
+        """Renew the lease of the drone with that `Client.key`, whose calls passed the door."""
         self._host.at(server).seen(drone, now_s=self._now_s())
 
     async def drain(self, why: str) -> None:
@@ -236,7 +236,7 @@ class EdgeServer:
         return protocol.DenyReply()
 
     async def _prepare(self, request: protocol.PrepareRequest, drone: Client) -> protocol.HoldReply:
-        """Pass the request on to the peer; the reply has the reason if that fails."""
+        """Ask the peer to hold a slot; the reply has the reason if that fails."""
         for_s = request.arrives_in_s + request.hold_s
         denied, commands = self._host.send_ahead(
             request.server, request.peer, drone, for_s=for_s, now_s=self._now_s()

@@ -44,7 +44,7 @@ class Image:
 
 @dataclass(frozen=True, slots=True)
 class Observer:
-    """Callables for what happens to instances: a start and its duration (s), a failure, an answered call."""
+    """Functions to call for each start of an instance, with its duration (s), each failure and each answered call."""
 
     started: Callable[[InstanceSpec, float], None] = lambda *_: None
     failed: Callable[[InstanceSpec], None] = lambda _: None
@@ -70,12 +70,12 @@ class _Life:
 
     @property
     def has_place(self) -> bool:
-        """Whether drones are sent there; others end soon, or are starting."""
+        """Whether drones are sent to this instance; other instances end soon, or are starting."""
         return self.host.has_place(self.spec.service, self.number)
 
 
 class Instances:
-    """Carries out the commands of `core`; a defect in a life, or in its end, goes to `failed`."""
+    """Carries out the commands of `core`; calls `failed` with a defect in the life of an instance, or in its end."""
 
     def __init__(
         self,
@@ -107,16 +107,16 @@ class Instances:
         )
 
     async def settled(self, number: int) -> str:
-        """Return when that instance is ready, or gone; why it is not ready, "" where that is not known."""
+        """Wait until the instance of that number is ready or gone; return why it is not ready, or ""."""
         life = self._lives.get(number)
         return "" if life is None or life.is_over else await asyncio.shield(life.settled)
 
     async def faults(self) -> list[str]:
-        """Return when every instance is ready or gone, and why some are not ready."""
+        """Wait until every instance is ready or gone; return why some are not ready."""
         return [why for why in await asyncio.gather(*(life.settled for life in self._living())) if why]
 
     async def ended(self) -> None:
-        """Return when the instances that have to stop have ended their calls."""
+        """Wait until the stopping instances have ended their calls."""
         await asyncio.gather(*(life.ending for life in self._lives.values() if life.ending is not None))
 
     async def close(self) -> None:
@@ -201,7 +201,7 @@ class Instances:
             await self.perform(anew)
 
     async def _begin(self, life: _Life) -> Instance:
-        """Start the instance, and have drones sent there once it knows whom it serves."""
+        """Start the instance; drones are sent there once it knows which drones to answer."""
         spec, host, began_s = life.spec, life.host, _now_s()
         async with asyncio.timeout(self._start_timeout_s):
             instance = await self._runtime.start(
@@ -276,7 +276,7 @@ class Instances:
                 self._cut(life)
 
     async def _watch(self, life: _Life, instance: Instance) -> NoReturn:
-        """Have the instance replaced once it is of no use; until cancelled."""
+        """Check the instance until cancelled, and have it replaced once it is of no use."""
         host, service, number = life.host, life.spec.service, life.number
         while True:
             await asyncio.sleep(_WATCH_S)

@@ -28,13 +28,13 @@ _GPS = GpsFix("3d", satellites=12, hdop=0.8)
 
 
 class ModelAutopilot:
-    """Flies in its manner from the ground below `start`; its `frame` says where on the Earth that is.
+    """The autopilot of a simulated vehicle, which flies in its `manner` from the ground below `start`.
 
-    `stretch` gives a factor on the duration of each leg, for noise, `fault` what is wrong with the vehicle now, and
-    `incidents` what happens to it and when; `sim.faults` says what each fault means. `observe` gets the events of
-    the vehicle and the incidents, and "reached" with the distance `off_m` of its true position from the waypoint.
-    The battery is as full as `energy` says, or else empty `endurance_s` after the first take-off. A vehicle that
-    `hovers_at` a place has been left there by another program.
+    `frame` places `start` on the Earth. `stretch` returns a factor on the duration of each leg, for noise, `fault`
+    the present fault, and `incidents` are the events without a command; `sim.faults` describes the faults. `observe`
+    gets the events of the vehicle and the incidents, and "reached" with the distance `off_m` of its true position
+    from the waypoint. The battery's charge is that of `energy`, or else 0 `endurance_s` after the first take-off. A
+    vehicle that `hovers_at` a place was left there by another program.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class ModelAutopilot:
 
     @property
     def position(self) -> Position:
-        """Where it reports to be."""
+        """The reported position."""
         return self._vehicle.position
 
     @property
     def earth_position(self) -> EarthPosition | None:
-        """The frame's; None without a frame. A model has no altitude above the sea and no date."""
+        """The place on the Earth; None without a frame. A model has no altitude above the sea and no date."""
         if self._frame is None:
             return None
         geo = self._frame.geo(self.position)
@@ -90,28 +90,28 @@ class ModelAutopilot:
 
     @property
     def true_position(self) -> Position:
-        """Where it is, which no program knows."""
+        """The true position, which no program knows."""
         return self._vehicle.true_position
 
     @property
     def battery_percent(self) -> float | None:
-        """By what was drawn from it, or else steadily less from the first take-off on."""
+        """The charge in percent, by the energy used, or else falling steadily after the first take-off."""
         return self._battery.percent
 
     @property
     def velocity(self) -> Velocity | None:
-        """How it moves now."""
+        """The present velocity."""
         return self._vehicle.velocity
 
     @property
     def stopping_place(self) -> Position:
-        """In its manner."""
+        """Where the vehicle would come to rest if it braked now."""
         phases = self._braking()
         return phases[-1].end if phases else self.position
 
     @property
     def heading_deg(self) -> float | None:
-        """It flies nose first; None where it stands or hovers, unless it was turned there."""
+        """The heading in degrees, as it flies nose first; None if it stands or hovers, unless it was turned there."""
         now = self._vehicle.velocity
         if not (now.east_m_s or now.north_m_s):
             return self._turned_to_deg
@@ -119,7 +119,7 @@ class ModelAutopilot:
 
     @property
     def telemetry(self) -> Telemetry:
-        """Always level, with a perfect receiver."""
+        """The vehicle's reports: always level, with a perfect satellite receiver."""
         heading_deg = self.heading_deg
         return Telemetry(
             position=self.position,
@@ -134,12 +134,12 @@ class ModelAutopilot:
 
     @property
     def wind(self) -> Velocity | None:
-        """None blows."""
+        """No wind."""
         return Velocity()
 
     @property
     def energy(self) -> EnergyFacts:
-        """It returns to its home; its battery's one stage is that of its fail-safe."""
+        """The battery's stage, which is its fail-safe's, and the way to its home."""
         stage = self._battery.failsafe_percent
         return EnergyFacts(
             low_percent=stage,
@@ -150,7 +150,7 @@ class ModelAutopilot:
 
     @property
     def pace(self) -> Pace | None:
-        """The configuration says how it flies."""
+        """None, as the configuration has the pace."""
         return None
 
     @property
@@ -160,7 +160,7 @@ class ModelAutopilot:
 
     @property
     def dead_man(self) -> DeadMan:
-        """Always ready, and never needed."""
+        """A switch that is always ready, and never needed."""
         return ModelDeadMan()
 
     @property
@@ -170,21 +170,21 @@ class ModelAutopilot:
 
     @property
     def stands(self) -> bool:
-        """By its altitude."""
+        """Whether the vehicle is on the ground, by its altitude."""
         return not self._vehicle.flies
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """All news from now on."""
+        """Calls `hear` with all news from now on."""
         self._link.listen(hear)
 
     async def in_the_air(self) -> bool:
-        """By its altitude."""
+        """Whether the vehicle flies, by its altitude; waits for a restarting autopilot."""
         await self._booted()
         self._link.require("start")
         return self._vehicle.flies
 
     async def claim(self, *, resumes: bool) -> None:
-        """At once."""
+        """Claims the vehicle for the program, at once; raises AutopilotOverruled."""
         self._link.require("start")
         latch, before = self._link.latch, self.control
         latch.claim(self._loop.time(), own_mode=GUIDED, resumes=resumes)
@@ -192,26 +192,26 @@ class ModelAutopilot:
         latch.require("start")
 
     async def stood(self) -> None:
-        """When its altitude is 0 and its motors stand still."""
+        """Waits until the altitude is 0 and the motors have stopped."""
         while self._vehicle.flies or self._vehicle.armed:
             await self._vehicle.changed.wait()
         self._link.take_soon()
 
     async def limits(self) -> VehicleLimits:
-        """Its home is where it stood; it has no fence."""
+        """The limits: its home is where it stood; there is no fence."""
         return VehicleLimits(self._link.home.at_altitude(0.0))
 
     async def ready(self) -> None:
-        """At once, or when its autopilot has restarted."""
+        """Returns at once, or when the autopilot has restarted."""
         await self._booted()
         self._reach("arm")
 
     async def arm(self) -> None:
-        """At once."""
+        """Starts the motors, at once."""
         self._command("arm", modes=(GUIDED,), armed=True)
 
     async def takeoff(self, altitude_m: float) -> None:
-        """Climbs straight up."""
+        """Climbs straight up to the altitude; AutopilotRefused if disarmed."""
         self._reach("take-off")
         if not self._vehicle.armed:
             raise AutopilotRefused("take-off", "the vehicle is not armed")
@@ -220,7 +220,7 @@ class ModelAutopilot:
         await self._move("take-off", self._manner.takeoff(self.position, altitude_m))
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
-        """At once, for the legs that follow."""
+        """Sets the speed of the following legs, at once."""
         self._command("ground speed")
         self._vehicle.ground_speed_m_s = ground_speed_m_s
 
@@ -253,7 +253,7 @@ class ModelAutopilot:
         self._waypoint = position
 
     async def turn_to(self, heading_deg: float) -> None:
-        """As fast as the stand-in vehicle turns."""
+        """Turns the nose, as fast as the stand-in vehicle turns."""
         self._reach("turn")
         if self.stands:
             raise AutopilotRefused("turn", "the vehicle is on the ground")
@@ -263,40 +263,40 @@ class ModelAutopilot:
         self._nose_deg = self._turned_to_deg = heading_deg
 
     async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
-        """Accepted at once."""
+        """Accepts the command, at once."""
         self._command(name)
 
     def say(self, severity: int, text: str) -> None:
-        """Nobody listens."""
+        """Drops the text, as there is no ground station."""
 
     async def hold(self) -> None:
-        """Brakes, and stops where that ends."""
+        """Brakes, and stays where the vehicle comes to rest."""
         self._command("hold", goes=True, target=self.stopping_place)
         await self._move("hold", self._braking())
 
     async def return_home_and_land(self) -> None:
-        """Back to its home."""
+        """Flies back to its home and lands."""
         self._command("return", modes=(RETURN,))
         home = self._vehicle.home.at_altitude(0.0)
         way = self._in_time(lambda start: self._manner.return_and_land(start, home), duration_s)
         await self._move("return", way, end=home)
 
     async def land(self) -> None:
-        """Straight down."""
+        """Lands straight below."""
         self._command("land", modes=(LAND,))
         here = self.position
         way = self._in_time(self._manner.landing, duration_s)
         await self._move("land", way, end=Position(here.east_m, here.north_m))
 
     async def disarm(self) -> None:
-        """At once, on the ground."""
+        """Stops the motors, at once; raises AutopilotRefused in the air."""
         self._reach("disarm")
         if self._vehicle.flies:
             raise AutopilotRefused("disarm", "the vehicle is in the air")
         self._command("disarm", armed=False)
 
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
-        """Returns just after the vehicle has crossed a border; AutopilotLost where its link is silent then."""
+        """Returns just after the vehicle has crossed a border; raises AutopilotLost if its link is silent then."""
         while True:
             self._link.require("watch the borders")
             if await self._vehicle.borders.crossed(circles):
@@ -304,12 +304,12 @@ class ModelAutopilot:
                 return
 
     async def border_truly_crossed(self, circles: Sequence[Circle]) -> None:
-        """Returns just after the vehicle has crossed a border, whether its link tells or not."""
+        """Returns just after the vehicle has crossed a border, even if its link is silent."""
         while not await self._vehicle.borders.crossed(circles):
             pass
 
     async def close(self) -> None:
-        """Tells nothing more."""
+        """Reports nothing any more."""
         self._link.listen(lambda _: None)
 
     # --- commands and reports -------------------------------------------------------------------------------
@@ -323,7 +323,7 @@ class ModelAutopilot:
         goes: bool = False,
         target: Position | None = None,
     ) -> None:
-        """Sends a command; no other method does. With `goes` and without a target the command leads straight up."""
+        """Send a command; no other method does. With `goes` and without a target the command leads straight up."""
         self._reach(step)
         latch = self._link.latch
         if modes:
@@ -338,7 +338,7 @@ class ModelAutopilot:
             latch.settle_target(obeyed=True)
 
     def _above_sea(self, place: Position) -> Position:
-        """The target above the sea, which a home that is moved in flight does not change."""
+        """The target above the sea, which a moved home does not change."""
         return place.at_altitude(place.altitude_m + self._ground_m) if self._ground_m else place
 
     def _reach(self, step: str) -> None:
@@ -353,9 +353,10 @@ class ModelAutopilot:
     def _in_time(
         self, way: Callable[[Position], tuple[Phase, ...]], takes_s: Callable[[tuple[Phase, ...]], float]
     ) -> tuple[Phase, ...]:
-        """The way from here, in the time that the way from the last waypoint takes.
+        """The way from here, with the duration of the way from the last waypoint.
 
-        How near the vehicle has crept depends on how long it hovered, thus on the policy; the time of a leg must not.
+        The distance of the hovering vehicle from its waypoint depends on the time of the hover, and so on the policy;
+        the duration of a leg must not.
         """
         here = self.position
         from_here = way(here)
@@ -388,7 +389,7 @@ class ModelAutopilot:
         self._reach(step)
 
     async def _rest(self, step: str) -> None:
-        """Return at rest, after the vehicle has corrected its course for a jump of its position."""
+        """Wait until the vehicle rests, after it has corrected its course for a jump of its position."""
         self._waypoint = None
         self._reach(step)
         while (left_s := self._vehicle.motion.ends_s - self._loop.time()) > 0:
@@ -396,7 +397,7 @@ class ModelAutopilot:
             self._reach(step)
 
     async def _become_sure(self, begun_s: float, arrival_s: float) -> None:
-        """Return at rest after its position has jumped again; AutopilotTimeout if that takes too long."""
+        """Wait until the position has jumped again and the vehicle rests; AutopilotTimeout if that takes too long."""
         left_s = begun_s + arrival_s + _PATIENCE_S - self._loop.time()
         if left_s <= 0:
             raise _late("goto", arrival_s, self._link.doubt)
@@ -410,7 +411,7 @@ class ModelAutopilot:
             await self._vehicle.changed.wait()
 
     async def _pass(self, for_s: float) -> None:
-        """Return after that time, or once the program loses the vehicle."""
+        """Wait for that time, or until the program loses the vehicle."""
         await asyncio.wait((self._link.lost,), timeout=for_s)
 
 
@@ -422,24 +423,24 @@ def _late(step: str, arrival_s: float, doubt: str = "") -> AutopilotTimeout:
 
 
 def _bearing_deg(start: Position, end: Position, otherwise_deg: float) -> float:
-    """Clockwise from north; `otherwise_deg` for a way straight up or down."""
+    """The bearing in degrees clockwise from north; `otherwise_deg` for a way straight up or down."""
     east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
     return math.degrees(math.atan2(east_m, north_m)) % 360 if east_m or north_m else otherwise_deg
 
 
 class ModelDeadMan:
-    """Always ready, and never needed: a simulated program does not die without a word."""
+    """A dead man's switch that is always ready, and never needed: a simulated program does not die silently."""
 
     async def missing(self) -> str:
-        """Nothing."""
+        """The empty text: nothing is missing."""
         return ""
 
     async def install(self) -> str:
-        """It is there."""
+        """Does nothing, as it is installed."""
         return ""
 
     async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
-        """At once."""
+        """Does nothing."""
 
     async def release(self) -> None:
-        """At once."""
+        """Does nothing."""

@@ -1,6 +1,6 @@
 """When a simulated vehicle crosses borders.
 
-A change of its motion ends no wait: it only sets the timer of each wait to the next crossing.
+A change of its motion ends no wait; it sets the timer of each wait to the next crossing.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class _Waiting:
 
 
 class Borders:
-    """Follows a vehicle from motion to motion."""
+    """Waits for border crossings of a vehicle, through all changes of its motion."""
 
     def __init__(self, motion: Motion[Phase]) -> None:
         self._loop = asyncio.get_running_loop()
@@ -51,24 +51,24 @@ class Borders:
         self._waiting: list[_Waiting] = []
 
     def moves(self, motion: Motion[Phase]) -> None:
-        """The vehicle moves so from now on."""
+        """Note a new motion of the vehicle."""
         self.settles(motion)
         for waiting in self._waiting:
             self._set_timer(waiting)
 
     def settles(self, motion: Motion[Phase]) -> None:
-        """The vehicle rests where its motion led; a border that it has crossed just now is still told."""
+        """Note that the vehicle rests at the end of its motion; a border crossed just now still ends waits."""
         self._motion = motion
         for asked in self._asked:
             asked.crossings_s = None
 
     def interrupt(self) -> None:
-        """Wakes everybody who waits now."""
+        """End all present waits, which return False."""
         for waiting in self._waiting:
             waiting.wake(crossed=False)
 
     async def crossed(self, circles: Sequence[Circle]) -> bool:
-        """Returns True just after the vehicle has crossed one of the circles, False where it is interrupted."""
+        """Wait until just after the vehicle crosses one of the circles: True; or until an interrupt: False."""
         waiting = _Waiting(self._asked_for(circles), self._loop.create_future())
         self._set_timer(waiting)
         self._waiting.append(waiting)
@@ -86,14 +86,14 @@ class Borders:
         waiting.timer = None if next_s is None else self._loop.call_at(next_s, waiting.wake, True)
 
     def _next_crossing_s(self, asked: _Asked) -> float | None:
-        """Just after the motion next crosses one of the circles; None if it crosses none."""
+        """The time just after the motion next crosses one of the circles; None if it crosses none."""
         if asked.crossings_s is None:
             asked.crossings_s = sorted(self._all_crossings_s(asked))
         later = bisect_right(asked.crossings_s, self._loop.time())
         return asked.crossings_s[later] if later < len(asked.crossings_s) else None
 
     def _all_crossings_s(self, asked: _Asked) -> Iterator[float]:
-        """Just after each crossing of the motion with a circle."""
+        """The time just after each crossing of the motion with a circle."""
         phases, begun_s = self._motion.phases, self._motion.begun_s
         if not phases:
             return

@@ -26,7 +26,7 @@ _SAME_PLACE_M = 1.0
 class ModelCamera:
     """Returns the same few bytes after `photo_s`: the radio model knows the size of a photo.
 
-    At the places of `events` the photo shows an event, for which modelled services have an answer.
+    At the places of `events` the photo shows an event, which modelled services detect.
     """
 
     def __init__(self, *, photo_s: float, events: Sequence[Position] = ()) -> None:
@@ -34,7 +34,7 @@ class ModelCamera:
         self._events = events
 
     async def take_photo(self, at: Position) -> Photo:
-        """Waits, and returns the beginning of a JPEG."""
+        """The first bytes of a JPEG, after `photo_s`."""
         await asyncio.sleep(self._photo_s)
         shows_event = any(ground_distance_m(at, place) < _SAME_PLACE_M for place in self._events)
         photo = _JPEG + EVENT if shows_event else _JPEG
@@ -42,10 +42,10 @@ class ModelCamera:
 
 
 class RenderedCamera:
-    """Renders a photo of the solar park of that seed, straight down from where the drone is, north up.
+    """Renders photos of the solar park of a seed, straight down from the drone's position, north up.
 
     The same place always shows the same modules with the same faults, which are the photo's truth. A photo takes
-    `photo_s`, or as long as rendering does; that happens in a thread on a real clock, and on virtual time at once.
+    `photo_s`, or longer if rendering does. Rendering runs in a thread on a real clock, and at once on virtual time.
     """
 
     def __init__(self, park_seed: int, *, photo_s: float, in_thread: bool) -> None:
@@ -59,7 +59,7 @@ class RenderedCamera:
         self._in_thread = in_thread
 
     async def take_photo(self, at: Position) -> Photo:
-        """Returns what the park looks like from there."""
+        """The rendered photo of the park from that position, with its truth."""
         captured_s = asyncio.get_running_loop().time()
         rendered, _ = await asyncio.gather(self._rendered(at), asyncio.sleep(self._photo_s))
         return Photo(rendered.jpeg, captured_s, self._source, rendered.truth)
@@ -71,7 +71,7 @@ class RenderedCamera:
 
 
 def eventful(event: EventConfig | None, waypoints: Sequence[Waypoint], chance: Chance) -> list[Waypoint]:
-    """The waypoints with an event; by a probability each draws for itself, so that an order changes none."""
+    """The waypoints with an event; with a probability, each draws from its own stream, whatever the order."""
     if event is None:
         return []
     if event.every is not None:

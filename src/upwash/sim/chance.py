@@ -1,4 +1,4 @@
-"""All chance of a run, from its seed. Each consumer draws from a stream of its own name."""
+"""All random numbers of a run, from its seed. Each consumer draws from a stream of its own name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from upwash.config import DroneConfig, NoiseConfig
 
 
 class Chance:
-    """Random numbers by name: one more consumer does not change what the others draw."""
+    """Random streams by name: a new consumer does not change what the others draw."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
@@ -30,6 +30,6 @@ class Chance:
 
 
 def plays_a_part(config: DroneConfig) -> bool:
-    """Whether one simulated mission of the scenario is unlike another with another seed."""
+    """Whether simulated missions of the scenario differ from seed to seed."""
     drawn = config.event is not None and config.event.probability is not None
     return drawn or config.noise != NoiseConfig()

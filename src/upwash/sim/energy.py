@@ -1,4 +1,4 @@
-"""What a simulated drone draws from its battery: its rotors, its computer and its radios, each a small model.
+"""The power that a simulated drone draws from its battery: models of its rotors, computer and radios.
 
 Rotors: the power of a rotary wing in level flight at V, of Zeng, Xu and Zhang, "Energy Minimization for Wireless
 Communication With Rotary-Wing UAV", IEEE Transactions on Wireless Communications 18(4), 2019 (arXiv:1804.02238),
@@ -46,7 +46,7 @@ _LEAST_S = 0.5  # between two looks at the battery
 
 
 class Rotors:
-    """What the rotors draw, by how the drone moves."""
+    """The power of the rotors, by the drone's motion."""
 
     def __init__(self, config: EnergyConfig) -> None:
         self.hover_w = config.hover_w
@@ -57,7 +57,7 @@ class Rotors:
         self._drag_w_s3_m3 = config.drag_at_10_m_s_w / 10.0**3
 
     def power_w(self, velocity: Velocity) -> float:
-        """In the air, at that velocity through still air."""
+        """The power in watts at that velocity through still air."""
         squared = velocity.east_m_s**2 + velocity.north_m_s**2
         blades_w = self._blades_w * (1 + 3 * squared / self._tip_m_s**2)
         ratio = squared / (2 * self._induced_m_s**2)
@@ -68,7 +68,10 @@ class Rotors:
         return blades_w + self._induced_w * (induced + climb) + drag_w
 
     def energy_j(self, phase: Phase, elapsed_s: float) -> float:
-        """From the start of the phase on; a ramp to 20 m/s within 0.2 %, and to less within less."""
+        """The energy in joules from the start of the phase until `elapsed_s`.
+
+        For a ramp from rest to 20 m/s the error is below 0.2 %, for slower ramps less.
+        """
         if not (phase.acceleration_m_s2 or phase.jerk_m_s3):
             return elapsed_s * self.power_w(phase.velocity(0.0))
         return elapsed_s * sum(
@@ -77,9 +80,9 @@ class Rotors:
 
 
 class EnergyMeter:
-    """Adds up what one drone draws, by part, from now on; the radios and the computer draw until it is last read.
+    """Adds up the energy that one drone draws, by part; radios and computer draw from its creation until it is read.
 
-    `load_w` is what a call adds to the computer's power.
+    `load_w` is the power that a call adds to the computer's.
     """
 
     def __init__(self, config: EnergyConfig, *, load_w: float, radios: int) -> None:
@@ -102,22 +105,22 @@ class EnergyMeter:
         self._load_j = self._transfer_s = 0.0
 
     def move(self, motion: Motion[Phase]) -> None:
-        """The drone moves so from now on, when the motion begins; it rests where that ends."""
+        """Note a new motion of the drone, at whose end it rests."""
         self._flight_j, self._hover_j = self._rotors_j()
         self._since_s = motion.begun_s
         self._phases = deque(motion.phases)
         self._rests_up = motion.end.altitude_m > 0
 
     def compute(self, load_j: float) -> None:
-        """A call adds that energy to the computer's idle load."""
+        """Add the energy of a call to the computer's idle load."""
         self._load_j += load_j
 
     def transfer(self, transfer_s: float) -> None:
-        """A radio transfers for that time."""
+        """Add a transfer of a radio for that time."""
         self._transfer_s += transfer_s
 
     def used(self) -> EnergyUsed:
-        """What has been drawn until now."""
+        """The energy drawn until now, by part."""
         flight_j, hover_j, computing_j, radio_j = self._drawn_j()
         return EnergyUsed(
             flight_wh=_wh(flight_j),
@@ -134,27 +137,27 @@ class EnergyMeter:
 
     @property
     def left_percent(self) -> float | None:
-        """Of a full battery; None for an endless one."""
+        """The charge in percent of a full battery; None without a limit."""
         if self._config.battery_wh is None:
             return None
         return 100.0 * max(0.0, 1 - sum(self._drawn_j()) / (self._config.battery_wh * _J_IN_WH))
 
     def lasts_s(self, level_percent: float) -> float:
-        """How long the battery stays above that level at the least, and never nothing: look again after that."""
+        """Seconds for which the battery surely stays above the level; more than 0, to check again after that."""
         if self._config.battery_wh is None or self.left_percent is None:
             return math.inf
         above_j = (self.left_percent - level_percent) / 100 * self._config.battery_wh * _J_IN_WH
         return max(_LEAST_S, above_j / self._most_w)
 
     def _drawn_j(self) -> tuple[float, float, float, float]:
-        """Energy until now, in flight, in hover, in computing and by radio."""
+        """The energy in joules until now: flight, hover, computing, radio."""
         config, on_s = self._config, self._loop.time() - self._began_s
         computing_j = on_s * config.computer_idle_w + self._load_j
         radio_j = on_s * self._radios * config.radio_idle_w + self._transfer_s * config.radio_transfer_w
         return *self._rotors_j(), computing_j, radio_j
 
     def _rotors_j(self) -> tuple[float, float]:
-        """Energy until now, in flight and in hover; finished phases are added up once."""
+        """The energy in joules until now, in flight and in hover; finished phases are added up once."""
         now_s = self._loop.time()
         while self._phases and (ended_s := self._since_s + self._phases[0].duration_s) <= now_s:
             phase = self._phases.popleft()
@@ -169,7 +172,7 @@ class EnergyMeter:
         return self._flight_j + flight_j, self._hover_j + hover_j
 
     def _phase_j(self, phase: Phase, elapsed_s: float) -> tuple[float, float]:
-        """Energy since the start of the phase, in flight and in hover; none on the ground."""
+        """The energy in joules since the start of the phase, in flight and in hover; 0 on the ground."""
         if phase.speed_m_s or phase.acceleration_m_s2 or phase.jerk_m_s3:
             return self._rotors.energy_j(phase, elapsed_s), 0.0
         return 0.0, self._rotors.hover_w * elapsed_s * (phase.start.altitude_m > 0)

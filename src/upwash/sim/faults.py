@@ -1,24 +1,24 @@
-"""What goes wrong in a simulated world, where and when.
+"""The faults of a simulated world.
 
-The programs know nothing of it: faults sit in the models around them.
+The programs do not know of them: faults are in the models around the programs.
 
-On a server (what runs there when a fault begins still runs when it is over):
+On a server (instances that run when a fault begins still run when it is over):
 
-- `off`: nobody answers, and that shows at once: the computer is there, the daemon and its services are not
+- `off`: requests fail at once: the computer is there, but not the daemon and its services
 - `stuck`: the connection is open and no answer comes
 - `slow`: every answer comes `extra_s` later
-- `garbage`: every answer is bytes that nobody can decode
-- `wrong`: the daemon lies in a well-formed way: all services run, at a port of its own where nobody is
-- `lying`: the server lies about what `lie` says, see below
+- `garbage`: every answer is bytes that cannot be decoded
+- `wrong`: the daemon sends a well-formed lie: all services run, at a port of its own where nothing listens
+- `lying`: the server's replies are changed in the way that `lie` names, see below
 - `flapping`: off for 5 s, well for 5 s, and so on
-- `full`: strangers hold every slot that is free
-- `crash`: instances die of what they are asked: while they start, in the middle of a call; a check finds them dead
-- `hung`, `poisoned`: an instance that is called then never answers again, or raises in each call, for good
+- `full`: strangers hold every free slot
+- `crash`: instances die while they start or in the middle of a call; a check finds them dead
+- `hung`, `poisoned`: an instance that is called during the fault never answers again, or raises in every later call
 - `unstartable`: no instance starts
 
 On a link, `link:SERVER`:
 
-- `off`: its network cannot be joined, and one that was joined is lost, which shows at once
+- `off`: its network cannot be joined, and a joined network is lost, which shows at once
 - `stuck`: its network can be joined, and nothing gets through
 - `slow`: a request and its reply take `extra_s` more, half of it each way
 - `flapping`: off for 5 s, well for 5 s, and so on
@@ -45,7 +45,7 @@ A lying server changes an honest reply, in several ways in turn:
 - `elsewhere`: its services run, it says, at addresses that are not its own
 - `unwanted`: services and peers by the hundred that no drone asked for
 - `oversized`: more entries and longer texts than any field can have
-- `lease`: one that is tiny, negative, endless or no number
+- `lease`: leases that are tiny, negative, endless or no number
 - `types`: results of other types than the service's
 - `faults`: exceptions that the service never raised, also those that upwash itself raises
 - `control`: control characters wherever there is text
@@ -127,7 +127,7 @@ _LIES: Mapping[tuple[Lie, str], Sequence[dict[str, Any]]] = {  # by lie and path
 
 
 class Faults:
-    """What goes wrong, where and when."""
+    """The faults of a run, by target and time."""
 
     def __init__(self, faults: Sequence[FaultConfig]) -> None:
         for index, fault in enumerate(faults):
@@ -140,7 +140,7 @@ class Faults:
         self._faults = [fault for fault in faults if fault.kind not in _INCIDENTS]
 
     def now(self, target: str) -> FaultConfig | None:
-        """The fault of the target that is on now, the first one where there are several; flapping shows as off."""
+        """The present fault of the target, the first if there are several; flapping is returned as off."""
         if not self._faults:
             return None
         now_s = asyncio.get_running_loop().time()
@@ -150,7 +150,7 @@ class Faults:
         return None
 
     async def befalls(self, target: str, kind: str) -> None:
-        """Returns as soon as the target suffers from that kind of fault."""
+        """Wait until the target has a fault of that kind."""
         loop = asyncio.get_running_loop()
         while (fault := self.now(target)) is None or fault.kind != kind:
             changes = [_next_change_s(fault, loop.time()) for fault in self._faults if fault.target == target]
@@ -171,7 +171,7 @@ def _is_on(fault: FaultConfig, now_s: float) -> bool:
 
 
 def _next_change_s(fault: FaultConfig, now_s: float) -> float:
-    """When the fault next begins, ends or flaps; infinite if it does not change."""
+    """The time at which the fault next begins, ends or flaps; infinite if it does not change."""
     if now_s < fault.from_s:
         return fault.from_s
     if fault.kind == "flapping" and now_s < fault.to_s:
@@ -181,7 +181,7 @@ def _next_change_s(fault: FaultConfig, now_s: float) -> float:
 
 
 class Plugboard(Protocol):
-    """Where handlers are plugged in at addresses."""
+    """A table of handlers by address."""
 
     def plug(self, address: str, handler: Handler) -> None:
         """From now on the handler answers at the address."""
@@ -191,7 +191,7 @@ class Plugboard(Protocol):
 
 
 class FaultyServer:
-    """One server as drones see it: handlers that are plugged in through it suffer from its faults."""
+    """One server with its faults, which affect the handlers that are plugged in through it."""
 
     def __init__(self, name: str, address: str, board: Plugboard, *, faults: Faults) -> None:
         self._name = name
@@ -202,7 +202,7 @@ class FaultyServer:
         self._strangers: list[Client] = []  # that have taken all slots
 
     def plug(self, address: str, handler: Handler) -> None:
-        """From now on the instance answers at that port of the server, as well as it can."""
+        """Let the instance answer at that port of the server, subject to the faults."""
 
         async def answer(path: str, body: bytes, client: Client) -> bytes:
             return self._lie(await self._suffering(lambda: handler(path, body, client)), as_instance)
@@ -214,7 +214,7 @@ class FaultyServer:
         self._board.unplug(resolve(address, self._address))
 
     def plug_daemon(self, daemon: Handler, *, crash: Callable[[str], None]) -> None:
-        """From now on the daemon answers at the server's address, as well as it can; `crash` ends its instances."""
+        """Let the daemon answer at the server's address, subject to the faults; `crash` ends its instances."""
 
         async def answer(path: str, body: bytes, client: Client) -> bytes:
             reply = await self._suffering(lambda: ask(path, body, client))
@@ -285,7 +285,7 @@ class FaultyServer:
         await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)
 
     def _lie(self, reply: bytes, lie: Callable[..., bytes]) -> bytes:
-        """A lie instead of the reply; each lie takes the next way, from a first that differs between faults."""
+        """The reply, changed if the server lies now; each lie takes the next way, the first by the fault's time."""
         fault = self._faults.now(self._name)
         if fault is None or fault.kind != "lying":
             return reply
@@ -298,7 +298,7 @@ class FaultyServer:
 
 
 def as_daemon(lie: Lie, *, path: str, reply: bytes, number: int) -> bytes:
-    """What a server replies instead of its daemon's honest reply, in the way of that number."""
+    """The daemon's honest reply, changed in the way of that number."""
     honest: dict[str, Any] = msgspec.msgpack.decode(reply)
     ways = _availability_lies(lie, honest) if path == AVAILABILITY else _LIES.get((lie, path), ())
     if not ways:
@@ -308,7 +308,7 @@ def as_daemon(lie: Lie, *, path: str, reply: bytes, number: int) -> bytes:
 
 
 def as_instance(lie: Lie, *, reply: bytes, number: int) -> bytes:
-    """What a server replies instead of its service's honest reply; may raise Refused."""
+    """The service's honest reply, changed in the way of that number; may raise Refused."""
     match lie:
         case "types":
             return msgspec.msgpack.encode(_RESULTS[number % len(_RESULTS)])
@@ -321,7 +321,7 @@ def as_instance(lie: Lie, *, reply: bytes, number: int) -> bytes:
 
 
 def _availability_lies(lie: Lie, honest: Mapping[str, Any]) -> Sequence[dict[str, Any]]:
-    """What each way of the lie changes in an availability reply."""
+    """The changed fields of an availability reply, for each way of the lie."""
     endpoints = honest.get("endpoints", {})
     strangers = [f"stranger-{number}" for number in range(_MANY)]
     match lie:

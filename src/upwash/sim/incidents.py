@@ -1,4 +1,4 @@
-"""What happens to a simulated vehicle without a command: incidents by others, and its battery's end."""
+"""Events of a simulated vehicle without a command: incidents by others, and its empty battery."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HEARTBEAT_S = 1.0
 
 
 class Incidents:
-    """Has each incident happen at its time.
+    """Carries out each incident at its time.
 
     `observe` gets "given_back_unheard" when a pilot gives the vehicle back before any report of the takeover has
     reached the program, and "jumped_unheard" when its position jumps within a silence of the link.
@@ -83,7 +83,7 @@ class Incidents:
 
 
 class ModelBattery:
-    """As full as the meter says; without a meter, empty `endurance_s` after the first take-off, or endless."""
+    """A battery with its meter's charge; without one, empty `endurance_s` after the first take-off, or endless."""
 
     def __init__(
         self,
@@ -104,12 +104,12 @@ class ModelBattery:
 
     @property
     def failsafe_percent(self) -> float | None:
-        """At this level the vehicle lands by itself; None for one without a meter."""
+        """The level in percent at which the vehicle lands by itself; None without a meter."""
         return self._energy.failsafe_percent if self._energy else None
 
     @property
     def percent(self) -> float | None:
-        """What is left; None for an endless one."""
+        """The charge in percent; None for an endless battery."""
         if self._energy is not None:
             return self._energy.left_percent
         if self._endurance_s is None:
@@ -118,7 +118,7 @@ class ModelBattery:
         return 100.0 * max(0.0, 1 - flown_s / self._endurance_s)
 
     def take_off(self) -> None:
-        """The vehicle takes off now."""
+        """Note that the vehicle takes off."""
         if self._took_off_s is None:
             self._took_off_s = self._loop.time()
 

@@ -16,10 +16,10 @@ from upwash.sim.link import Life
 
 
 class MemoryJournal:
-    """Keeps events as the file journal would have written them; it is the notifier too.
+    """Keeps events in memory, as the file journal would write them; it is the notifier too.
 
-    With a meter it says what was drawn just before it keeps the mission's end. Once the drone's life is over it keeps
-    nothing more.
+    With a meter it records the energy used just before the mission's end. After the end of the drone's life it keeps
+    nothing.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class MemoryJournal:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def begin(self) -> None:
-        """Takes the time of the event loop that runs."""
+        """Use the clock of the running event loop."""
         self._loop = asyncio.get_running_loop()
 
     def record(self, event: Event) -> None:

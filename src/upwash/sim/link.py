@@ -1,4 +1,4 @@
-"""Links between programs of one process, and whether the computer at their end still runs."""
+"""Links between programs of one process, and the end of a drone's computer."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Handler = Callable[[str, bytes, Client], Awaitable[bytes]]  # path, body, who as
 
 
 class Air(Protocol):
-    """What lies between the drone and a server."""
+    """The radio path between the drone and its servers."""
 
     def connected(self, server: str) -> bool:
-        """Whether bytes get through now."""
+        """Whether bytes reach the server now."""
 
     async def send(self, server: str, path: str, *, reply: bool) -> None:
-        """Takes the time that a request, or a reply, of that path takes to arrive."""
+        """Wait for the transfer time of a request, or a reply, of that path."""
 
 
 @dataclass(slots=True)
@@ -32,16 +32,16 @@ class Switchboard:
     handlers: dict[str, Handler]
 
     def plug(self, address: str, handler: Handler) -> None:
-        """From now on the handler answers at the address."""
+        """Let the handler answer at the address."""
         self.handlers[address] = handler
 
     def unplug(self, address: str) -> None:
-        """From now on the address has no handler."""
+        """Remove the handler of the address."""
         self.handlers.pop(address, None)
 
 
 class Life:
-    """Whether one drone's computer is still there."""
+    """Whether one drone's computer still runs."""
 
     def __init__(self) -> None:
         self.is_over = False
@@ -62,7 +62,7 @@ class ModelDialer:
 
 
 class ModelLink:
-    """One connection; out of range it is silent, as a radio is, and for good once the drone's life is over."""
+    """One connection; it is silent out of range, and for good after the end of the drone's life."""
 
     is_far = False
 
@@ -139,9 +139,9 @@ class ModelLink:
 
 
 async def lived(program: Coroutine[object, object, None], life: Life, *, until_s: float | None) -> None:
-    """Runs the drone's program to its end, or until its life is over; raises what it raises until then.
+    """Run the drone's program to its end, or until `until_s`, the end of its life; raises the program's error.
 
-    A program that is cancelled at the end of its life must reach no other program on its way out.
+    A program that is cancelled at the end of its life reaches no other program while it ends.
     """
     if until_s is None:
         await program

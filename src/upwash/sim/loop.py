@@ -1,10 +1,10 @@
 """An asyncio event loop on virtual time: instead of waiting for the next timer, its clock jumps there.
 
-What would wait for the outside world (sockets, processes, threads) is refused, as the clock would have jumped past
-it; and where nothing is scheduled at all, the loop says so instead of hanging.
+Waits for the outside world (sockets, processes, threads) are refused, as the clock would jump past them. If every
+task waits and nothing is scheduled, the loop raises DeadlockError instead of hanging.
 
-Threads take turns (turns.py): the one that waits for something runs the loop meanwhile, so that a mission's verb
-changes no thread. Tasks, futures and everything else are asyncio's own.
+Threads take turns (turns.py): a thread that waits runs the loop meanwhile, so that a mission's verb needs no change
+of threads. Tasks, futures and everything else are asyncio's own.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class OutsideWorldError(UpwashError):
 
 
 def run_virtually(main: Coroutine[Any, Any, T]) -> T:
-    """Runs a coroutine to its end on a virtual clock that starts at 0; returns or raises what it does."""
+    """Runs a coroutine to its end on a virtual clock that starts at 0; returns its result or raises its error."""
     if not _a_loop_runs_here():
         return _run(main)
     with ThreadPoolExecutor(
@@ -73,12 +73,12 @@ def _run(main: Coroutine[Any, Any, T]) -> T:
 
 
 def end_run(failure: Exception) -> None:
-    """Have the run on virtual time that this is a part of end with the failure."""
+    """End the present run on virtual time with the failure."""
     asyncio.get_running_loop().call_exception_handler({"message": str(failure), "exception": failure})
 
 
 class VirtualLoop(base_events.BaseEventLoop):
-    """Runs ready callbacks in order, and timers by their time, then by when they were set."""
+    """An event loop on virtual time: runs ready callbacks in order, then timers by time and order of setting."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -101,9 +101,9 @@ class VirtualLoop(base_events.BaseEventLoop):
         return MissionTurn(self.turns, self, self._run_until)
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
-        """Ends the run with an unhandled failure: of a callback, or of a task without an owner that awaits it.
+        """Ends the run with an unhandled failure of a callback, or of a task that nobody awaits.
 
-        Unless that is an UpwashError, which work may end with.
+        An UpwashError is ignored, as work may end with it.
         """
         failure = context.get("exception") or RuntimeError(context["message"])
         if isinstance(failure, UpwashError) or self.failure is not None:
@@ -118,7 +118,7 @@ class VirtualLoop(base_events.BaseEventLoop):
     def call_soon(  # type: ignore[override]
         self, callback: Callable[..., object], *args: Any, context: Context | None = None
     ) -> asyncio.Handle:
-        """Has the callback run in its turn; RuntimeError once the loop is closed."""
+        """Schedules the callback behind the ready ones; RuntimeError if the loop is closed."""
         if self._closed:  # type: ignore[attr-defined]
             raise RuntimeError("Event loop is closed")
         handle = asyncio.Handle(callback, args, self, context)
@@ -136,7 +136,7 @@ class VirtualLoop(base_events.BaseEventLoop):
     def call_at(  # type: ignore[override]
         self, when: float, callback: Callable[..., object], *args: Any, context: Context | None = None
     ) -> asyncio.TimerHandle:
-        """A timer; timers of one instant run in the order in which they were set."""
+        """Sets a timer; timers of one instant run in the order of their setting."""
         timer = asyncio.TimerHandle(when, callback, args, self, context)
         heapq.heappush(self._timers, (when, next(self._numbers), timer))
         timer._scheduled = True  # type: ignore[attr-defined]
@@ -232,11 +232,11 @@ class VirtualLoop(base_events.BaseEventLoop):
     # --- what does not exist here ---------------------------------------------------------------------------
 
     def run_in_executor(self, executor: Any, func: Any, *args: Any) -> Any:  # type: ignore[override]
-        """Refused."""
+        """Raises OutsideWorldError."""
         raise OutsideWorldError(f"a thread for {func!r} would run on another clock than the simulation")
 
     async def create_connection(self, *_: Any, **__: Any) -> Any:
-        """Refused, as every way to the network is."""
+        """Raises OutsideWorldError, as every use of the network."""
         raise OutsideWorldError("there are no sockets on virtual time")
 
     create_server = create_connection
@@ -245,7 +245,7 @@ class VirtualLoop(base_events.BaseEventLoop):
     create_unix_server = create_connection
 
     async def subprocess_exec(self, *_: Any, **__: Any) -> Any:
-        """Refused, as every process is."""
+        """Raises OutsideWorldError, as every start of a process."""
         raise OutsideWorldError("there are no processes on virtual time")
 
     subprocess_shell = subprocess_exec

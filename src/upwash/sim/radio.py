@@ -24,13 +24,13 @@ _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
 
 @dataclass(frozen=True)
 class GoodputTable:
-    """Goodput in bit/s at distances in metres, ascending; between them it is linear, beyond them nothing."""
+    """Goodput in bit/s at ascending distances in metres; linear between them, 0 beyond the last."""
 
     distances_m: Sequence[float]
     goodput_bit_s: Sequence[float]
 
     def transfer_s(self, data_bytes: int, distance_m: float) -> float:
-        """How long the bytes need over the distance; infinitely long where nothing gets through."""
+        """The transfer time in seconds over the distance; infinite if nothing gets through."""
         goodput_bit_s = self.at(distance_m)
         return 8 * data_bytes / goodput_bit_s if goodput_bit_s > 0 else float("inf")
 
@@ -54,12 +54,12 @@ class SteadyGoodput:
     goodput_bit_s: float
 
     def transfer_s(self, data_bytes: int, distance_m: float) -> float:
-        """How long the bytes need."""
+        """The transfer time in seconds, the same at all distances."""
         return 8 * data_bytes / self.goodput_bit_s
 
 
 def goodput_of(truth: ServerTruth, service: str) -> GoodputTable | SteadyGoodput | None:
-    """What carries the service's calls to the server; None where their delays are given end to end."""
+    """The goodput for the service's calls to the server; None if their delays are given end to end."""
     table = read_goodput(truth.radio)
     if table is not None or service in truth.remote_call_s or truth.bandwidth_bit_s is None:
         return table

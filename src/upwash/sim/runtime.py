@@ -1,4 +1,4 @@
-"""Service instances that compute nothing: what their calls take, and what they answer."""
+"""Modelled service instances: the times and answers of their calls, without computing."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ _NEGLIGIBLE_S = 1e-9  # timers may run early by this
 
 
 class Computer(Protocol):
-    """What instances run on."""
+    """The computer of instances: the times of their starts and calls."""
 
     async def start(self, spec: InstanceSpec) -> None:
-        """Takes the time that a service needs from its start to being ready."""
+        """Wait for the time that a service needs from its start until it is ready."""
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
-        """Takes the time that a call of the operation occupies its instance; returns when it has an answer.
+        """Wait while a call of the operation occupies its instance; return the time of its answer.
 
-        Raises InstanceError where the instance crashes, Hangs where it never ends, and Raises.
+        Raises InstanceError if the instance crashes, Hangs if the call never ends, and Raises if the service raises.
         """
 
 
 class Hangs(Exception):
-    """A call never ends."""
+    """Raised for a call that never ends."""
 
 
 class Raises(Exception):
-    """A call ends in an exception of the service."""
+    """Raised for a call that ends in an exception of the service."""
 
 
 class ModelRuntime:
     """Starts modelled instances of the services on a computer, plugged in at ports of their own.
 
-    Those of the services in `objects` answer what the object answers, the others with empty results. They compute
-    `lanes` calls at a time, or as many as their services declare.
+    Services in `objects` answer with the object's results, others with empty results. Instances compute `lanes` calls
+    at a time, or as many as their services declare.
     """
 
     def __init__(
@@ -91,9 +91,9 @@ class ModelRuntime:
 
 
 class ModelInstance:
-    """One instance: takes `lanes` calls at a time, in order, as the real one does, and answers as the target, if any.
+    """One modelled instance: computes `lanes` calls at a time, in order, and answers with its target's results.
 
-    A call can have its answer after it has given up its lane: its computer says when.
+    A call may get its answer after it has left its lane, at the time that the computer returns.
     """
 
     def __init__(
@@ -123,22 +123,22 @@ class ModelInstance:
         self._switchboard.plug(endpoint, self._answer)
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        """Has only these drones get an answer, and what has arrived of those that are finishing."""
+        """Answer only these drones; of finishing drones, the calls that have arrived."""
         self._gate.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:
-        """Has every further call refused for that reason; returns when none is under way."""
+        """Refuse every further call for that reason; returns when none is under way."""
         self._gate.close(why)
         while self._under_way:
             self._idle.clear()
             await self._idle.wait()
 
     async def health(self) -> None:
-        """At once: a call that hangs leaves the rest of the instance as it is."""
+        """Return at once if the instance runs, as a hanging call does not stop the rest of it."""
         self._require_life()
 
     async def exited(self) -> str:
-        """Returns how the instance ended, at its end."""
+        """Wait for the end of the instance, and return how it ended."""
         return await asyncio.shield(self._ended)
 
     async def stop(self) -> None:
@@ -234,7 +234,7 @@ EVENT = b"an event that the scenario put here"
 
 
 def reply_to(method: Method, request: bytes) -> bytes:
-    """A reply with the emptiest value of the method's result type, or a fuller one where the photo shows an event."""
+    """A reply with an empty value of the method's result type, or a truthy value if the photo shows an event."""
     return _reply(method.reply, EVENT in request)
 
 

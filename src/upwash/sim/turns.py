@@ -1,4 +1,4 @@
-"""Which thread of a simulation runs: the loop's own, or a mission's, one at a time; and missions that sleep.
+"""The turns of a simulation's threads, the loop's own and the missions': one runs at a time. Missions that sleep.
 
 A mission's thread begins a verb and then runs the loop itself until the verb has ended, instead of waking another
 thread and waiting: a change of thread costs more than everything else in a verb. Two threads change only where the
@@ -27,7 +27,7 @@ _LOOK_AGAIN_S = 0.1  # whether the thread that runs the loop has stopped
 
 
 class OverstayedError(UpwashError):
-    """A mission's code goes on for ever."""
+    """Raised when a mission's code runs for too long without a verb."""
 
 
 class RunningTurn:
@@ -41,7 +41,7 @@ class RunningTurn:
 
 
 class ThreadTurns:
-    """Hands the turn from thread to thread; `next` is whose turn it is after the callback that runs now."""
+    """Passes the turn from thread to thread; `next` is the turn after the present callback."""
 
     def __init__(self) -> None:
         self.own = RunningTurn()
@@ -54,10 +54,10 @@ class ThreadTurns:
         self._changing = threading.Lock()
 
     def wait_for_own(self) -> None:
-        """In the loop's own thread: has the next one go on; returns when it is its own turn again.
+        """In the loop's own thread: let the next thread go on; returns when it is this thread's turn again.
 
-        Raises what the loop raised meanwhile, KeyboardInterrupt where it was interrupted, and OverstayedError for a
-        mission that keeps its turn.
+        Raises the loop's error, KeyboardInterrupt after an interrupt, and OverstayedError if a mission keeps its
+        turn.
         """
         self._pass_on()
         try:
@@ -79,18 +79,18 @@ class ThreadTurns:
             raise failure
 
     def interrupt(self) -> None:
-        """In the loop's own thread, by a signal: ends what runs, the loop after the callback that runs now."""
+        """In the loop's own thread, by a signal: end a mission's code at once, or the loop after its callback."""
         if not self._runs_loop:
             raise KeyboardInterrupt  # out of the wait for the mission's code
         self._interrupted, self.next = True, self.own
 
     def begin_code(self) -> None:
-        """In a mission's thread whose turn it is: its code runs now."""
+        """In a mission's thread with the turn: note that its code runs now."""
         self._runs_loop = False
         self._begun += 1
 
     def end_code(self, turn: RunningTurn) -> bool:
-        """In a mission's thread: the loop may run; False where the turn was taken from it."""
+        """In a mission's thread: let the loop run; return False if the turn was taken from this thread."""
         with self._changing:
             if self._holder is not turn:
                 return False
@@ -98,7 +98,7 @@ class ThreadTurns:
             return True
 
     def leave(self, turn: RunningTurn) -> None:
-        """In a mission's thread that ran the loop: has the next one go on; returns when it is its own turn again."""
+        """In a mission's thread that ran the loop: let the next thread go on; returns at this thread's turn."""
         if self.next is turn:
             self.next = None
         else:
@@ -106,12 +106,12 @@ class ThreadTurns:
             turn.come.acquire()
 
     def leave_for_good(self) -> None:
-        """In a mission's thread that is over: the loop's own goes on."""
+        """In a mission's thread that ends: let the loop's own thread go on."""
         self.next = self.own
         self._pass_on()
 
     def fail(self, failure: BaseException) -> None:
-        """In a mission's thread that ran the loop: the loop's own thread must raise this failure."""
+        """In a mission's thread that ran the loop: pass the failure to the loop's own thread, which raises it."""
         self._failure, self.next = failure, self.own
 
     def _pass_on(self) -> None:
@@ -136,7 +136,7 @@ class ThreadTurns:
 
 
 class Interrupts:
-    """Has Ctrl-C end a simulation between two callbacks: in the middle of one it could be swallowed.
+    """Lets Ctrl-C end a simulation between two callbacks, as a callback could swallow it.
 
     KeyboardInterrupt is raised at the end at the latest; a second Ctrl-C raises it at once. Only the first thread
     of the process handles Ctrl-C, and only if the process has no other handler.
@@ -151,7 +151,7 @@ class Interrupts:
         )
 
     def end(self, turns: ThreadTurns) -> None:
-        """From now on it ends what takes these turns."""
+        """Let Ctrl-C end the run with these turns from now on."""
         self._turns = turns
 
     def __enter__(self) -> Interrupts:
@@ -187,7 +187,7 @@ class MissionTurn(RunningTurn):
         self._run_until = run_until
 
     def give(self) -> None:
-        """In a callback of the loop: after it, the mission's code goes on, before all other callbacks."""
+        """In a callback of the loop: let the mission's code run next, before any other callback."""
         self._turns.next = self
 
     def begin(self) -> None:
@@ -246,9 +246,9 @@ class _SleepWatch:
                     time.sleep = self._sleep
 
     def sleep(self, seconds: float | SupportsIndex, /) -> None:
-        """Sleeps, but in a simulated mission: there it warns instead.
+        """Sleeps, except in a simulated mission, which is warned instead.
 
-        A mission that imports the name while a simulation runs keeps this for good, so it looks each time.
+        A mission that imports the name during a simulation keeps this function for good, so each call checks.
         """
         if self._simulations == 0 or not _is_missions_code():
             self._sleep(seconds)
@@ -271,5 +271,5 @@ _watch = _SleepWatch()
 
 
 def sleeps_reported() -> contextlib.AbstractContextManager[None]:
-    """While it is on, a simulated mission that calls `time.sleep` is warned by name, and goes on at once."""
+    """In the block, `time.sleep` in a simulated mission warns with the caller's name, and returns at once."""
     return _watch.on()

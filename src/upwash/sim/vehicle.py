@@ -1,4 +1,4 @@
-"""A simulated vehicle: its mode, its motors and how it moves. It obeys every command, no matter who owns it.
+"""A simulated vehicle: its mode, its motors and its motion. It obeys every command, whoever the owner is.
 
 The vehicle steers by its own estimate of its position, and all of its motions are in terms of that estimate. The
 estimate is the true position until it jumps.
@@ -39,29 +39,29 @@ class Manner(Protocol):
 
     @property
     def returning(self) -> WayHome:
-        """How it returns and lands, in numbers that are never too fast."""
+        """How the vehicle returns and lands, never faster than it does."""
 
     def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-        """Straight up to the altitude."""
+        """The phases of a climb straight up to the altitude."""
 
     def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-        """From rest to rest."""
+        """The phases of a leg, from rest to rest."""
 
     def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-        """From the velocity to rest."""
+        """The phases of braking, from the velocity to rest."""
 
     def arrival_s(self, phases: tuple[Phase, ...]) -> float:
-        """How long after its start the vehicle counts as arrived."""
+        """Seconds from the start of the phases until the vehicle counts as arrived."""
 
     def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
-        """From rest to the ground at home."""
+        """The phases of a return, from rest to the ground at home."""
 
     def landing(self, start: Position) -> tuple[Phase, ...]:
-        """From rest straight down to the ground."""
+        """The phases of a landing, from rest straight down to the ground."""
 
 
 class ModelVehicle:
-    """Stands on the ground disarmed, or hovers where another program left it.
+    """A simulated vehicle, which at first stands disarmed, or hovers where another program left it.
 
     `observe` gets each command ("commanded") and each takeover ("taken", `by`), and `moved` each motion as it begins.
     `changed` is replaced and set when its motors start or stop, and when it begins to move by itself; waits for a
@@ -102,7 +102,7 @@ class ModelVehicle:
 
     @property
     def mode(self) -> str:
-        """The mode that it is in."""
+        """The flight mode."""
         return self.report.mode
 
     @property
@@ -112,12 +112,12 @@ class ModelVehicle:
 
     @property
     def motion(self) -> Motion[Phase]:
-        """How it moves from the last command on, or from what it last did by itself."""
+        """The motion since the last command, or since its own last action."""
         return self._motion
 
     @property
     def true_position(self) -> Position:
-        """Where it is now."""
+        """The true position now."""
         here = self.position
         if not (self._astray_east_m or self._astray_north_m):
             return here
@@ -127,7 +127,7 @@ class ModelVehicle:
 
     @property
     def position(self) -> Position:
-        """Where it reports to be now: its own estimate."""
+        """The reported position now: the vehicle's own estimate."""
         now_s = self._loop.time()
         if self._located_s != now_s:
             self._located_s, self._position = now_s, self._motion.position(now_s)
@@ -151,7 +151,7 @@ class ModelVehicle:
         armed: bool | None = None,
         target: Position | None = None,
     ) -> None:
-        """Changes its mode, its motors, its target or none of them, by a command of the program."""
+        """Obey a command of the program: change the mode, the motors, the target, or none of them."""
         self._observe("commanded", command=command)
         if mode is not None:
             self._report(mode=mode)
@@ -162,12 +162,12 @@ class ModelVehicle:
             self._tell_change()
 
     def move(self, phases: tuple[Phase, ...], end: Position) -> None:
-        """Begins to move, by a command that was obeyed before; `end` is exactly where the phases lead."""
+        """Begin a motion, by a command obeyed before; `end` is its exact end."""
         self._begin(phases, end)
         self.borders.moves(self._motion)
 
     def settle(self, end: Position) -> None:
-        """Rests at the end of a motion: a timer may be a nanosecond early, and the vehicle not quite there."""
+        """Rest exactly at the end of a motion, as its timer may be a nanosecond early."""
         self._begin((), end)
         self.borders.settles(self._motion)
 
@@ -179,7 +179,7 @@ class ModelVehicle:
     # --- what it does without a command ---------------------------------------------------------------------
 
     def be_taken_by_pilot(self, *, back_after_s: float, before_back: Callable[[], None]) -> None:
-        """A person flies it in another mode, later back in the program's if that is before the landing, and lands."""
+        """A pilot takes the vehicle in another mode, may give it back after `back_after_s`, and lands it."""
         self._observe("taken", by="pilot")
         self._report(armed=True)
         self._change_mode(LOITER)
@@ -188,9 +188,9 @@ class ModelVehicle:
         self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
 
     def be_diverted(self, shift: tuple[float, float, float]) -> None:
-        """A ground station sends it east, north and up in the program's own mode, and later lands it.
+        """A ground station sends the vehicle east, north and up in the program's own mode, and later lands it.
 
-        No ground station can send it anywhere in another mode, or while it stands.
+        Nothing happens in another mode, or on the ground.
         """
         if not (self.flies and self.mode == GUIDED):
             return
@@ -202,14 +202,14 @@ class ModelVehicle:
         self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
 
     def move_home(self, shift: tuple[float, float, float]) -> None:
-        """A ground station moves its home in flight; on the ground, arming sets the home again."""
+        """A ground station moves the vehicle's home in flight; on the ground nothing happens."""
         if self.flies:
             east_m, north_m, up_m = shift
             home = self.home
             self.home = Position(home.east_m + east_m, home.north_m + north_m, home.altitude_m + up_m)
 
     def jump(self, east_m: float, north_m: float) -> tuple[Position, Position]:
-        """Its estimate jumps, and in the air it corrects its course; returns its estimates before and after."""
+        """Let the estimate jump; in flight the vehicle corrects its course. Return the estimates before and after."""
         before = self.position
         here = Position(before.east_m + east_m, before.north_m + north_m, before.altitude_m)
         self._astray_east_m += east_m
@@ -220,10 +220,9 @@ class ModelVehicle:
         return before, here
 
     def restart(self, *, back_after_s: float) -> None:
-        """Its autopilot restarts: until it is back, it sends nothing and its motors stand still.
+        """Restart the autopilot: for `back_after_s` it sends nothing, and its motors stand still.
 
-        After a short restart it catches itself in the air, in its mode, and later a pilot lands it. After others it
-        falls.
+        After a short restart the vehicle recovers in the air, in its mode, and later a pilot lands it; else it falls.
         """
         if self.armed:
             self._observe("taken", by="restarted autopilot")
@@ -244,7 +243,7 @@ class ModelVehicle:
             self._tell_change()
 
     def fail_safe(self) -> None:
-        """Its battery is empty, say: it lands where it is; while it stands disarmed there is nothing to do."""
+        """Let a fail-safe land the vehicle where it is, as for a low battery; not while it is disarmed."""
         if not self.armed:
             return
         self._observe("taken", by="fail-safe")
@@ -252,7 +251,7 @@ class ModelVehicle:
         self._land()
 
     def fall(self) -> None:
-        """Its battery is empty: the motors stop in the air, and it falls straight down."""
+        """Stop the motors in the air, as for an empty battery: the vehicle falls straight down."""
         if not self.flies:
             return
         self._observe("taken", by="fail-safe")
@@ -301,7 +300,7 @@ class ModelVehicle:
         self._tell_change()
 
     def _correct_course(self, here: Position, end: Position) -> None:
-        """From the position after a jump to the end of the current motion."""
+        """Move from the position after a jump to the end of the present motion."""
         if not self.flies:
             self.borders.settles(self._motion)
         elif self._touchdown is not None:
@@ -339,7 +338,7 @@ _AT_ONCE = 1e9  # metres a second, and more of them each second
 
 @dataclass(frozen=True, slots=True)
 class Plain:
-    """Speeds up and brakes alike; takes off, returns and lands in fixed times."""
+    """A manner with one acceleration, and fixed times for take-off, return and landing."""
 
     acceleration_m_s2: float
     takeoff_s: float
@@ -347,7 +346,7 @@ class Plain:
 
     @property
     def returning(self) -> WayHome:
-        """In its fixed time."""
+        """A return in its fixed time."""
         return WayHome(
             altitude_m=0.0,
             climb_m_s=_AT_ONCE,
@@ -360,27 +359,27 @@ class Plain:
         )
 
     def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-        """Straight up in its time."""
+        """The phases of a climb straight up in the fixed time."""
         return steadily(
             ground, Position(ground.east_m, ground.north_m, altitude_m), duration_s=self.takeoff_s
         )
 
     def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-        """From rest to rest, under one acceleration."""
+        """The phases of a leg, from rest to rest, with one acceleration."""
         return leg(start, end, cruise_m_s=ground_speed_m_s, acceleration_m_s2=self.acceleration_m_s2)
 
     def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-        """Straight ahead, under the same acceleration."""
+        """The phases of braking straight ahead, with the same acceleration."""
         return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
 
     def arrival_s(self, phases: tuple[Phase, ...]) -> float:
-        """At rest."""
+        """Seconds until the vehicle rests."""
         return duration_s(phases)
 
     def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
-        """Straight home in its time."""
+        """The phases of a flight straight to home in the fixed time."""
         return steadily(start, home, duration_s=self.return_and_land_s)
 
     def landing(self, start: Position) -> tuple[Phase, ...]:
-        """Straight down in the time of a return."""
+        """The phases of a descent straight down, in the time of a return."""
         return steadily(start, Position(start.east_m, start.north_m), duration_s=self.return_and_land_s)

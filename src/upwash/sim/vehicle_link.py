@@ -1,4 +1,4 @@
-"""What the program receives from a simulated vehicle, and what that says of its owner and its position."""
+"""The reports that a program receives from a simulated vehicle, and their meaning for its owner and position."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _FLOWN_M_S = 1e9  # between two jumps: no bound on what was flown there
 
 
 class ModelVehicleLink:
-    """Takes in the vehicle's reports while its link is not silent, and feeds the latch with them.
+    """Passes the vehicle's reports to the latch while its link is not silent.
 
-    `is_off` is whether the link is down. `lost` is done once the vehicle is not the program's any more.
+    `is_off` returns whether the link is down. The future `lost` is done once the program loses the vehicle.
     """
 
     def __init__(self, vehicle: ModelVehicle, *, is_off: Callable[[], bool]) -> None:
@@ -51,27 +51,27 @@ class ModelVehicleLink:
 
     @property
     def doubt(self) -> str:
-        """Why it cannot be where it reports, in words; empty where it can."""
+        """Why the reported position cannot be true; "" if it can."""
         doubt_m = self._continuity.doubt_m
         return f"its reported position jumped {doubt_m:.0f} m, farther than it can fly" if doubt_m else ""
 
     def listen(self, tell: Callable[[VehicleNews], None]) -> None:
-        """Has all news told there from now on."""
+        """Calls `tell` with all news from now on."""
         self._tell = tell
 
     def say(self, text: str) -> None:
-        """The vehicle says it in words, which it does while its motors run."""
+        """Report a text of the vehicle, which sends texts only while its motors run."""
         if self._vehicle.armed and not self.is_silent:
             self._tell(VehicleSaid(severity=_CRITICAL, text=text))
 
     def require(self, step: str) -> None:
-        """Takes in what it reports; raises AutopilotLost while its link is silent."""
+        """Take in the present reports; raises AutopilotLost while the link is silent."""
         if self.is_silent:
             raise AutopilotLost(step, "the vehicle's link is silent")
         self.take()
 
     def take(self) -> None:
-        """Takes in what it reports now: its heartbeat, its time since boot, its target and its home."""
+        """Take in the present reports: heartbeat, time since boot, target and home."""
         vehicle, now_s = self._vehicle, self._loop.time()
         if vehicle.report is not self._reported:
             self._reported = vehicle.report
@@ -88,19 +88,19 @@ class ModelVehicleLink:
             self._tell(HomeMoved.of(vehicle.home))
 
     def take_soon(self) -> None:
-        """The same at once, or in the first second after the silence of the link."""
+        """Take in the present reports at once, or within a second after the silence of the link."""
         if not self.is_silent:
             self.take()
         elif self.control.is_ours:
             self._loop.call_later(_HEARTBEAT_S, self.take_soon)
 
     def take_heartbeat(self, report: Heartbeat, *, by_autopilot: bool) -> None:
-        """Takes in a heartbeat with the vehicle's ids, which another program may have sent."""
+        """Take in a heartbeat with the vehicle's ids, which another program may have sent."""
         if not self.is_silent and self._is_believed(by_autopilot=by_autopilot):
             self._judge(lambda: self.latch.report(report, self._loop.time()))
 
     def take_jump(self, before: Position, after: Position) -> None:
-        """Takes in that its reported place was one a moment ago, and is another now."""
+        """Take in a jump of the reported position from `before` to `after`."""
         now_s = self._loop.time()
         self._continuity.take_estimate(before, time_s=now_s, velocity=Velocity(_FLOWN_M_S))
         self._continuity.take_estimate(after, time_s=now_s, velocity=Velocity())

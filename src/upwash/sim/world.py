@@ -1,4 +1,4 @@
-"""What is true in a simulated world: the air between drone and servers, and their computers."""
+"""The true behaviour of a simulated world: the radio paths between drone and servers, and their computers."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _BREAKING = ("hung", "poisoned")  # the instance, also after the fault
 
 
 class Wire:
-    """Between the drone and its own services: no distance, no time."""
+    """The path between the drone and its own services: no delay."""
 
     def connected(self, server: str) -> bool:
-        """Always."""
+        """True."""
         return True
 
     async def send(self, server: str, path: str, *, reply: bool) -> None:
-        """At once."""
+        """Return at once."""
 
 
 class ModelRadio:
-    """Between the drone and the servers: nothing arrives out of range, and bytes take their time."""
+    """The radio path between the drone and its servers: silent out of range, with a transfer time for calls."""
 
     def __init__(
         self,
@@ -77,11 +77,11 @@ class ModelRadio:
         return fault is None or fault.kind != "off"
 
     async def goes_down(self, server: str) -> None:
-        """Returns as soon as the server's network is not up."""
+        """Wait until the server's network is not up."""
         await self._faults.befalls(f"link:{server}", "off")
 
     async def send(self, server: str, path: str, *, reply: bool) -> None:
-        """The transfer time at the drone's distance; what is no service's call is too small to count."""
+        """Wait for the transfer time of a call at the drone's distance; other requests take none."""
         fault = self._faults.now(f"link:{server}")
         if fault is not None and fault.kind == "slow":
             await asyncio.sleep(fault.extra_s / 2)
@@ -108,7 +108,7 @@ class ModelRadio:
 
 
 class DroneComputer:
-    """Runs the drone's own services: at the profiled delays, slower the hotter it gets and while a radio joins."""
+    """The drone's computer: calls take the profiled delays, and longer if it is hot or while a radio joins."""
 
     def __init__(
         self,
@@ -129,10 +129,10 @@ class DroneComputer:
         self._chance = chance
 
     async def start(self, spec: InstanceSpec) -> None:
-        """Before the mission: no time of it."""
+        """Return at once, as services start before the mission."""
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
-        """The profiled delay, with the extra of the first call; the answer is there at once then."""
+        """Wait for the profiled delay, with the extra of a first call; return the time."""
         service = self._services[spec.service]
         call_s = delay_of(operation, service.local_call_s)
         call_s *= self._chance.factor(f"call/local/{operation}", self._noise)
@@ -144,7 +144,7 @@ class DroneComputer:
         return asyncio.get_running_loop().time()
 
     def _work_s(self, call_s: float) -> float:
-        """The time of a call at the present heat; it is metered."""
+        """The time of a call at the present heat, and meter its energy."""
         heat, energy = self._heat, self._energy
         if heat is None:
             if energy is not None:
@@ -158,7 +158,7 @@ class DroneComputer:
 
 
 class ServerComputer:
-    """Runs the services of one server in the true times; during a crash fault they die half-way."""
+    """A server's computer: starts and calls take their true times; during a crash fault instances die half-way."""
 
     def __init__(
         self, name: str, truth: ServerTruth, *, faults: Faults, noise: NoiseConfig, chance: Chance
@@ -172,7 +172,7 @@ class ServerComputer:
         self._chance = chance
 
     async def start(self, spec: InstanceSpec) -> None:
-        """The cold start."""
+        """Wait for the cold start; raises InstanceError during a fault."""
         self._broken.pop(spec.service, None)
         start_s = self._truth.start_s * self._chance.factor(f"start/{self._name}", self._noise.start)
         await self._take(start_s, f"{spec.name} crashed while it started")
@@ -181,7 +181,7 @@ class ServerComputer:
         self._cold.add(spec.service)
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
-        """Occupies the instance for its part of the true delay; returns when the answer is there.
+        """Wait while the call occupies the instance; return the time of the answer.
 
         The first call after a start takes longer by the extra.
         """
@@ -216,13 +216,13 @@ class ServerComputer:
 
 
 def computing_s(operation: Operation, truth: ServerTruth) -> float:
-    """The true delay of a call on a server: end to end if that is given, else of the processing alone."""
+    """The true delay (s) of a call on a server: end to end if that is given, else of the processing alone."""
     told = truth.remote_call_s.get(operation.service, {})
     return delay_of(operation, told or truth.processing_s[operation.service])
 
 
 def occupying_s(operation: Operation, truth: ServerTruth) -> float:
-    """What of a call's true delay on a server occupies its instance; the rest is the way there and back."""
+    """The part (s) of a call's true delay that occupies its instance; the rest is the transfer."""
     call_s = computing_s(operation, truth)
     if truth.radio != "fixed":  # whose transfers come on top
         return call_s
@@ -246,22 +246,22 @@ def _of(operation: Operation, table: Mapping[str, float]) -> float | None:
 
 
 class Joining:
-    """How many of the drone's radios are joining a network now."""
+    """Counts the drone's radios that are joining a network now."""
 
     def __init__(self) -> None:
         self._radios = 0
         self._changed = asyncio.Event()
 
     def begun(self) -> None:
-        """One radio more."""
+        """Add one radio."""
         self._count(1)
 
     def over(self) -> None:
-        """One radio less."""
+        """Remove one radio."""
         self._count(-1)
 
     async def work(self, work_s: float, slowdown: float) -> None:
-        """Returns when work is done that takes `work_s`, and longer by the share `slowdown` while a radio joins."""
+        """Wait for work of `work_s`, which takes longer by the share `slowdown` while a radio joins."""
         if slowdown == 0:
             await asyncio.sleep(work_s)
             return
@@ -282,14 +282,14 @@ class Joining:
 
 
 class JoinedSlowly:
-    """A network that lets it be known when it is being joined."""
+    """A network whose joins are counted in `Joining`."""
 
     def __init__(self, network: Network, joining: Joining) -> None:
         self._network = network
         self._joining = joining
 
     async def join(self, network: str, *, timeout_s: float) -> None:
-        """As the network, and noted meanwhile."""
+        """Join the network, counted meanwhile."""
         self._joining.begun()
         try:
             await self._network.join(network, timeout_s=timeout_s)
@@ -297,9 +297,9 @@ class JoinedSlowly:
             self._joining.over()
 
     async def lost(self) -> str:
-        """As the network."""
+        """Wait until the network is lost; return why."""
         return await self._network.lost()
 
     async def leave(self) -> None:
-        """As the network."""
+        """Leave the network."""
         await self._network.leave()
