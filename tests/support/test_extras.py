@@ -8,7 +8,9 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -140,21 +142,36 @@ COMMANDS = [
 ]
 
 
-def upwash(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(folder / "hiding")}
-    return subprocess.run(
-        [sys.executable, "-m", "upwash", *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+# Imports what all commands share once, and runs each command that it reads in a process of its own.
+FORKING = """
+import os, shlex, sys
+import upwash.lab.run, upwash.launch.daemon, upwash.launch.flight
+from upwash.cli.main import main
+
+for command in sys.stdin:
+    if (child := os.fork()) == 0:
+        for number, name in enumerate(("printed", "complaint"), start=1):
+            os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        sys.exit(main(shlex.split(command)))
+    _, status = os.waitpid(child, 0)
+    print(os.waitstatus_to_exitcode(status), flush=True)
+"""
+
+
+class Ended(NamedTuple):
+    """The exit code of a command, and what it printed."""
+
+    code: int
+    printed: str
+    complaint: str
+
+
+Upwash = Callable[[str], Ended]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def upwash(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Upwash]:
+    """Runs a command to its end, in a folder with all files that one needs."""
     folder = tmp_path_factory.mktemp("extras")
     (folder / "hiding").mkdir()
     hidden = sorted(set().union(*MODULES.values()))
@@ -162,24 +179,41 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, text in FILES.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
-    for command in ("keys keys --server s1 --drone drone", f"simulate {THESIS} --log with.jsonl"):
-        done = upwash(folder, *command.split())
-        assert done.returncode == 0, done.stderr
-    return folder
+    path = os.pathsep.join([str(folder / "hiding"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    with subprocess.Popen(
+        [sys.executable, "-c", FORKING],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as forking:
+
+        def run(command: str) -> Ended:
+            assert forking.stdin is not None and forking.stdout is not None
+            forking.stdin.write(f"{command}\n")
+            forking.stdin.flush()
+            code = int(forking.stdout.readline())
+            return Ended(code, (folder / "printed").read_text(), (folder / "complaint").read_text())
+
+        for command in ("keys keys --server s1 --drone drone", f"simulate {THESIS} --log with.jsonl"):
+            done = run(command)
+            assert done.code == 0, done.complaint
+        yield run
 
 
 @pytest.mark.parametrize(("command", "extra"), COMMANDS, ids=[command for command, _ in COMMANDS])
-def test_a_command_without_its_extra_says_which_to_install(folder: Path, command: str, extra: str) -> None:
-    done = upwash(folder, *command.split())
-    assert "Traceback" not in done.stderr
-    named = re.findall(r"pip install 'upwash\[(\w+)\]'", done.stdout + done.stderr)
+def test_a_command_without_its_extra_says_which_to_install(upwash: Upwash, command: str, extra: str) -> None:
+    done = upwash(command)
+    assert "Traceback" not in done.complaint
+    named = re.findall(r"pip install 'upwash\[(\w+)\]'", done.printed + done.complaint)
     if extra:
-        assert done.returncode == (
-            1 if command.startswith("profile") else 2
-        )  # there it is an instance that fails
+        assert done.code == (1 if command.startswith("profile") else 2)  # there it is an instance that fails
         assert set(named) == {extra}
-        assert done.stderr.count("\n") == 1, done.stderr
-        assert re.match(rf"upwash: .*\b({'|'.join(sorted(MODULES[extra]))}) is not installed: ", done.stderr)
+        assert done.complaint.count("\n") == 1, done.complaint
+        assert re.match(
+            rf"upwash: .*\b({'|'.join(sorted(MODULES[extra]))}) is not installed: ", done.complaint
+        )
     else:
         assert not named
 
