@@ -140,16 +140,12 @@ def _look_at_files(folder: Path) -> Look:
             bad.append(
                 f"camera {folder}: {file.name} is no whole JPEG: copy it again, or take it out of the folder"
             )
-        elif len(chosen) < 2 or len(jpeg) > len(chosen[_largest(chosen)]):
+        elif len(chosen) < 2 or len(jpeg) > max(map(len, chosen.values())):
             if len(chosen) == 2:
                 del chosen[list(chosen)[1]]
             chosen[file.name] = jpeg
     more = len(bad) - _MOST_NAMED
     return Look(chosen, (*bad[:_MOST_NAMED], *([f"and {more} more photos like these"] if more > 0 else [])))
-
-
-def _largest(photos: Mapping[str, bytes]) -> str:
-    return max(photos, key=lambda name: len(photos[name]))
 
 
 def _device_troubles(camera: str, first: bytes, second: bytes) -> list[str]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from upwash.config import DaemonConfig
-from upwash.config.daemon import ImageConfig
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import InstanceState
 from upwash.core.admission.server import ServerOffer
@@ -132,15 +131,14 @@ async def take_up(edge: EdgeServer, before: HandedOver | None) -> None:
 def offers(config: DaemonConfig, images: Mapping[str, Image]) -> dict[str, ServerOffer]:
     """What each of the daemon's servers offers."""
     lanes = {name: image.lanes for name, image in images.items()}
-    limits_s = {image.name: image.call_limit_s or _call_limit_s(image) for image in config.images}
+    limits_s = {
+        image.name: image.call_limit_s or max(CALL_LIMIT_S, _PACES * max(image.pace_s.values(), default=0.0))
+        for image in config.images
+    }
     return {
         at.name: ServerOffer(frozenset(at.images), at.slots, at.turn_s, lanes, limits_s)
         for at in config.identities
     }
-
-
-def _call_limit_s(image: ImageConfig) -> float:
-    return max(CALL_LIMIT_S, _PACES * max(image.pace_s.values(), default=0.0))
 
 
 def _refuse_restart(old: DaemonConfig, new: DaemonConfig) -> None:

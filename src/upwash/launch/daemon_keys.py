@@ -29,9 +29,9 @@ class DaemonKeys:
 
     def renew(self, config: DaemonConfig) -> None:
         """Reads the files again; where they are no good, CredentialsError is raised and the old ones stay."""
-        credentials, revoked = _credentials(config), _revoked(config)
+        credentials, revoked = _credentials(config), config.keys.revoked if config.keys else None
+        self.revoked = read_revoked(revoked) if revoked else frozenset[str]()
         self.credentials = credentials
-        self.revoked = revoked
         self._dialer = GrpcDialer(
             config.identities[0].name, credentials, max_message_bytes=config.max_message_bytes
         )
@@ -67,11 +67,6 @@ def _credentials(config: DaemonConfig) -> Credentials | None:
     if not credentials.is_for("serving") or (config.peers and not credentials.is_for("calling")):
         raise CredentialsError(f"{config.keys.certificate}: not a certificate for a daemon: {remedy}")
     return None if config.listen.startswith("unix:") else credentials
-
-
-def _revoked(config: DaemonConfig) -> frozenset[str]:
-    file = config.keys.revoked if config.keys else None
-    return read_revoked(file) if file else frozenset()
 
 
 async def watch_expiry(keys: DaemonKeys) -> NoReturn:

@@ -13,7 +13,6 @@ from upwash.drone.networks import NetworkCell, NoNetwork, PositionNetwork
 from upwash.errors import CredentialsError, UsageError
 from upwash.mavlink.signing import Signing
 from upwash.ports import Autopilot, Finder, Journal, Network
-from upwash.real.instances.runtime import OwnProcesses
 from upwash.real.link.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import read_signing
@@ -125,11 +124,6 @@ def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credent
             f'write name = "{credentials.names[0]}" at the top of its configuration, or make another certificate'
         )
     return credentials
-
-
-def onboard(drone: str, *, max_message_bytes: int) -> OwnProcesses:
-    """Starts and dials the drone's own services."""
-    return OwnProcesses(drone, max_message_bytes=max_message_bytes)
 
 
 async def opened_networks(

@@ -19,7 +19,6 @@ from upwash.launch.cameras import NoCamera, needs_camera, opened_camera
 from upwash.launch.drone import (
     connect_vehicle,
     drone_credentials,
-    onboard,
     opened_networks,
     server_dialer,
     server_finder,
@@ -36,6 +35,7 @@ from upwash.real.host.clock import (
 )
 from upwash.real.host.journal import FileJournal, Unwritten, Watcher, read_events
 from upwash.real.host.signals import outliving_the_terminal, stopping_politely
+from upwash.real.instances.runtime import OwnProcesses
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
 from upwash.real.trust.credentials import Credentials
 from upwash.support.background import end, only_logged, start
@@ -168,7 +168,7 @@ async def _ports(
     journal: FileJournal,
     stack: contextlib.AsyncExitStack,
 ) -> Ports:
-    own = onboard(config.name, max_message_bytes=config.max_message_bytes)
+    own = OwnProcesses(config.name, max_message_bytes=config.max_message_bytes)
     return Ports(
         autopilot=autopilot,
         networks=await opened_networks(config, autopilot, journal, stack),

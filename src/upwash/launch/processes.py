@@ -132,19 +132,15 @@ class FlightProgram:
             return await process.wait()
         finally:
             if process.returncode is None:
-                await _stop(process)
+                process.terminate()
+                try:
+                    await asyncio.wait_for(process.wait(), STOP_S)
+                except TimeoutError:
+                    process.kill()
+                    await process.wait()
 
     def stop(self) -> None:
         """Have the flight end its mission and land, like Ctrl-C."""
         self._stopped.set()
         if self._process is not None and self._process.returncode is None:
             self._process.send_signal(signal.SIGINT)
-
-
-async def _stop(process: asyncio.subprocess.Process) -> None:
-    process.terminate()
-    try:
-        await asyncio.wait_for(process.wait(), STOP_S)
-    except TimeoutError:
-        process.kill()
-        await process.wait()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint
 from upwash.launch.drone import (
     drone_credentials,
-    onboard,
     require_address,
     require_certificates,
     server_dialer,
@@ -29,17 +29,19 @@ from upwash.profiling.profiler import (
     profile_onboard,
     profile_server,
 )
+from upwash.real.instances.runtime import OwnProcesses
 from upwash.rpc.service import spec_of
 
 _PROFILER = "profiler"
 _MAX_MESSAGE_BYTES = 16 * 2**20
+_PEAK_KB = re.compile(r"^VmHWM:\s*(\d+) kB", re.MULTILINE)
 
 
 async def profile_on_this_computer(
     service: LoadedService, found: Sequence[CallSample], *, calls: int, start_timeout_s: float, watch: Watch
 ) -> OnboardProfile:
     """Measures the service in instances such as the drone's own."""
-    own = onboard(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES)
+    own = OwnProcesses(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES)
     return await profile_onboard(
         InstanceSpec(_PROFILER, spec_of(service.cls).name, service.program),
         found,
@@ -76,7 +78,8 @@ async def profile_at(
 
 def _peak_memory_bytes() -> int:
     """The sum of the peak memory of each running process that this process started, and of theirs."""
-    return sum(map(_peak_bytes, _descendants(os.getpid())))
+    statuses = (_read(Path(f"/proc/{process}/status")) for process in _descendants(os.getpid()))
+    return 1024 * sum(int(peak) for status in statuses for peak in _PEAK_KB.findall(status))
 
 
 def _descendants(process: int) -> Iterator[int]:
@@ -84,14 +87,6 @@ def _descendants(process: int) -> Iterator[int]:
         for child in _read(thread / "children").split():
             yield int(child)
             yield from _descendants(int(child))
-
-
-def _peak_bytes(process: int) -> int:
-    for line in _read(Path(f"/proc/{process}/status")).splitlines():
-        name, _, value = line.partition(":")
-        if name == "VmHWM":
-            return int(value.removesuffix(" kB")) * 1024
-    return 0
 
 
 def _read(file: Path) -> str:

@@ -22,7 +22,6 @@ from upwash.launch.drone import (
     connect_vehicle,
     drone_credentials,
     network_on_the_ground,
-    onboard,
     require_address,
     require_certificates,
     server_dialer,
@@ -219,12 +218,16 @@ async def _called(
             continue
         waits_s = Deadline().seconds(local_s=local_s, remote_s=remote_s)
         if took_s > waits_s and (again_s := await _call(session, wanted, sample, photo, request)) > waits_s:
+            profile = ("upwash", "profile", sample.operation.service, "--config", "CONFIG")
             raise UpwashError(
                 f"{sample.operation} takes {again_s:.2f} s there, and a flight waits {waits_s:.2f} s for it: measure "
-                f"it with {_measured(server, sample)}"
+                f"it with {command(*profile, '--server', server.name, '--photos', 'DIR')}"
             )
     if not found:
-        await _probed(session)
+        try:
+            await session.probe()
+        except Unreachable as error:
+            raise Unreachable(f"{error}: {_OTHER_PORTS}") from error
     return "".join(said.values())
 
 
@@ -247,21 +250,6 @@ async def _call(
     return took_s
 
 
-async def _probed(session: ServerSession) -> None:
-    """Raises Unreachable if the services, which take more than a photo, cannot be reached."""
-    try:
-        await session.probe()
-    except Unreachable as error:
-        raise Unreachable(f"{error}: {_OTHER_PORTS}") from error
-
-
-def _measured(server: ServerConfig, sample: CallSample) -> str:
-    service = sample.operation.service
-    return command(
-        "upwash", "profile", service, "--config", "CONFIG", "--server", server.name, "--photos", "DIR"
-    )
-
-
 def trials(spec: ServiceSpec, estimates: Estimates, photos: Mapping[str, bytes]) -> list[CallSample]:
     """The operations that a flight may call, each with these photos; empty for a service that takes no photo."""
     if not photos:
@@ -282,7 +270,7 @@ async def services_in_trouble(config: DroneConfig, photos: Mapping[str, bytes]) 
     """Why some of the drone's own services cannot be used: each is started, called with the photos, and ended."""
     services = load_services(config.services)
     estimates = make_estimates(config, {name: spec_of(service.cls) for name, service in services.items()})
-    own, failed = onboard(config.name, max_message_bytes=config.max_message_bytes), list[UpwashError]()
+    own, failed = OwnProcesses(config.name, max_message_bytes=config.max_message_bytes), list[UpwashError]()
     for name, service in services.items():
         spec = InstanceSpec(config.name, name, service.program)
         found = trials(spec_of(service.cls), estimates, photos)

@@ -38,7 +38,6 @@ SETTINGS = "opt/upwash/settings"
 
 # Of upwash's own requirements those that a service instance and its container's init import.
 _OF_EVERY_INSTANCE = ("grpcio", "msgspec")
-_PIECE_BYTES = 2**20
 
 
 def copy_program(program: str, root: Path, *, beside: Collection[Path] = ()) -> str:
@@ -171,13 +170,10 @@ def _without_marker(required: Requirement) -> str:
 
 def _hash(path: Path) -> str:
     """Tells two files of one name apart."""
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
     found = hashlib.sha256()
-    for file in files:
-        if file.is_file():
-            with file.open("rb") as content:
-                while piece := content.read(_PIECE_BYTES):
-                    found.update(piece)
+    for file in filter(Path.is_file, sorted(path.rglob("*")) if path.is_dir() else [path]):
+        with file.open("rb") as content:
+            hashlib.file_digest(content, lambda: found)
     return found.hexdigest()[:12]
 
 
@@ -195,13 +191,10 @@ def _copy(source: Path, target: Path) -> None:
     require_packable(source)
     target.parent.mkdir(parents=True, exist_ok=True)
     if source.is_dir():
-        shutil.copytree(source, target, ignore=_left_out, dirs_exist_ok=True)
+        left_out = shutil.ignore_patterns("*.pyc", *_LEFT_OUT)
+        shutil.copytree(source, target, ignore=left_out, dirs_exist_ok=True)
     else:
         shutil.copyfile(source, target)
-
-
-def _left_out(_: str, names: list[str]) -> Iterator[str]:
-    return (name for name in names if is_left_out(PurePath(name)))
 
 
 def is_left_out(path: PurePath) -> bool:

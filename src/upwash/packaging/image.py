@@ -34,13 +34,11 @@ from upwash.real.instances.containers import ServiceImage, reference_of
 from upwash.rpc.service import spec_of
 from upwash.rpc.settings import with_files
 
-_CREATED_S = 1_700_000_000  # a constant, as the same contents are the same image
+Format = Literal["lxd", "docker"]  # LXD's and Incus's, or Docker's and Podman's
+
+_CREATED_S = 1_700_000_000  # of all files too: a constant, as the same contents are the same image
 _CREATED = "2023-11-14T22:13:20Z"  # the same
 _ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}  # as Go names them
-
-
-Format = Literal["lxd", "docker"]  # LXD's and Incus's, or Docker's and Podman's
-_LONG_AGO_S = 1_700_000_000  # the time of everything in it
 _COMPRESSION = 1  # higher saves a tenth and takes three times as long
 
 
@@ -67,14 +65,10 @@ def package(recipe: Recipe, folder: Path, *, report: Callable[[str], None]) -> P
     """
     try:
         return _package(recipe, folder, report)
-    except shutil.Error as error:  # of many files
-        (_, _, why), *_ = error.args[0]
+    except OSError as error:
+        why = error.args[0][0][2] if isinstance(error, shutil.Error) else error  # of the first of many files
         raise UpwashError(
             f"{folder}: the image was not made, and nothing of it is left there: {why}"
-        ) from error
-    except OSError as error:
-        raise UpwashError(
-            f"{folder}: the image was not made, and nothing of it is left there: {error}"
         ) from error
 
 
@@ -91,7 +85,8 @@ def _package(recipe: Recipe, folder: Path, report: Callable[[str], None]) -> Pat
         (root / "opt" / "upwash" / "distributions.txt").write_text("\n".join(distributions) + "\n")
         _compile(root)
         report("packing")
-        packed = _WRITERS[recipe.format](recipe, root, Path(scratch), _image(recipe, program).properties())
+        write = _write_lxd if recipe.format == "lxd" else _write_docker
+        packed = write(recipe, root, Path(scratch), _image(recipe, program).properties())
         file = folder / f"{recipe.name}-{_hash(packed)[:12]}{''.join(packed.suffixes)}"
         return packed.rename(file)
 
@@ -163,14 +158,9 @@ def _write_docker(recipe: Recipe, root: Path, scratch: Path, properties: Mapping
     about = {"Config": "config.json", "RepoTags": [reference_of(recipe.name)], "Layers": [layer.name]}
     (tree / "config.json").write_text(json.dumps(config, sort_keys=True))
     (tree / "manifest.json").write_text(json.dumps([about], sort_keys=True))
-    write_plain(tree, packed := scratch / "image.tar")
+    with (packed := scratch / "image.tar").open("wb") as plain:
+        _write(tree, plain)
     return packed
-
-
-_WRITERS: Mapping[Format, Callable[[Recipe, Path, Path, Mapping[str, str]], Path]] = {
-    "lxd": _write_lxd,
-    "docker": _write_docker,
-}
 
 
 def _hash(file: Path) -> str:
@@ -182,17 +172,9 @@ def write_packed(folder: Path, file: Path) -> None:
     """Pack the folder, compressed; files of this user belong to root in the archive."""
     with (
         file.open("wb") as raw,
-        gzip.GzipFile(
-            filename="", mode="wb", fileobj=raw, compresslevel=_COMPRESSION, mtime=_LONG_AGO_S
-        ) as packed,
+        gzip.GzipFile("", "wb", compresslevel=_COMPRESSION, fileobj=raw, mtime=_CREATED_S) as packed,
     ):
         _write(folder, packed)
-
-
-def write_plain(folder: Path, file: Path) -> None:
-    """Pack the folder without compression."""
-    with file.open("wb") as raw:
-        _write(folder, raw)
 
 
 def hash_of_contents(packed: Path) -> str:
@@ -208,7 +190,7 @@ def _write(folder: Path, to: IO[bytes] | gzip.GzipFile) -> None:
 
 
 def _normal(entry: tarfile.TarInfo) -> tarfile.TarInfo:
-    entry.mtime = _LONG_AGO_S
+    entry.mtime = _CREATED_S
     entry.uid = 0 if entry.uid == os.getuid() else entry.uid
     entry.gid = 0 if entry.gid == os.getgid() else entry.gid
     entry.uname = entry.gname = ""

@@ -52,31 +52,17 @@ async def import_image(file: Path, kind: Format, daemon: DaemonConfig | None) ->
 
 async def list_images(daemon: DaemonConfig) -> list[HeldService]:
     """What the daemon has of each of its services."""
-    match daemon.runtime.kind:
-        case "process":
-            return [
-                HeldService(image.name, image.program or bundled_service(image.name))
-                for image in daemon.images
-            ]
-        case "docker":
-            return await _docker_offers(daemon)
-        case "lxd":
-            return await _lxd_offers(daemon)
-
-
-async def _lxd_offers(daemon: DaemonConfig) -> list[HeldService]:
-    async with _connected(lxd_engine(daemon.runtime)) as engine:
-        newest = newest_images(await engine.images())
-    return [_offer(image.name, newest.get(image.name)) for image in daemon.images]
-
-
-async def _docker_offers(daemon: DaemonConfig) -> list[HeldService]:
+    if daemon.runtime.kind == "process":
+        return [HeldService(each.name, each.program or bundled_service(each.name)) for each in daemon.images]
+    if daemon.runtime.kind == "lxd":
+        async with _connected(lxd_engine(daemon.runtime)) as lxd:
+            newest = newest_images(await lxd.images())
+        return [_offer(image.name, newest.get(image.name)) for image in daemon.images]
     offers = []
-    async with _connected(docker_engine(daemon.runtime)) as engine:
+    async with _connected(docker_engine(daemon.runtime)) as docker:
         for service, reference in docker_images(daemon).items():
-            held = await engine.image(reference)
-            image = labelled_image(held) if held else None
-            offers.append(_offer(service, image, reference))
+            held = await docker.image(reference)
+            offers.append(_offer(service, labelled_image(held) if held else None, reference))
     return offers
 
 

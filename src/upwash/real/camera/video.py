@@ -137,11 +137,8 @@ class _Capture:
 
         self.trouble = ""
         if isinstance(source, int) or source.startswith("/dev/"):
-            self._capture = (
-                cv2.VideoCapture(source)
-                if isinstance(source, int)
-                else cv2.VideoCapture(source, cv2.CAP_V4L2)
-            )
+            kind = cv2.CAP_ANY if isinstance(source, int) else cv2.CAP_V4L2
+            self._capture = cv2.VideoCapture(source, kind)
             self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         elif is_pipeline(source):
             self._capture = cv2.VideoCapture(source, cv2.CAP_GSTREAMER)

@@ -88,9 +88,10 @@ class ForeignProgram:
             self._write(frame(ProgramSettings(dict(settings))))
             answer = self._read(self._output)
         except (OSError, EOFError, ValueError) as error:
-            raise UsageError(
-                f"{program} did not answer to its settings: {self._how_it_ended() or error}"
-            ) from error
+            why = str(error)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                why = f"it ended with code {self._process.wait(_ENDS_S)}"
+            raise UsageError(f"{program} did not answer to its settings: {why}") from error
         if answer.fault is not msgspec.UNSET:
             raise UsageError(f"{program}: {printable(answer.fault.message, _LONGEST_REASON)}")
 
@@ -107,12 +108,6 @@ class ForeignProgram:
         answer = answered.result()
         is_value = answer.fault is msgspec.UNSET
         return key, _encoder.encode({"value": answer.value} if is_value else {"fault": answer.fault})
-
-    def _how_it_ended(self) -> str:
-        try:
-            return f"it ended with code {self._process.wait(_ENDS_S)}"
-        except subprocess.TimeoutExpired:
-            return ""
 
     def _write(self, text: bytes) -> None:
         with self._writing:

@@ -132,7 +132,12 @@ class GrpcDialer:
             way = Way(server, address, None)
 
         def connect() -> grpc.Channel:
-            options = [*self._options, *_patience(way)]
+            patience_s = _KEEPALIVE_S + way.more_s(_FIRST_ROUND_TRIPS)
+            options = [
+                *self._options,
+                ("grpc.min_reconnect_backoff_ms", round(1000 * way.attempt_s)),  # gRPC's limit of an attempt
+                ("grpc.keepalive_timeout_ms", round(1000 * patience_s)),
+            ]
             if not is_certified:
                 return grpc.insecure_channel(address, options)
             options.append(("grpc.ssl_target_name_override", server))
@@ -311,14 +316,6 @@ class GrpcLink:
                 return Refused(f"{self._peer}: {_in_words(details, self._max_message_bytes)}")
             case _:
                 return Refused(f"{self._peer}: {code.name}: {details}")
-
-
-def _patience(way: Way) -> list[tuple[str, int]]:
-    """gRPC's options for the time after which an attempt or a connection counts as dead."""
-    return [
-        ("grpc.min_reconnect_backoff_ms", round(1000 * way.attempt_s)),  # which is gRPC's limit of an attempt
-        ("grpc.keepalive_timeout_ms", round(1000 * (_KEEPALIVE_S + way.more_s(_FIRST_ROUND_TRIPS)))),
-    ]
 
 
 def _with(error: LinkError, trouble: str) -> str:

@@ -139,7 +139,8 @@ async def _serve(caller: StreamEnd, outside: socket.socket, inside: GrpcSocket, 
         client = await _announced(caller) if is_announced else Client("")
         if is_announced and outside.family == socket.AF_UNIX:
             async with inside.connection(client) as connection:
-                _give(connection, over=caller.transport)
+                with socket.socket(fileno=os.dup(caller.transport.get_extra_info("socket").fileno())) as over:
+                    socket.send_fds(over, [_CARRIER], [connection.fileno()])
                 await caller.line()  # which never comes: it ends when the door hangs up
         else:
             async with inside.connect(client) as end:
@@ -184,11 +185,6 @@ class GivenSocket(socket.socket):
     ) -> int:
         """As `socket.sendmsg`."""
         return super().sendmsg(buffers, ancdata, flags | socket.MSG_DONTWAIT, address)
-
-
-def _give(connection: socket.socket, over: asyncio.Transport) -> None:
-    with socket.socket(fileno=os.dup(over.get_extra_info("socket").fileno())) as carrier:
-        socket.send_fds(carrier, [_CARRIER], [connection.fileno()])
 
 
 async def take(over: socket.socket) -> GivenSocket:

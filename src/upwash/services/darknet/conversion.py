@@ -15,11 +15,11 @@ from typing import Literal
 import msgspec
 
 from upwash.errors import ModelError
-from upwash.services.darknet import ncnn
 from upwash.services.darknet.graph import build_model, heads_of
 from upwash.services.darknet.heads import Head
-from upwash.services.darknet.layers import Network, read_network
-from upwash.services.darknet.weights import Parameters, WeightsFile
+from upwash.services.darknet.layers import read_network
+from upwash.services.darknet.ncnn import PLAIN_FLOATS, describe
+from upwash.services.darknet.weights import WeightsFile
 from upwash.support.input_files import read_file
 
 _log = logging.getLogger("upwash.detector")
@@ -109,29 +109,17 @@ def _keep(write: Callable[[Path], None], folder: Path, model: str) -> None:
 
 def _write(cfg: Path, content: bytes, weights: Path, form: Form, folder: Path) -> None:
     network = read_network(cfg, content)
-    numbers = WeightsFile(weights, network)
-    _write_file(folder / _NUMBERS, map(_BYTES[form], numbers.parameters()))
+    mark = PLAIN_FLOATS if form == "ncnn" else b""
+    numbers = WeightsFile(weights, network).parameters()
+    _write_file(folder / _NUMBERS, (mark + convolution.plain() for convolution in numbers))
     if form == "ncnn":
         stride = max(layer.output.stride for layer in network.layers)
         facts = Facts(heads=tuple(heads_of(network)), stride=stride)
         _write_file(folder / _FACTS, [msgspec.json.encode(facts)])
-    _write_file(folder / _MODELS[form], [_model(network, form)])
-
-
-def _model(network: Network, form: Form) -> bytes:
-    if form == "ncnn":
-        return ncnn.describe(network).encode()
-    model: bytes = build_model(network, _NUMBERS).SerializeToString()
-    return model
-
-
-def _plain(parameters: Parameters) -> bytes:
-    return b"".join(
-        array.astype("<f4", copy=False).tobytes() for array in (parameters.weights, parameters.biases)
-    )
-
-
-_BYTES: dict[Form, Callable[[Parameters], bytes]] = {"onnx": _plain, "ncnn": ncnn.numbers_of}
+        model = describe(network).encode()
+    else:
+        model = build_model(network, _NUMBERS).SerializeToString()
+    _write_file(folder / _MODELS[form], [model])
 
 
 def _write_file(file: Path, content: Iterable[bytes]) -> None:

@@ -31,6 +31,7 @@ _IR_VERSION = 8
 _FLOAT_BYTES = 4
 LEAKY_SLOPE = 0.1
 INPUT = "picture"  # 1, 3, height, width: red, green, blue from 0 to 1
+_ACTIVATION_NODES = {"leaky": "LeakyRelu", "relu": "Relu", "logistic": "Sigmoid"}
 
 
 def build_model(network: Network, numbers: str) -> onnx.ModelProto:
@@ -90,8 +91,7 @@ def heads_of(network: Network) -> Iterator[Head]:
 def _nodes(layer: Layer, network: Network) -> Iterator[onnx.NodeProto]:
     from onnx import helper
 
-    before = output_of(network.layers[layer.index - 1]) if layer.index else INPUT
-    output = output_of(layer)
+    before, output = input_of(layer, network), output_of(layer)
     match layer.operator:
         case Convolutional() as convolution:
             yield from _activated(
@@ -137,17 +137,16 @@ def _activated(
 ) -> Iterator[onnx.NodeProto]:
     from onnx import helper
 
-    if activation == "linear":
-        yield helper.make_node(kind, inputs, [output], **attributes)
-        return
-    yield helper.make_node(kind, inputs, [f"{output}-linear"], **attributes)
-    match activation:
-        case "leaky":
-            yield helper.make_node("LeakyRelu", [f"{output}-linear"], [output], alpha=LEAKY_SLOPE)
-        case "relu":
-            yield helper.make_node("Relu", [f"{output}-linear"], [output])
-        case "logistic":
-            yield helper.make_node("Sigmoid", [f"{output}-linear"], [output])
+    linear = output if activation == "linear" else f"{output}-linear"
+    yield helper.make_node(kind, inputs, [linear], **attributes)
+    if activation != "linear":
+        slope: dict[str, Any] = {"alpha": LEAKY_SLOPE} if activation == "leaky" else {}
+        yield helper.make_node(_ACTIVATION_NODES[activation], [linear], [output], **slope)
+
+
+def input_of(layer: Layer, network: Network) -> str:
+    """The name of the output of the layer before."""
+    return output_of(network.layers[layer.index - 1]) if layer.index else INPUT
 
 
 def output_of(layer: Layer) -> str:

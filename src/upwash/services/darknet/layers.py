@@ -190,7 +190,9 @@ def _route(section: Section, _: Shape, before: list[Layer]) -> tuple[Operator, S
     sources = tuple(_source(section, "layers", number, before) for number in section.integers("layers"))
     shapes = [before[source].output for source in sources]
     if len({shape.stride for shape in shapes}) > 1:
-        raise section.error(f"layers {_listed(sources)} differ in size and cannot be put together")
+        raise section.error(
+            f"layers {', '.join(map(str, sources))} differ in size and cannot be put together"
+        )
     channels = sum(shape.channels for shape in shapes)
     if channels > _MOST_CHANNELS:
         raise section.error(f"its output has {channels} channels: at most {_MOST_CHANNELS} can be computed")
@@ -260,7 +262,3 @@ def _source(section: Section, option: str, number: int, before: list[Layer]) -> 
             f"{option} names layer {index}, a [yolo] layer, whose output is not for other layers"
         )
     return index
-
-
-def _listed(indices: tuple[int, ...]) -> str:
-    return ", ".join(map(str, indices))

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
-from upwash.services.darknet.graph import INPUT, LEAKY_SLOPE, output_of
+from upwash.services.darknet.graph import INPUT, LEAKY_SLOPE, input_of, output_of
 from upwash.services.darknet.layers import (
     Activation,
     Convolutional,
@@ -22,12 +21,10 @@ from upwash.services.darknet.layers import (
     Yolo,
 )
 
-if TYPE_CHECKING:
-    from upwash.services.darknet.weights import Parameters
-
 _MAGIC = 7767517
-_FLOATS = b"\0\0\0\0"  # marks weights as plain floats
+PLAIN_FLOATS = b"\0\0\0\0"  # precedes the weights of each convolution
 _ACTIVATIONS = {"linear": "", "leaky": f"9=2 -23310=1,{LEAKY_SLOPE}", "relu": "9=1", "logistic": "9=4"}
+_ACTIVATION_LAYERS = {"leaky": ("ReLU", f"0={LEAKY_SLOPE}"), "relu": ("ReLU",), "logistic": ("Sigmoid",)}
 
 
 def describe(network: Network) -> str:
@@ -41,20 +38,13 @@ def describe(network: Network) -> str:
     return "\n".join([str(_MAGIC), f"{len(lines)} {blobs}", *lines, ""])
 
 
-def numbers_of(parameters: Parameters) -> bytes:
-    """The numbers of a convolution, as in the file."""
-    weights, biases = (array.astype("<f4", copy=False) for array in (parameters.weights, parameters.biases))
-    return _FLOATS + weights.tobytes() + biases.tobytes()
-
-
 _Entry = tuple[str, list[str], list[str], list[str]]  # kind, inputs, outputs, options
 
 
 def _layers(network: Network) -> Iterator[_Entry]:
     yield "Input", [], [INPUT], []
     for layer in network.layers:
-        before = output_of(network.layers[layer.index - 1]) if layer.index else INPUT
-        output = [output_of(layer)]
+        before, output = input_of(layer, network), [output_of(layer)]
         match layer.operator:
             case Convolutional() as convolution:
                 kind = "Convolution" if convolution.groups == 1 else "ConvolutionDepthWise"
@@ -77,29 +67,26 @@ def _layers(network: Network) -> Iterator[_Entry]:
 
 def _convolution(layer: Layer, convolution: Convolutional) -> list[str]:
     weights = convolution.filters * layer.input.channels // convolution.groups * convolution.size**2
-    options = [
-        f"0={convolution.filters}",
-        f"1={convolution.size}",
-        f"3={convolution.stride}",
-        f"4={convolution.padding}",
-        "5=1",
-        f"6={weights}",
-    ]
+    numbers = {
+        0: convolution.filters,
+        1: convolution.size,
+        3: convolution.stride,
+        4: convolution.padding,
+        5: 1,
+        6: weights,
+    }
     if convolution.groups > 1:
-        options.append(f"7={convolution.groups}")
+        numbers[7] = convolution.groups
+    options = [f"{key}={number}" for key, number in numbers.items()]
     return options + _ACTIVATIONS[convolution.activation].split()
 
 
 def _sum(inputs: list[str], output: list[str], activation: Activation) -> Iterator[_Entry]:
     linear = output if activation == "linear" else [f"{output[0]}-linear"]
     yield "BinaryOp", inputs, linear, ["0=0"]
-    match activation:
-        case "leaky":
-            yield "ReLU", linear, output, [f"0={LEAKY_SLOPE}"]
-        case "relu":
-            yield "ReLU", linear, output, []
-        case "logistic":
-            yield "Sigmoid", linear, output, []
+    if activation != "linear":
+        kind, *options = _ACTIVATION_LAYERS[activation]
+        yield kind, linear, output, options
 
 
 def _with_splits(entries: list[_Entry]) -> Iterator[_Entry]:

@@ -28,6 +28,10 @@ class Parameters:
     weights: Floats  # filters, channels in a group, size, size
     biases: Floats  # filters
 
+    def plain(self) -> bytes:
+        """The weights, then the biases, as little-endian floats."""
+        return b"".join(array.astype("<f4", copy=False).tobytes() for array in (self.weights, self.biases))
+
 
 class WeightsFile:
     """The weights of a network, read convolution by convolution to save memory."""

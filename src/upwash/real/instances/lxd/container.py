@@ -90,7 +90,10 @@ def known_container(instance: EngineInstance) -> LxdContainer | None:
         status=instance.status,
         address=nic.get("ipv4.address", ""),
         credentials=ControlCredentials.from_text(config[f"environment.{CREDENTIALS}"]),
-        limits=Limits(**{name: _number(config.get(key)) for name, key in _LIMIT_KEYS.items()}),
+        # Without limits that have a unit, which upwash never writes.
+        limits=Limits(
+            **{name: int(config[key]) for name, key in _LIMIT_KEYS.items() if config.get(key, "").isdecimal()}
+        ),
     )
 
 
@@ -148,11 +151,6 @@ def addresses(instances: Collection[EngineInstance]) -> set[str]:
     """The addresses of all instances, also of other programs' instances."""
     devices = [device for instance in instances for device in instance.devices.values()]
     return {device["ipv4.address"] for device in devices if "ipv4.address" in device}
-
-
-def _number(text: str | None) -> int | None:
-    """None also for a value with a unit, which upwash never writes."""
-    return int(text) if text is not None and text.isdecimal() else None
 
 
 def _free_address(subnet: IPv4Network, taken: Collection[str]) -> str:

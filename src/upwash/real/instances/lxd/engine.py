@@ -65,7 +65,7 @@ class Engine:
         self._addresses = list(addresses)
         self._project = project
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="upwash-engine")
-        self._clients: dict[EngineAddress, Any] = {}
+        self._clients: dict[EngineAddress, Any] = {}  # the engine's interface below /1.0
 
     async def connect(self) -> None:
         """Return when an engine answers that trusts this program; raises UsageError with the remedy."""
@@ -209,7 +209,9 @@ class Engine:
         problem: EngineError | None = None
         for address in list(self._addresses):
             try:
-                answer = ask(self._api(address))
+                if address not in self._clients:
+                    self._clients[address] = _client(address, self._project).api
+                answer = ask(self._clients[address])
             except LXDAPIException as error:
                 raise EngineError(str(error)) from error
             except (ClientConnectionFailed, RequestException, OSError) as error:
@@ -221,12 +223,6 @@ class Engine:
             return answer
         assert problem is not None  # noqa: S101 - there is at least one address
         raise problem
-
-    def _api(self, address: EngineAddress) -> Any:
-        """The engine's interface below /1.0 at the address."""
-        if address not in self._clients:
-            self._clients[address] = _client(address, self._project).api
-        return self._clients[address]
 
 
 def _client(address: EngineAddress, project: str) -> Any:
