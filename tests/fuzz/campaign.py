@@ -60,16 +60,8 @@ def fuzz(name: str, *, seconds: float, kept: Path, seed: int = 1) -> Fuzzed:
 
 def _run(name: str, seed: int, seconds: float, current: Path, found: Path) -> str:
     """One process; returns how it ended before its time, "" where it did not."""
-    command = [
-        sys.executable,
-        "-m",
-        "tests.fuzz.harness",
-        name,
-        str(seed),
-        str(seconds),
-        str(current),
-        str(found),
-    ]
+    arguments = map(str, (name, seed, seconds, current, found))
+    command = [sys.executable, "-m", "tests.fuzz.harness", *arguments]
     with subprocess.Popen(command) as process:
         before, since_s = b"", 0.0
         while process.poll() is None:

@@ -160,7 +160,7 @@ class LineReader:
         if _is_torn(line):
             self._leave_out("it is torn")
             try:
-                return decode(line[_last_beginning(line) :])
+                return decode(line[max(0, *(line.rfind(beginning) for beginning in _BEGINNINGS)) :])
             except (ValueError, RecursionError):
                 return None
         try:
@@ -220,10 +220,6 @@ def _decode_all(lines: bytes, count: int) -> list[Event] | None:
         return None
     plain = len(events) == count and _VERSIONED.isdisjoint(map(type, events))
     return events if plain and all(event.is_stamped for event in events) else None
-
-
-def _last_beginning(line: bytes) -> int:
-    return max(0, *(line.rfind(beginning) for beginning in _BEGINNINGS))
 
 
 def _is_torn(line: bytes) -> bool:

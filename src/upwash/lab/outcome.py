@@ -184,7 +184,8 @@ class _Alone:
 
     def time_s(self, config: DroneConfig, presence: Presence) -> float | None:
         """The mission's time; None where it is not completed alone either."""
-        config, presence = _by_itself(config), _counted(config, presence)
+        struck = any(fault.target == "autopilot" for fault in config.faults)
+        config, presence = _by_itself(config), (Presence(presence.departs_s) if struck else Presence())
         for other, there, time_s in self._flown:
             if other == config and there == presence:
                 return time_s
@@ -208,9 +209,3 @@ def _by_itself(config: DroneConfig) -> DroneConfig:
         mission=replace(config.mission, reserve_percent=None, reserve_s=None),
         vehicle=replace(config.vehicle, endurance_s=None),
     )
-
-
-def _counted(config: DroneConfig, presence: Presence) -> Presence:
-    """Its departure only if faults strike it at fixed times."""
-    struck = any(fault.target == "autopilot" for fault in config.faults)
-    return Presence(presence.departs_s) if struck else Presence()

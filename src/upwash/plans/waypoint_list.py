@@ -45,7 +45,9 @@ def parse_waypoint_list(text: str) -> FlightPlan:
     if waits:
         notices.add("none of its items continues by itself (autocontinue 0): flown on, as ArduCopter does")
     items = [_item(line, fields, number, waits) for number, (line, fields) in zip(numbers, rows, strict=True)]
-    _require_mission(items)
+    for commands, what in ((_OF_A_FENCE, "a geofence"), (_OF_RALLY_POINTS, "rally points")):
+        if any(item.command in commands for item in items[:2]):
+            raise PlanRefusal("", f"no plan, it is a list of {what}; {WANTED}")
     home, others = _home(items, notices)
     return make_plan(home, others, notices, as_arducopter=True)
 
@@ -72,12 +74,6 @@ def _item(line: int, fields: list[str], number: int, waits: bool) -> Item:
         raise PlanRefusal(f"item {number}", f"expected 0 or 1 as its autocontinue, found {goes_on}")
     parameters = tuple(_real(line, field) for field in fields[4:11])
     return Item(number, command, frame, parameters, goes_on == 1 or waits)
-
-
-def _require_mission(items: list[Item]) -> None:
-    for commands, what in ((_OF_A_FENCE, "a geofence"), (_OF_RALLY_POINTS, "rally points")):
-        if any(item.command in commands for item in items[:2]):
-            raise PlanRefusal("", f"no plan, it is a list of {what}; {WANTED}")
 
 
 def _home(items: list[Item], notices: PlanNotices) -> tuple[PlanHome | None, list[Item]]:

@@ -236,7 +236,9 @@ class FaultyServer:
                     return await self._ask_among_strangers(daemon, path, body, client)
                 case "crash" if path == AVAILABILITY:
                     crash("crashed")
-            await self._dismiss_strangers(daemon)
+            for stranger in self._strangers:
+                await self._leaves(daemon, stranger)
+            self._strangers.clear()
             return await daemon(path, body, client)
 
         self._board.plug(self._address, answer)
@@ -270,11 +272,6 @@ class FaultyServer:
                     break
                 self._strangers.append(stranger)
         return await daemon(path, body, client)
-
-    async def _dismiss_strangers(self, daemon: Handler) -> None:
-        for stranger in self._strangers:
-            await self._leaves(daemon, stranger)
-        self._strangers.clear()
 
     async def _asks(self, daemon: Handler, stranger: Client) -> bool:
         request = AvailabilityRequest(self._name, [])

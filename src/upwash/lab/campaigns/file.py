@@ -97,7 +97,8 @@ class CampaignFile:
         if out.suffix not in (".csv", ".parquet"):
             raise UsageError(f"{out} is no .csv or .parquet file: give a name with one of these endings")
         if out.suffix == ".parquet":
-            _check_parquet()
+            with extra("parquet"):
+                import pyarrow  # noqa: F401
         csv_file = out.with_suffix(".csv")
         file = cls(csv_file, out if out.suffix == ".parquet" else None, sweep, [])
         try:
@@ -212,11 +213,6 @@ def _drop_torn_row(csv_file: Path) -> None:
     """Cut off a last row without its line end, which a killed campaign leaves."""
     with csv_file.open("rb+") as file:
         file.truncate(file.read().rfind(b"\n") + 1)
-
-
-def _check_parquet() -> None:
-    with extra("parquet"):
-        import pyarrow  # noqa: F401
 
 
 def _as_parquet(csv_file: Path) -> bytes:
