@@ -19,8 +19,8 @@ from upwash.cli.chaos import seeds
 from upwash.cli.main import main
 from upwash.config import Lie, drone_config
 from upwash.lab.faults import campaign as chaos
-from upwash.lab.faults.display import Summary, judge_all
-from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, as_toml, configs
+from upwash.lab.faults.display import Summary, as_toml, judge_all
+from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs
 
 WORLDS, CHUNK = 1_000, 100  # of the same seeds every time, and as many of seeds of the day
 

@@ -29,7 +29,6 @@ from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import StartInstance
 from upwash.core.admission.leases import Admit, Leases
 from upwash.core.admission.peers import Peers
-from upwash.core.admission.server import Command as AdmissionCommand
 from upwash.core.admission.turns import Turns
 from upwash.core.admission.watchdog import InstanceFailures as DaemonFailures
 from upwash.core.admission.watchdog import Limit, Watch

@@ -28,10 +28,10 @@ def plant(what: str, target: object, name: str, stand_in: object) -> None:
     DEFECTS.append(Defect(what, partial(patch.object, target, name, stand_in)))
 
 
-def planted(what: str, target: object, name: str) -> Callable[[Callable[..., Any]], None]:
+def planted(what: str, target: object, name: str) -> Callable[[Callable[..., Any]], Callable[[], Planting]]:
     """A defect: the decorated function takes the place of the target's, and gets that one first."""
 
-    def put(stand_in: Callable[..., Any]) -> None:
+    def put(stand_in: Callable[..., Any]) -> Callable[[], Planting]:
         original = getattr(target, name)
 
         @wraps(stand_in)
@@ -39,6 +39,7 @@ def planted(what: str, target: object, name: str) -> Callable[[Callable[..., Any
             return stand_in(original, *arguments, **more)
 
         plant(what, target, name, called)
+        return DEFECTS[-1].plant
 
     return put
 

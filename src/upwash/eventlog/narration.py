@@ -195,7 +195,7 @@ _DOING: Mapping[type[Event], str] = {  # from the event on
     schema.Landed: "landed",
     schema.Stood: "on the ground",
 }
-# What is said of an event whose words are always the same: `event`, and what the narrator knows `now`.
+# The sentence of an event, from its fields (`event`) and the state of the narrator (`now`), by tone.
 _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
     Tone.PLAIN: {
         schema.LocalReady: "{event.service} is ready on the drone",

@@ -17,7 +17,7 @@ from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Image
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults, FaultyServer
-from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.link import ModelDialer, Switchboard, unobserved
 from upwash.sim.loop import end_run
 from upwash.sim.runtime import ModelRuntime
 from upwash.sim.world import ServerComputer, Wire
@@ -59,15 +59,20 @@ async def serving(
             name, truth = server.name, server_truth(server, config.services)
             outside = FaultyServer(name, addresses[name], board, faults=faults)
             computer = ServerComputer(name, truth, faults=faults, noise=config.noise, chance=chance)
-            runtime = ModelRuntime(
-                software.specs, computer, outside, objects=software.objects, lanes=truth.lanes
-            )
             observer = ServerObserver(name, seen) if seen is not None else None
+            runtime = ModelRuntime(
+                software.specs,
+                computer,
+                outside,
+                objects=software.objects,
+                lanes=truth.lanes,
+                observe=observer.note if observer else unobserved,
+            )
             peers = {peer: addresses[peer] for peer in truth.peers if peer in addresses}
             edge = EdgeServer(
                 AdmissionController({name: _offer(truth, software)}, peers=peers),
                 images={service: Image(program) for service, program in software.programs.items()},
-                runtime=observer.runtime(runtime) if observer else runtime,
+                runtime=runtime,
                 dialer=ModelDialer(name, board, Wire()),
                 peers=peers,
                 start_timeout_s=60.0,

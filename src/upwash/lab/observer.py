@@ -1,6 +1,6 @@
 """What an observer sees of a simulated world: facts that no program knows or tells.
 
-An observer stands between a program and a port and passes everything on unchanged.
+The models name each event to an observer, and know nothing of what it keeps.
 
 | event | with |
 |---|---|
@@ -34,13 +34,9 @@ import msgspec
 from upwash.core.admission.clients import Client
 from upwash.core.geo import Circle, Position, Reach
 from upwash.core.knowledge.ranges import Ranges
-from upwash.core.operation import Operation
-from upwash.errors import UpwashError
-from upwash.ports import Answered, Dialer, Instance, InstanceSpec, Link, Network, Runtime, ignored
 from upwash.rpc.protocol import HOLD, HoldReply, HoldRequest
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.link import Handler, Life
-from upwash.sim.runtime import Computer
 
 
 class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -78,22 +74,11 @@ class DroneObserver:
     position: Callable[[], Position]
     life: Life
 
-    def dialer(self, dialer: Dialer) -> Dialer:
-        """Sees the requests that are sent over links of the dialer."""
-        return _Dialer(dialer, self)
-
-    def networks(self, networks: Sequence[Network]) -> list[Network]:
-        """Sees networks being joined and left, by each radio."""
-        return [_Network(network, radio, self) for radio, network in enumerate(networks)]
-
-    def computer(self, computer: Computer) -> Computer:
-        """Sees how long the drone's own services take."""
-        return _Computer(computer, self)
-
     def note(self, event: str, **facts: Any) -> None:
-        """Notes what the drone did."""
+        """Notes what the drone did; of a request also where the drone is."""
         if not self.life.is_over:
-            self.seen.append(Seen(event=event, drone=self.drone, **facts))
+            position = self.position() if event == "sent" else None
+            self.seen.append(Seen(event=event, drone=self.drone, position=position, **facts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,134 +102,9 @@ class ServerObserver:
 
         return answer
 
-    def runtime(self, runtime: Runtime) -> Runtime:
-        """Sees instances start, end and serve."""
-        return _Runtime(runtime, self)
-
     def note(self, event: str, **facts: Any) -> None:
         """Notes what the server did."""
         self.seen.append(Seen(event=event, server=self.server, **facts))
-
-
-@dataclass(frozen=True, slots=True)
-class _Dialer:
-    seen: Dialer
-    observer: DroneObserver
-
-    def dial(self, address: str, *, server: str) -> Link:
-        self.observer.note("dialled", server=server, address=address)
-        return _Link(self.seen.dial(address, server=server), server, self.observer)
-
-
-@dataclass(frozen=True, slots=True)
-class _Link:
-    seen: Link
-    server: str
-    observer: DroneObserver
-
-    @property
-    def is_far(self) -> bool:
-        return self.seen.is_far
-
-    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
-        position = self.observer.position()
-        self.observer.note("sent", server=self.server, path=path, position=position)
-        return await self.seen.request(path, body, timeout_s=timeout_s)
-
-    async def close(self) -> None:
-        await self.seen.close()
-
-
-@dataclass(frozen=True, slots=True)
-class _Network:
-    seen: Network
-    radio: int
-    observer: DroneObserver
-
-    async def join(self, network: str, *, timeout_s: float) -> None:
-        await self.seen.join(network, timeout_s=timeout_s)
-        self.observer.note("joined", network=network, radio=self.radio)
-
-    async def lost(self) -> str:
-        return await self.seen.lost()
-
-    async def leave(self) -> None:
-        await self.seen.leave()
-        self.observer.note("left", radio=self.radio)
-
-
-@dataclass(frozen=True, slots=True)
-class _Computer:
-    seen: Computer
-    observer: DroneObserver
-
-    async def start(self, spec: InstanceSpec) -> None:
-        await self.seen.start(spec)
-
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
-        began_s = asyncio.get_running_loop().time()
-        answered_s = await self.seen.compute(spec, operation)
-        took_s = asyncio.get_running_loop().time() - began_s
-        self.observer.note("computed", operation=str(operation), took_s=took_s)
-        return answered_s
-
-
-@dataclass(frozen=True, slots=True)
-class _Runtime:
-    seen: Runtime
-    observer: ServerObserver
-
-    async def start(
-        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
-    ) -> Instance:
-        def served(drone: str) -> None:
-            self.observer.note("served", service=spec.service, drone=drone)
-            called(drone)
-
-        self.observer.note("instance_started", service=spec.service)
-        try:
-            instance = await self.seen.start(spec, called=served, answered=answered)
-        except (UpwashError, asyncio.CancelledError):
-            self.observer.note("instance_ended", service=spec.service)
-            raise
-        return _Instance(instance, spec.service, self.observer)
-
-
-@dataclass(slots=True)
-class _Instance:
-    seen: Instance
-    service: str
-    observer: ServerObserver
-    ended: bool = False
-
-    @property
-    def endpoint(self) -> str:
-        return self.seen.endpoint
-
-    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        if not self.ended:
-            self.observer.note("admitted", service=self.service, drones=sorted(drones))
-        await self.seen.admit(drones, finishing)
-
-    async def drain(self, why: str) -> None:
-        await self.seen.drain(why)
-
-    async def health(self) -> None:
-        await self.seen.health()
-
-    async def exited(self) -> str:
-        how = await self.seen.exited()
-        self._end()
-        return how
-
-    async def stop(self) -> None:
-        self._end()
-        await self.seen.stop()
-
-    def _end(self) -> None:
-        if not self.ended:
-            self.ended = True
-            self.observer.note("instance_ended", service=self.service)
 
 
 _HAIR_M = 0.01  # a drone that hovers on a border is now within and now without

@@ -44,11 +44,11 @@ from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
 from upwash.sim.journal import MemoryJournal
-from upwash.sim.link import ModelDialer, Switchboard, lived
+from upwash.sim.link import ModelDialer, Observe, Switchboard, lived, unobserved
 from upwash.sim.loop import run_virtually
-from upwash.sim.runtime import Computer, ModelRuntime
+from upwash.sim.runtime import ModelRuntime
 from upwash.sim.turns import sleeps_reported
-from upwash.sim.vehicle import Manner, Plain, unobserved
+from upwash.sim.vehicle import Manner, Plain
 from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio, Wire
 from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
@@ -181,10 +181,9 @@ async def _fly_one(
         await asyncio.sleep(presence.departs_s)
     chance, faults = Chance(config.seed), Faults(config.faults)
     journal.meter = _energy(config)
-    observer: DroneObserver | None = None
+    observe: Observe = unobserved
     if seen is not None:
-        observer = DroneObserver(config.name, seen, lambda: autopilot.position, journal.life)
-    observe = observer.note if observer else unobserved
+        observe = DroneObserver(config.name, seen, lambda: autopilot.position, journal.life).note
     autopilot = ModelAutopilot(
         stands(config.mission),
         ground_speed_m_s=config.mission.ground_speed_m_s,
@@ -198,13 +197,15 @@ async def _fly_one(
         observe=observe,
     )
     areas = true_areas(config)
-    radios = _radios(config, areas, autopilot, switchboard, faults=faults, chance=chance, journal=journal)
+    radios = _radios(
+        config, areas, autopilot, switchboard, faults=faults, chance=chance, journal=journal, observe=observe
+    )
     flight = Flight(
         load_mission(config.mission.program, mode=config.mission.mode),
         config,
         services=software.classes,
         programs=software.programs,
-        ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observer=observer),
+        ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observe=observe),
     )
     try:
         async with beside(observe_ranges(autopilot, areas, drone.range_intervals), name="observer of ranges"):
@@ -229,25 +230,26 @@ def _ports(
     *,
     software: Software,
     chance: Chance,
-    observer: DroneObserver | None,
+    observe: Observe,
 ) -> Ports:
     joining = Joining()
-    networks: list[Network] = [JoinedSlowly(network, joining) for network in radios[0]]
-    computer: Computer = DroneComputer(
+    computer = DroneComputer(
         config.services,
         heat=Heat(Surroundings(config.heat.ambient_c, config.heat.load_w)) if config.heat else None,
         joining=joining,
         noise=config.noise.call,
         chance=chance,
         energy=journal.meter,
+        observe=observe,
     )
-    dialer, onboard = radios[1], Switchboard({})
-    if observer is not None:
-        networks, dialer = observer.networks(networks), observer.dialer(dialer)
-        computer = observer.computer(computer)
+    networks, dialer = radios
+    onboard = Switchboard({})
     return Ports(
         autopilot=autopilot,
-        networks=networks,
+        networks=[
+            JoinedSlowly(network, joining, radio=radio, observe=observe)
+            for radio, network in enumerate(networks)
+        ],
         dialer=dialer,
         onboard_dialer=ModelDialer(config.name, onboard, Wire()),
         onboard_runtime=ModelRuntime(software.specs, computer, onboard, objects=software.objects),
@@ -275,6 +277,7 @@ def _radios(
     faults: Faults,
     chance: Chance,
     journal: MemoryJournal,
+    observe: Observe,
 ) -> tuple[list[Network], Dialer]:
     """The networks in the drone's reach, for each of its radios, and what opens links to their servers."""
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
@@ -311,7 +314,7 @@ def _radios(
     networks: list[Network] = [
         PositionNetwork(cells, lambda: autopilot.true_position) for _ in range(config.network.radios)
     ]
-    return networks, ModelDialer(config.name, switchboard, radio, life=journal.life)
+    return networks, ModelDialer(config.name, switchboard, radio, life=journal.life, observe=observe)
 
 
 def _camera(config: DroneConfig, chance: Chance) -> Camera:

@@ -33,6 +33,15 @@ def with_value(document: Document, file: Path, key: str, value: object) -> Docum
     return changed
 
 
+def value_at(document: Document, file: Path, key: str) -> Any:
+    """The value of the key, whose steps are those of `with_value`."""
+    found: Any = document
+    while key:
+        step, key = _first_step(found, key)
+        found = _element(found, step, file, "") if isinstance(found, list) else found[step]
+    return found
+
+
 def _first_drones(drones: list[Any], count: object, file: Path) -> list[Any]:
     if type(count) is not int or count < 1:
         raise ConfigError(

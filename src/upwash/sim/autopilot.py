@@ -17,7 +17,8 @@ from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.incidents import Incidents, ModelBattery
-from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle, Observe, unobserved
+from upwash.sim.link import Observe, unobserved
+from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
 from upwash.sim.vehicle_link import ModelVehicleLink
 from upwash.support.background import first
 from upwash.vehicle.ardupilot.airframe import TURN_DEG_S

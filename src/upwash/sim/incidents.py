@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from upwash.config import FaultConfig
 from upwash.core.vehicle.control import Heartbeat
 from upwash.sim.energy import EnergyMeter
-from upwash.sim.vehicle import STABILIZE, ModelVehicle, Observe
+from upwash.sim.link import Observe
+from upwash.sim.vehicle import STABILIZE, ModelVehicle
 from upwash.sim.vehicle_link import ModelVehicleLink
 
 _HEARTBEAT_S = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from upwash.core.admission.clients import Client
 from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable, UpwashError
@@ -13,6 +13,11 @@ from upwash.support.background import begin
 from upwash.support.text import printable
 
 Handler = Callable[[str, bytes, Client], Awaitable[bytes]]  # path, body, who asks → reply
+Observe: TypeAlias = Callable[..., None]  # the name of an event, and its facts by keyword
+
+
+def unobserved(_event: str, **_facts: object) -> None:
+    """No observer."""
 
 
 class Air(Protocol):
@@ -49,15 +54,20 @@ class Life:
 
 @dataclass(frozen=True, slots=True)
 class ModelDialer:
-    """Opens links through the air to the handler of an address."""
+    """Opens links through the air to the handler of an address.
+
+    `observe` gets each link that is opened ("dialled"), and each request ("sent").
+    """
 
     drone: str
     switchboard: Switchboard
     air: Air
     life: Life = field(default_factory=Life)
+    observe: Observe = unobserved
 
     def dial(self, address: str, *, server: str) -> ModelLink:
         """A link to the address."""
+        self.observe("dialled", server=server, address=address)
         return ModelLink(self, address, server)
 
 
@@ -76,6 +86,7 @@ class ModelLink:
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         """Sends one request and returns its reply; raises LinkError."""
+        self._dialer.observe("sent", server=self._server, path=path)
         if self._closed:
             raise Unreachable(f"{self._server} at {self._address}: the link is closed")
         exchange = begin(self._exchange(path, body))

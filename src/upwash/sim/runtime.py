@@ -16,13 +16,14 @@ from msgspec import inspect as types
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instance_gate import InstanceGate
 from upwash.core.operation import Operation
-from upwash.errors import InstanceError, Refused
+from upwash.errors import InstanceError, Refused, UpwashError
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Outcome, ignored
 from upwash.rpc.arrays import array_hint
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
 from upwash.rpc.service import Method, ServiceSpec, carries_fault
 from upwash.rpc.wire import Encoding
 from upwash.sim.faults import Plugboard
+from upwash.sim.link import Observe, unobserved
 from upwash.support.background import never
 
 _FIRST_PORT = 40_000
@@ -54,7 +55,7 @@ class ModelRuntime:
     """Starts modelled instances of the services on a computer, plugged in at ports of their own.
 
     Services in `objects` answer with the object's results, others with empty results. Instances compute `lanes` calls
-    at a time, or as many as their services declare.
+    at a time, or as many as their services declare. `observe` gets starts, ends, admissions and calls.
     """
 
     def __init__(
@@ -65,8 +66,10 @@ class ModelRuntime:
         *,
         objects: Mapping[str, object] = MappingProxyType({}),
         lanes: int | None = None,
+        observe: Observe = unobserved,
     ) -> None:
         self.services = services
+        self.observe = observe
         self.objects = objects
         self.lanes = lanes
         self.computer = computer
@@ -78,7 +81,12 @@ class ModelRuntime:
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> ModelInstance:
         """Returns when the instance is ready to serve."""
-        await self.computer.start(spec)
+        self.observe("instance_started", service=spec.service)
+        try:
+            await self.computer.start(spec)
+        except (UpwashError, asyncio.CancelledError):
+            self.observe("instance_ended", service=spec.service)
+            raise
         instance = ModelInstance(spec, self, f":{next(self._ports)}", called=called, answered=answered)
         self._instances.append(instance)
         return instance
@@ -120,10 +128,14 @@ class ModelInstance:
         self._under_way = 0
         self._idle = asyncio.Event()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._observe = runtime.observe
+        self._is_seen_ended = False
         self._switchboard.plug(endpoint, self._answer)
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
         """Answer only these drones; of finishing drones, the calls that have arrived."""
+        if not self._is_seen_ended:
+            self._observe("admitted", service=self._spec.service, drones=sorted(drones))
         self._gate.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:
@@ -139,11 +151,19 @@ class ModelInstance:
 
     async def exited(self) -> str:
         """Wait for the end of the instance, and return how it ended."""
-        return await asyncio.shield(self._ended)
+        how = await asyncio.shield(self._ended)
+        self._see_ended()
+        return how
 
     async def stop(self) -> None:
         """Ends the instance."""
+        self._see_ended()
         self.crash("stopped")
+
+    def _see_ended(self) -> None:
+        if not self._is_seen_ended:
+            self._is_seen_ended = True
+            self._observe("instance_ended", service=self._spec.service)
 
     def crash(self, how: str) -> None:
         """Ends the instance at once, with the call that it runs."""
@@ -180,6 +200,7 @@ class ModelInstance:
         """Compute a call; returns when it has its answer, and the answer."""
         began_s = _now_s()
         outcome: Outcome | Literal[""] = "dropped"  # "" for a call that never ends, or kills the instance
+        self._observe("served", service=self._spec.service, drone=drone.key)
         self._called(drone.key)
         try:
             answered_s = await self._computer.compute(self._spec, operation)

@@ -18,6 +18,7 @@ from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.control import Heartbeat
 from upwash.core.vehicle.way_home import WayHome
 from upwash.sim.borders import Borders
+from upwash.sim.link import Observe, unobserved
 from upwash.vehicle.body.kinematics import Motion, Phase, braking, duration_s, leg, steadily
 
 GUIDED, LOITER, RETURN, LAND, STABILIZE = "GUIDED", "LOITER", "RTL", "LAND", "STABILIZE"
@@ -27,11 +28,6 @@ _CATCHES_ITSELF_WITHIN_S = 1.0  # a restart that takes longer leaves the motors 
 _LOWEST_M = 2.0  # above the ground, that a ground station sends it to
 _GRAVITY_M_S2 = 9.81
 _Way: TypeAlias = Callable[[Position], tuple[Phase, ...]]
-Observe: TypeAlias = Callable[..., None]  # the name of an event, and its facts by keyword
-
-
-def unobserved(_event: str, **_facts: object) -> None:
-    """No observer."""
 
 
 class Manner(Protocol):

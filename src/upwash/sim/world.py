@@ -13,6 +13,7 @@ from upwash.ports import InstanceSpec, Network
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
+from upwash.sim.link import Observe, unobserved
 from upwash.sim.radio import SteadyGoodput, goodput_of
 from upwash.sim.runtime import Hangs, Raises
 from upwash.support.heat import Heat
@@ -119,6 +120,7 @@ class DroneComputer:
         noise: float,
         chance: Chance,
         energy: EnergyMeter | None = None,
+        observe: Observe = unobserved,
     ) -> None:
         self._services = {service.name: service for service in services}
         self._cold = set(self._services)
@@ -127,13 +129,15 @@ class DroneComputer:
         self._energy = energy
         self._noise = noise
         self._chance = chance
+        self._observe = observe  # gets each call that is over ("computed")
 
     async def start(self, spec: InstanceSpec) -> None:
         """Return at once, as services start before the mission."""
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
         """Wait for the profiled delay, with the extra of a first call; return the time."""
-        service = self._services[spec.service]
+        service, clock = self._services[spec.service], asyncio.get_running_loop().time
+        began_s = clock()
         call_s = delay_of(operation, service.local_call_s)
         call_s *= self._chance.factor(f"call/local/{operation}", self._noise)
         if spec.service in self._cold:
@@ -141,7 +145,8 @@ class DroneComputer:
             call_s += service.local_first_extra_s
         slowdown = _of(operation, service.local_joining_slowdown) or 0.0
         await self._joining.work(self._work_s(call_s), slowdown)
-        return asyncio.get_running_loop().time()
+        self._observe("computed", operation=str(operation), took_s=clock() - began_s)
+        return clock()
 
     def _work_s(self, call_s: float) -> float:
         """The time of a call at the present heat, and meter its energy."""
@@ -282,11 +287,15 @@ class Joining:
 
 
 class JoinedSlowly:
-    """A network whose joins are counted in `Joining`."""
+    """A network whose joins are counted in `Joining`; `observe` gets "joined" and "left"."""
 
-    def __init__(self, network: Network, joining: Joining) -> None:
+    def __init__(
+        self, network: Network, joining: Joining, *, radio: int = 0, observe: Observe = unobserved
+    ) -> None:
         self._network = network
         self._joining = joining
+        self._radio = radio
+        self._observe = observe
 
     async def join(self, network: str, *, timeout_s: float) -> None:
         """Join the network, counted meanwhile."""
@@ -295,6 +304,7 @@ class JoinedSlowly:
             await self._network.join(network, timeout_s=timeout_s)
         finally:
             self._joining.over()
+        self._observe("joined", network=network, radio=self._radio)
 
     async def lost(self) -> str:
         """Wait until the network is lost; return why."""
@@ -303,3 +313,4 @@ class JoinedSlowly:
     async def leave(self) -> None:
         """Leave the network."""
         await self._network.leave()
+        self._observe("left", radio=self._radio)

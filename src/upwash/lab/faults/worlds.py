@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -52,6 +52,10 @@ class Moment:
     server: str | None
 
 
+def _stream(name: str, number: int) -> random.Random:
+    return random.Random(f"{name}/{number}")  # noqa: S311 - not for secrets
+
+
 def moment_of(event: Event | Seen) -> Moment:
     """The moment of an event of a log, or of what an observer saw."""
     if isinstance(event, Seen):
@@ -65,14 +69,13 @@ class World:
 
     def __init__(self, seed: int) -> None:
         self._number = (seed - 1) // SEEDS_PER_SCENARIO
-        chance = random.Random(f"world/{self._number}")  # noqa: S311 - not for secrets
-        document = _with_peers(_Draft(chance, self._number).document(), self._number)
-        document = _with_slow_first_calls(document, self._number)
-        document = _with_busy_radios(document, self._number)
-        document = _with_probing(document, self._number)
-        document = _with_eager_hedges(document, self._number)
-        document = _with_pending_calls(document, self._number)
-        self._documents = [_with_radios(document, self._number)]
+        chance = _stream("world", self._number)
+        document = _Draft(chance, self._number).document()
+        for name, rarity, change in _FEATURES:
+            own = _stream(name, self._number)
+            if rarity is None or own.random() >= rarity:
+                document = change(document, own)
+        self._documents = [document]
         for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
             self._documents.append(_companion(self._documents[0], chance, number))
         self._documents = _with_fleet(self._documents, self._number)
@@ -84,7 +87,7 @@ class World:
     def faulty(self, seed: int, events: Sequence[Moment]) -> list[Document]:
         """The same with the faults of the seed, aimed at moments of these events of the calm flight."""
         events = [event for event in events if event.what not in _NOT_AIMED_AT]
-        chance = random.Random(f"faults/{seed}")  # noqa: S311 - not for secrets
+        chance = _stream("faults", seed)
         names = [server["name"] for server in self._documents[0]["server"]]
         moments = [event for event in events if event.what in _MOMENTS]
         faults = [
@@ -92,28 +95,16 @@ class World:
         ]
         if chance.random() < 0.15:
             faults += [_autopilot_fault(chance, events) for _ in range(chance.randint(1, 2))]
-        faults += _takeovers(seed, events)
-        faults += _incidents(seed, events)
-        faults += _lies(seed, names, moments)
-        faults += _useless_instances(seed, names, moments)
+        for name, share, drawn in _MORE_FAULTS:
+            own = _stream(name, seed)
+            if own.random() <= share:
+                faults += drawn(own, names, moments, events)
         return [{**document, "fault": faults} for document in self._documents]
 
 
 def configs(documents: Sequence[Document]) -> list[DroneConfig]:
     """The scenarios that the documents say."""
     return [drone_config(document, Path("world.toml")) for document in documents]
-
-
-def as_toml(document: Document) -> str:
-    """The document as a file that says the same."""
-    lines = [f"{key} = {_toml(value)}" for key, value in document.items() if not _is_table(value)]
-    for key, value in document.items():
-        if not _is_table(value):
-            continue
-        for table in value if isinstance(value, list) else [value]:
-            lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
-            lines += [f"{name} = {_toml(item)}" for name, item in table.items()]
-    return "\n".join(lines) + "\n"
 
 
 class _Draft:
@@ -238,34 +229,25 @@ class _Draft:
         }
 
 
-def _with_peers(document: Document, number: int) -> Document:
-    """In half of the worlds servers are peers; some relations are one-sided."""
-    chance = random.Random(f"peers/{number}")  # noqa: S311 - not for secrets
+def _with_peers(document: Document, chance: random.Random) -> Document:
+    """Servers are peers; some relations are one-sided."""
     names = [server["name"] for server in document["server"]]
-    if chance.random() < 0.5 or len(names) == 1:
-        return document
-    for server in document["server"]:
+    for server in document["server"] if len(names) > 1 else ():
         others = [name for name in names if name != server["name"]]
         server["truth"]["peers"] = [name for name in others if chance.random() < 0.7]
     return document
 
 
-def _with_slow_first_calls(document: Document, number: int) -> Document:
-    """In some worlds first calls are slow, and the drone is patient with them."""
-    chance = random.Random(f"first calls/{number}")  # noqa: S311 - not for secrets
-    if chance.random() < 0.7:
-        return document
+def _with_slow_first_calls(document: Document, chance: random.Random) -> Document:
+    """First calls are slow, and the drone is patient with them."""
     document["policy"]["patient_first_call"] = True
     for server in document["server"]:
         server["truth"]["first_extra_s"] = chance.choice((0.0, 1.0, 4.0))
     return document
 
 
-def _with_busy_radios(document: Document, number: int) -> Document:
-    """In some worlds leaving a network takes time, and joining one slows the drone's own services."""
-    chance = random.Random(f"busy radios/{number}")  # noqa: S311 - not for secrets
-    if chance.random() < 0.85:
-        return document
+def _with_busy_radios(document: Document, chance: random.Random) -> Document:
+    """Leaving a network takes time, and joining one slows the drone's own services."""
     for server in document["server"]:
         server["truth"]["leave_s"] = chance.choice((0.0, 0.5, 3.0))
     for service in document["service"]:
@@ -275,9 +257,8 @@ def _with_busy_radios(document: Document, number: int) -> Document:
     return document
 
 
-def _with_probing(document: Document, number: int) -> Document:
+def _with_probing(document: Document, chance: random.Random) -> Document:
     """In half of the worlds failed servers are left alone, in the others probed; some policies use their default."""
-    chance = random.Random(f"probing/{number}")  # noqa: S311 - not for secrets
     policy = document["policy"]
     if chance.random() < 0.5:
         policy.setdefault("hedge", False)
@@ -290,22 +271,18 @@ def _with_probing(document: Document, number: int) -> Document:
     return document
 
 
-def _with_eager_hedges(document: Document, number: int) -> Document:
-    """In some worlds half of all remote calls are hedged, within a small budget."""
-    chance = random.Random(f"hedges/{number}")  # noqa: S311 - not for secrets
-    if chance.random() < 0.93:
-        return document
+def _with_eager_hedges(document: Document, _: random.Random) -> Document:
+    """Half of all remote calls are hedged, within a small budget."""
     return {**document, "policy": {**document["policy"], "hedge": {"after": "p50", "budget": 0.05}}}
 
 
-def _with_pending_calls(document: Document, number: int) -> Document:
-    """In some worlds with one service the drones may fly on before they have an answer.
+def _with_pending_calls(document: Document, chance: random.Random) -> Document:
+    """With one service the drones may fly on before they have an answer.
 
     Not among peers: slots that peers hold for drones that wait for answers are too rare to test.
     """
-    chance = random.Random(f"pending/{number}")  # noqa: S311 - not for secrets
     among_peers = any("peers" in server["truth"] for server in document["server"])
-    if chance.random() < 0.6 or len(document["service"]) > 1 or among_peers:
+    if len(document["service"]) > 1 or among_peers:
         return document
     return {
         **document,
@@ -314,9 +291,20 @@ def _with_pending_calls(document: Document, number: int) -> Document:
     }
 
 
-def _with_radios(document: Document, number: int) -> Document:
-    chance = random.Random(f"radios/{number}")  # noqa: S311 - not for secrets
+def _with_radios(document: Document, chance: random.Random) -> Document:
     return {**document, "network": {"radios": 2}} if chance.random() < 1 / 3 else document
+
+
+_FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Document]], ...] = (
+    # the stream of a feature, the share of worlds without it unless it draws that itself, and what it changes
+    ("peers", 0.5, _with_peers),
+    ("first calls", 0.7, _with_slow_first_calls),
+    ("busy radios", 0.85, _with_busy_radios),
+    ("probing", None, _with_probing),
+    ("hedges", 0.93, _with_eager_hedges),
+    ("pending", 0.6, _with_pending_calls),
+    ("radios", None, _with_radios),
+)
 
 
 def _places(chance: random.Random) -> list[list[float]]:
@@ -344,7 +332,7 @@ def _companion(document: Document, chance: random.Random, number: int) -> Docume
 
 def _with_fleet(documents: list[Document], number: int) -> list[Document]:
     """In some worlds more drones take short turns at servers with few slots, or with measured ones."""
-    chance = random.Random(f"fleet/{number}")  # noqa: S311 - not for secrets
+    chance = _stream("fleet", number)
     if chance.random() < 0.9:
         return documents
     document = documents[0]
@@ -378,20 +366,17 @@ def _autopilot_fault(chance: random.Random, events: Sequence[Moment]) -> dict[st
     return {"target": "autopilot", "kind": chance.choice(_MOVING_KINDS), **_spell(chance, from_s)}
 
 
-def _takeovers(seed: int, events: Sequence[Moment]) -> list[dict[str, Any]]:
-    """In every tenth world a pilot or a fail-safe takes the vehicle, at any moment."""
-    chance = random.Random(f"takeovers/{seed}")  # noqa: S311 - not for secrets
-    if chance.random() > 0.1:
-        return []
+_Aims = Sequence[Moment]
+
+
+def _takeovers(chance: random.Random, _: Sequence[str], __: _Aims, events: _Aims) -> list[dict[str, Any]]:
+    """A pilot or a fail-safe takes the vehicle, at any moment."""
     kinds = chance.choice((["pilot"], ["fail-safe"], ["fail-safe", "pilot"]))
     return [{**_autopilot_fault(chance, events), "kind": kind} for kind in kinds]
 
 
-def _incidents(seed: int, events: Sequence[Moment]) -> list[dict[str, Any]]:
-    """In every eighth world others move the vehicle or its home, its position jumps, or its autopilot restarts."""
-    chance = random.Random(f"incidents/{seed}")  # noqa: S311 - not for secrets
-    if chance.random() > 1 / 8:
-        return []
+def _incidents(chance: random.Random, _: Sequence[str], __: _Aims, events: _Aims) -> list[dict[str, Any]]:
+    """Others move the vehicle or its home, its position jumps, or its autopilot restarts."""
     return [_incident(chance, events) for _ in range(chance.choice((1, 1, 2)))]
 
 
@@ -411,10 +396,7 @@ def _incident(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]
     }
 
 
-def _lies(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[dict[str, Any]]:
-    chance = random.Random(f"lies/{seed}")  # noqa: S311 - not for secrets
-    if chance.random() > 1 / 3:
-        return []
+def _lies(chance: random.Random, servers: Sequence[str], moments: _Aims, _: _Aims) -> list[dict[str, Any]]:
     aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 3)))
     return [
         {
@@ -427,16 +409,23 @@ def _lies(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[
     ]
 
 
-def _useless_instances(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[dict[str, Any]]:
-    """In every eighth world instances hang, raise for good, or do not start."""
-    chance = random.Random(f"useless instances/{seed}")  # noqa: S311 - not for secrets
-    if chance.random() > 1 / 8:
-        return []
+def _useless_instances(
+    chance: random.Random, servers: Sequence[str], moments: _Aims, _: _Aims
+) -> list[dict[str, Any]]:
+    """Instances hang, raise for good, or do not start."""
     aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 2)))
     return [
         {**fault, "target": fault["target"].removeprefix("link:"), "kind": chance.choice(_USELESS_KINDS)}
         for fault in aimed
     ]
+
+
+_MORE_FAULTS = (  # the stream of each, and the share of worlds with it
+    ("takeovers", 0.1, _takeovers),
+    ("incidents", 1 / 8, _incidents),
+    ("lies", 1 / 3, _lies),
+    ("useless instances", 1 / 8, _useless_instances),
+)
 
 
 def _spell(chance: random.Random, from_s: float) -> dict[str, float]:
@@ -451,23 +440,3 @@ def _spell(chance: random.Random, from_s: float) -> dict[str, float]:
 
 def _number(chance: random.Random, least: float, most: float) -> float:
     return round(chance.uniform(least, most), 2)
-
-
-def _is_table(value: object) -> bool:
-    return isinstance(value, dict) or (
-        isinstance(value, list) and all(isinstance(item, dict) for item in value)
-    )
-
-
-def _toml(value: object) -> str:
-    match value:
-        case bool():
-            return "true" if value else "false"
-        case str():
-            return f'"{value}"'
-        case dict():
-            inner = ", ".join(f'"{key}" = {_toml(item)}' for key, item in value.items())
-            return f"{{ {inner} }}"
-        case list():
-            return f"[{', '.join(_toml(item) for item in value)}]"
-    return repr(value)

@@ -6,7 +6,7 @@ it in the detector's mode, the policy and the load on s2, and in nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from importlib.resources import as_file, files
 from statistics import fmean
@@ -14,13 +14,13 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from upwash.config import DroneConfig, ServerConfig, read_drone_config
+from upwash.config import DroneConfig, ServerConfig, drone_config, read_document
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
 from upwash.lab import processes
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
-from upwash.lab.scenario import with_policy
+from upwash.lab.scenario import value_at, with_policy, with_value
 
 Mode = Literal["light", "heavy"]
 PolicyName = Literal["local-only", "location-aware", "opportunistic"]
@@ -54,17 +54,21 @@ class ThesisCell(NamedTuple):
     policy: PolicyName
 
 
-def unchanged(config: DroneConfig) -> DroneConfig:
-    """The scenario as it is."""
-    return config
+class By(NamedTuple):
+    """What is added to the set-up's value of a parameter."""
+
+    more: float
+
+
+Changes = Mapping[str, float | By]  # of a set-up's parameters, by their keys
 
 
 class CellFlight(NamedTuple):
-    """One mission: a cell, with a seed, and what is otherwise in its scenario (a function that can be pickled)."""
+    """One mission: a cell, with a seed, and changes of its set-up."""
 
     cell: ThesisCell
     seed: int
-    change: Callable[[DroneConfig], DroneConfig] = unchanged
+    changes: Changes | None = None
 
 
 class CellResult(NamedTuple):
@@ -106,9 +110,9 @@ def local_only(setup: str, experiment: Experiment) -> ThesisCell:
     return ThesisCell(setup, Experiment(experiment.mode, slow_s2=False), "local-only")
 
 
-def scenario(cell: ThesisCell, *, seed: int) -> DroneConfig:
+def scenario(cell: ThesisCell, *, seed: int, changes: Changes | None = None) -> DroneConfig:
     """The cell's scenario: its set-up's parameters, with the cell's mode, policy and load on s2."""
-    config = with_policy(parameters(cell.setup), cell.policy)
+    config = with_policy(parameters(cell.setup, tuple((changes or {}).items())), cell.policy)
     mode, slow_s2 = cell.experiment
     servers = tuple(
         _loaded(server) if slow_s2 and server.name == _LOADED else server for server in config.servers
@@ -118,10 +122,14 @@ def scenario(cell: ThesisCell, *, seed: int) -> DroneConfig:
 
 
 @lru_cache
-def parameters(setup: str) -> DroneConfig:
-    """What all cells of a set-up share."""
+def parameters(setup: str, changes: tuple[tuple[str, float | By], ...] = ()) -> DroneConfig:
+    """What all cells of a set-up share, with changes."""
     with as_file(files("upwash.lab.reproduction") / "thesis" / f"{setup}.toml") as file:
-        return read_drone_config(file)
+        document = read_document(file)
+        for key, change in changes:
+            value = value_at(document, file, key) + change.more if isinstance(change, By) else change
+            document = with_value(document, file, key, value)
+        return drone_config(document, file)
 
 
 def fly(cell: ThesisCell, seed: int) -> Run:
@@ -156,7 +164,7 @@ def _fly(flight: CellFlight, config: DroneConfig) -> Run:
 
 
 def _flown(flight: CellFlight) -> CellResult:
-    config = flight.change(scenario(flight.cell, seed=flight.seed))
+    config = scenario(flight.cell, seed=flight.seed, changes=flight.changes)
     run = _fly(flight, config)
     result, bound = run.result, bound_of(run, config)
     assert bound is not None  # noqa: S101 - _fly() saw it completed
