@@ -163,7 +163,6 @@ def keep_heaps_few() -> None:
 
 @contextlib.asynccontextmanager
 async def _door(keys: DaemonKeys, on_traffic: OnTraffic) -> AsyncIterator[Door | None]:
-    """The door that checks certificates; None without certificates."""
     if keys.credentials is None:
         yield None
         return
@@ -211,7 +210,6 @@ def _folder_for_sockets(config: DaemonConfig) -> tempfile.TemporaryDirectory[str
 
 
 def _listening(config: DaemonConfig, before: HandedOver | None) -> socket.socket:
-    """The socket of the daemon before, else a new one."""
     if before is not None:
         if before.listen != config.listen:
             raise UsageError("listen cannot change while the daemon runs: restart it")

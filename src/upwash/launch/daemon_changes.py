@@ -142,7 +142,6 @@ def offers(config: DaemonConfig, images: Mapping[str, Image]) -> dict[str, Serve
 
 
 def _refuse_restart(old: DaemonConfig, new: DaemonConfig) -> None:
-    """Raises UsageError if the two differ in what a running daemon cannot change."""
     if [at.name for at in old.identities] != [at.name for at in new.identities]:
         raise UsageError("the servers of a running daemon cannot change: restart it")
     if (old.keys is None) != (new.keys is None):

@@ -101,12 +101,10 @@ class DaemonServices:
 
 
 def _named(service: ImageConfig) -> tuple[object, ...]:
-    """What a configuration says of the service's program."""
     return service.program, service.command, service.settings and service.settings.values
 
 
 async def _looked_at_elsewhere(config: DaemonConfig, index: int) -> Looked:
-    """The service in a process of its own."""
     process = await asyncio.create_subprocess_exec(
         *module_command(__spec__.name), stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
     )

@@ -101,7 +101,6 @@ async def fly(
 
 
 def _keep_coverage(config: DroneConfig, flight: Flight, journal: Journal) -> None:
-    """Save what the flight has learnt of servers without a range, for the next flight."""
     try:
         if flight.coverage is not None:
             coverage_kept(config, flight.coverage)
@@ -207,8 +206,6 @@ async def _gps_unix_s(autopilot: MavlinkAutopilot, problem: str, journal: Journa
 
 @contextlib.asynccontextmanager
 async def _tracking(flight: Flight, journal: Journal) -> AsyncIterator[None]:
-    """Logs where the drone is, every second until the mission's end."""
-
     async def track() -> None:
         while not flight.has_ended:
             journal.record(flight.position_report())

@@ -114,8 +114,6 @@ async def survey_networks(config: DroneConfig) -> list[SurveyFinding]:
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """The drone's services, estimates and photos, for calls at each server."""
-
     config: DroneConfig
     specs: Mapping[str, ServiceSpec]
     estimates: Estimates
@@ -157,7 +155,6 @@ async def survey_servers(config: DroneConfig) -> list[SurveyFinding]:
 
 
 async def _photos(config: DroneConfig) -> tuple[Look, list[SurveyFinding]]:
-    """What the camera gives, with what is wrong with it."""
     try:
         seen = await look(config)
     except UpwashError as error:

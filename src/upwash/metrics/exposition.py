@@ -72,8 +72,6 @@ async def exposed(
 
 
 class _Server:
-    """Answers each connection once, and closes it."""
-
     def __init__(self, registry: CollectorRegistry, listener: socket.socket, hosts: Collection[str]) -> None:
         self._registry = registry
         self._listener = listener

@@ -144,7 +144,6 @@ def extra_of(service: str, engine: str) -> list[str]:
 
 
 def _close(text: str, found: dict[str, Distribution]) -> None:
-    """Adds the distribution that the requirement names and everything that it requires itself."""
     from packaging.requirements import Requirement
 
     required = Requirement(text)
@@ -178,7 +177,6 @@ def _hash(path: Path) -> str:
 
 
 def _source(module: str) -> Path:
-    """The folder of a package, or the file of a module."""
     spec = importlib.util.find_spec(module)
     if spec is not None and spec.submodule_search_locations:
         return Path(next(iter(spec.submodule_search_locations)))
@@ -233,7 +231,6 @@ def require_neighbours(program: Path, beside: Iterable[Path]) -> None:
 
 
 def _imported_by(file: Path) -> set[str]:
-    """The top names of the modules that a file imports anywhere in it."""
     nodes = list(ast.walk(ast.parse(file.read_bytes(), file)))
     named = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
     named += [node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module]

@@ -92,7 +92,6 @@ def _package(recipe: Recipe, folder: Path, report: Callable[[str], None]) -> Pat
 
 
 def _copy_service(recipe: Recipe, root: Path) -> Program:
-    """Copies the service's program and the files that its settings name; returns it as it is in the image."""
     given = recipe.service.program
     path = copy_program(given.path, root, beside=recipe.beside)
     kind = spec_of(recipe.service.cls).settings

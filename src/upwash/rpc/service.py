@@ -351,7 +351,6 @@ def _describe_method(
 
 
 def _require_default(parameter: inspect.Parameter, hint: Any, where: str) -> None:
-    """Raises DeclarationError for a default that cannot be sent."""
     if parameter.default is parameter.empty:
         return
     encoding: Encoding[Any] = Encoding(hint)
@@ -373,7 +372,6 @@ def carries_fault(reply: bytes) -> bool:
 
 
 def _plain_args(error: BaseException) -> list[Any] | None:
-    """The arguments that make the exception again; None if they cannot be sent."""
     try:
         args = error.__reduce__()[1]
     except Exception:  # noqa: BLE001 - its own code may raise any

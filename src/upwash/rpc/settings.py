@@ -93,7 +93,6 @@ def construct(cls: type[T], kind: type[msgspec.Struct], settings: PlainSettings)
 
 
 def _made(cls: type[T], settings: msgspec.Struct) -> T:
-    """An object of the class, and of each service that it uses."""
     given = {}
     for name in settings.__struct_fields__:
         value = getattr(settings, name)

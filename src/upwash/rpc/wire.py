@@ -79,7 +79,6 @@ class Encoding(Generic[T]):
 
 
 def _most_values(parts: list[types.Type]) -> int:
-    """How many values a message of a type with these parts may have."""
     hashed = [part.key_type for part in parts if isinstance(part, types.DictType)]
     hashed += [part.item_type for part in parts if isinstance(part, (types.SetType, types.FrozenSetType))]
     kinds = {type(part) for found in hashed for part in _parts(found, set())}

@@ -70,26 +70,17 @@ class Detector:
 
 
 def _cores() -> int:
-    """The number of cores that this process may use; of all cores if the system does not say."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _require_packages(engine: Engine) -> None:
-    with extra("detector"):
-        for name in (
-            "cv2",
-            "numpy",
-            "onnx",
-            "onnxruntime",
-        ):  # found, not imported: not every model needs each
-            _require(name)
+    needed: dict[str, tuple[str, ...]] = {"detector": ("cv2", "numpy", "onnx", "onnxruntime")}
     if engine == "ncnn":
-        with extra("ncnn"):
-            _require("ncnn")
-
-
-def _require(name: str) -> None:
-    if find_spec(name) is None:
-        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        needed["ncnn"] = ("ncnn",)
+    for name, packages in needed.items():
+        with extra(name):
+            for package in packages:  # found, not imported: not every model needs each
+                if find_spec(package) is None:
+                    raise ModuleNotFoundError(f"No module named {package!r}", name=package)

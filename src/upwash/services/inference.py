@@ -111,20 +111,18 @@ class Inference(ABC):
         few_px = 3 * cell_px
         return cell_px if self._can_run(few_px, side_px) and self._can_run(side_px, few_px) else None
 
-    def run(self, picture: Floats) -> list[Floats]:
-        """The heads' outputs for a picture of 1, 3, height, width: red, green, blue from 0 to 1."""
-        return self._run(picture)
-
     @abstractmethod
-    def _run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
-        """Runs it; nothing is printed where `quiet`, whatever fails."""
+    def run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+        """The heads' outputs for a picture of 1, 3, height, width: red, green, blue from 0 to 1.
+
+        With `quiet` a failure is raised only, and not printed.
+        """
 
     def _can_run(self, height_px: int, width_px: int) -> bool:
-        """Whether a picture of that size gives as many cells as it has."""
         import numpy as np
 
         try:
-            outputs = self._run(np.full((1, 3, height_px, width_px), 0.5, np.float32), quiet=True)
+            outputs = self.run(np.full((1, 3, height_px, width_px), 0.5, np.float32), quiet=True)
         except Exception:  # noqa: BLE001 - onnxruntime's have no base of their own
             return False
         return all(
@@ -156,7 +154,8 @@ class OnnxInference(Inference):
         self._sides = self._input.shape[2:]
         self._prepares_for_each_size = provider == "cuda"
 
-    def _run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+    def run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+        """As of every network."""
         import onnxruntime
 
         options = onnxruntime.RunOptions()
@@ -228,7 +227,8 @@ class NcnnInference(Inference):
         """The largest stride of all layers."""
         return self._stride
 
-    def _run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+    def run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+        """As of every network."""
         import ncnn
         import numpy as np
 

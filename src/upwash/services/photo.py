@@ -180,7 +180,6 @@ def _read_header(photo: bytes) -> _Header:
 
 
 def _without_end(photo: bytes, segments: Sequence[Segment]) -> NotAPhoto:
-    """Why the JPEG has no end after these segments."""
     if len(segments) == MOST_SEGMENTS:
         return NotAPhoto(
             f"the JPEG has more than {MOST_SEGMENTS} segments; save it as a baseline JPEG without metadata"

@@ -145,7 +145,6 @@ class FileJournal:
             )
 
     def _catch_up(self) -> None:
-        """Write the missing lines, as far as there is room."""
         try:
             while self._unwritten.lines:
                 self._file.append(self._unwritten.lines[0])

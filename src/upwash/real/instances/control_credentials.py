@@ -11,15 +11,12 @@ import re
 import socket
 import ssl
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
 
 from upwash.real.trust.secrets import load_secret
 
 CONTROL_PORT = 7071
 SERVICE_PORT = 7070
 
-_LASTS = timedelta(days=3652)  # as the authority: a stopped container may be started much later
-_CLOCKS_MAY_DIFFER = timedelta(days=1)
 _PROBE_AFTER_S, _PROBE_PERIOD_S, _PROBES = 2, 1, 4  # the loss of the peer's machine shows within 6 s
 
 
@@ -57,31 +54,13 @@ class ControlCredentials:
 
 
 def new_control_credentials() -> ControlCredentials:
-    """New random credentials."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes
-    from cryptography.hazmat.primitives.asymmetric import ec
-    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-    from cryptography.x509.oid import NameOID
+    """New random credentials, valid as long as an authority: a stopped container may be started much later."""
+    from cryptography.x509 import BasicConstraints
 
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "upwash control line")])
-    now = datetime.now(UTC)
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _CLOCKS_MAY_DIFFER)
-        .not_valid_after(now + _LASTS)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .sign(key, hashes.SHA256())
-    )
-    return ControlCredentials(
-        key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-        + certificate.public_bytes(Encoding.PEM)
-    )
+    from upwash.real.trust.authority import new_key_pair
+
+    pair = new_key_pair("upwash control line", [(BasicConstraints(ca=True, path_length=0), True)])
+    return ControlCredentials(pair.key_pem + pair.certificate_pem)
 
 
 def notice_silence(connection: socket.socket) -> None:

@@ -143,7 +143,6 @@ class LocalInstance(ControlledInstance):
                 await self._prints.wait_closed()
 
     async def _cut(self) -> None:
-        """Return when this end has hung up, or the other end hung up and had time to end."""
         await self.control.ended()
         if not self.control.fault:
             await asyncio.sleep(STOP_GRACE_S)

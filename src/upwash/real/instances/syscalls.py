@@ -106,7 +106,6 @@ def _instructions(machine: _Machine, *, pins: bool) -> Iterable[bytes]:
 
 
 def _rules_of_clone() -> list[bytes]:
-    """Allow threads and processes, and refuse namespaces."""
     return [_argument(0), _step(_AND, _NEW_NAMESPACES), *_unless(_EQUAL, 0, [_refuse(errno.EPERM)])]
 
 

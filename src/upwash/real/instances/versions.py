@@ -34,7 +34,6 @@ def version_of_upwash() -> str:
 
 
 def _neighbours(file: Path) -> Iterator[Path]:
-    """The modules that a program file may import from its own folder."""
     for place in file.parent.iterdir():
         if place.suffix == ".py" or (place / "__init__.py").exists():
             yield place

@@ -181,7 +181,6 @@ class Door:
                 self._strangers.add(task, site)
 
     async def _welcome(self, connection: socket.socket, site: str, inside: Connect, server: str) -> None:
-        """Serve one connection, from its first byte to its last."""
         try:
             async with asyncio.timeout(self._limits.silence_s):
                 await readable(connection)  # a silent peer takes no turn

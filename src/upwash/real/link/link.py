@@ -350,7 +350,6 @@ def _in_words(details: str, max_message_bytes: int) -> str:
 
 
 def _plainly(details: str) -> str:
-    """The essence of gRPC's message about a failed connection."""
     for sign, trouble in _OUTDATED.items():
         if sign in details:
             return f"{trouble}; this computer's clock says {at_second(datetime.now(UTC))}"

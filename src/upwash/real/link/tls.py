@@ -128,7 +128,6 @@ class _Tls(asyncio.Transport, asyncio.BufferedProtocol):
         del self._end  # which has this as its transport: all memory of TLS goes now
 
     def _shake(self) -> None:
-        """Continue the handshake; raises SSLWantReadError until it is done, OSError if it fails."""
         self._received_bytes += self._incoming.pending
         try:
             self._tls.do_handshake()

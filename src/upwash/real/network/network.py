@@ -170,7 +170,6 @@ class ManagedNetwork:
             self._is_untidy = False
 
     async def _tidy(self, manager: NetworkManager) -> None:
-        """End active connections of these networks, also those of another program."""
         devices = await manager.devices()
         for connection in await manager.connections():
             if is_left_over(connection, devices, self._interfaces, self._networks):
@@ -180,7 +179,6 @@ class ManagedNetwork:
         self._is_untidy = False
 
     async def _keep_scanning(self) -> None:
-        """Keeps the list of networks in range fresh on idle WiFi radios."""
         while True:
             if self._activation is None and self._manager is not None:
                 with contextlib.suppress(NetworkError):
@@ -205,8 +203,6 @@ class ManagedNetwork:
 
 
 class _Activation:
-    """Follows one network from joining to its loss, by the manager's signals."""
-
     def __init__(self, network: str, *, had_secret: bool) -> None:
         self.network = network
         self._had_secret = had_secret  # the profile's secret was right before

@@ -312,7 +312,6 @@ async def _existing(
     *,
     missing: tuple[type[NetworkError], ...] = (ObjectGoneError,),
 ) -> list[T]:
-    """The objects at the paths, without those that have gone in the meantime."""
     found = []
     for path in paths:
         with contextlib.suppress(*missing):

@@ -48,14 +48,21 @@ _REVOKED_HEAD = (
 
 
 @dataclass(frozen=True)
-class _Holder:
+class KeyPair:
+    """A private key, and a certificate for it."""
+
     certificate: Certificate
     key: ec.EllipticCurvePrivateKey
 
-    def files(self, certificate: Path, key: Path, *, former: bytes = b"") -> dict[Path, bytes]:
-        """The contents of the two files, with `former` certificates in the first."""
-        key_pem = self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-        return {certificate: _pem(self.certificate) + former, key: key_pem}
+    @property
+    def certificate_pem(self) -> bytes:
+        """The certificate as PEM."""
+        return self.certificate.public_bytes(Encoding.PEM)
+
+    @property
+    def key_pem(self) -> bytes:
+        """The private key as PEM, without a password."""
+        return self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
 def keys_in(folder: Path, name: str) -> KeysConfig:
@@ -94,7 +101,8 @@ def make_keys(
     signer, files = _signer(folder)
     for role, names in holders:
         issued = _issue(signer, names, role, lasts or _CERTIFICATE_LASTS)
-        files |= issued.files(folder / f"{names[0]}.pem", folder / f"{names[0]}.key")
+        files[folder / f"{names[0]}.pem"] = issued.certificate_pem
+        files[folder / f"{names[0]}.key"] = issued.key_pem
     _write_together(folder, files)
     return list(files)
 
@@ -108,10 +116,11 @@ def renew_authority(folder: Path) -> list[Path]:
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     former, former_key = read_public(certificate_file), read_secret(key_file)
     signer = _signer_among(certificate_file, former, key_file, former_key)
-    kept = folder / f"authority-{fingerprint(_pem(signer.certificate))[:8]}.key"
+    new, kept = _new_authority(), folder / f"authority-{fingerprint(signer.certificate_pem)[:8]}.key"
     new_certificate, new_key = folder / "authority.pem.new", folder / "authority.key.new"
-    new_files = _self_signed().files(new_certificate, new_key, former=former)
-    _write_together(folder, {**new_files, kept: former_key})
+    _write_together(
+        folder, {new_certificate: new.certificate_pem + former, new_key: new.key_pem, kept: former_key}
+    )
     new_certificate.replace(certificate_file)
     new_key.replace(key_file)  # until here the former authority signs
     return [certificate_file, key_file, kept]
@@ -121,7 +130,7 @@ def drop_former_authorities(folder: Path) -> Path:
     """Removes former authorities from authority.pem, and returns that file; only the present one stays trusted."""
     certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
     signer = _signer_among(certificate_file, read_public(certificate_file), key_file, read_secret(key_file))
-    write_file(certificate_file, _pem(signer.certificate))
+    write_file(certificate_file, signer.certificate_pem)
     return certificate_file
 
 
@@ -199,7 +208,7 @@ def _already_there(file: Path) -> UsageError:
     return UsageError(f"{file}: already there, and keys are never overwritten: move it away first")
 
 
-def _signer(folder: Path) -> tuple[_Holder, dict[Path, bytes]]:
+def _signer(folder: Path) -> tuple[KeyPair, dict[Path, bytes]]:
     """The folder's authority; a new one, with its files to write, if the folder has none."""
     certificate, key, revoked = folder / "authority.pem", folder / "authority.key", folder / _REVOKED_FILE
     if certificate.exists() and key.exists():
@@ -209,35 +218,33 @@ def _signer(folder: Path) -> tuple[_Holder, dict[Path, bytes]]:
     for there, missing in ((certificate, key), (key, certificate)):
         if there.exists():
             raise UsageError(f"{missing}: missing beside {there}: restore it, or move {there.name} away")
-    signer = _self_signed()
-    files = signer.files(certificate, key)
+    signer = _new_authority()
+    files = {certificate: signer.certificate_pem, key: signer.key_pem}
     if not revoked.exists():
         files[revoked] = _REVOKED_HEAD
     return signer, files
 
 
-def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> _Holder:
+def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> KeyPair:
     """The authority in a file to which this key belongs."""
     private = parsed_key(key, key_pem)
     for authority in parsed_certificates(certificate, pem):
         if isinstance(private, ec.EllipticCurvePrivateKey) and private.public_key() == authority.public_key():
-            return _Holder(authority, private)
+            return KeyPair(authority, private)
     raise CredentialsError(
         f"{key}: not the elliptic-curve key of {certificate}: restore the two that were made together"
     )
 
 
-def _self_signed() -> _Holder:
-    key = ec.generate_private_key(ec.SECP256R1())
+def _new_authority() -> KeyPair:
     extensions = [
         (x509.BasicConstraints(ca=True, path_length=0), True),
         (_key_usage(signs_certificates=True), True),
     ]
-    return _Holder(_signed("upwash authority", key, extensions, issuer=None, lasts=_AUTHORITY_LASTS), key)
+    return new_key_pair("upwash authority", extensions, lasts=_AUTHORITY_LASTS)
 
 
-def _issue(issuer: _Holder, names: Sequence[str], role: Role, lasts: timedelta) -> _Holder:
-    key = ec.generate_private_key(ec.SECP256R1())
+def _issue(issuer: KeyPair, names: Sequence[str], role: Role, lasts: timedelta) -> KeyPair:
     serving = [ExtendedKeyUsageOID.SERVER_AUTH] if role is Role.SERVER else []
     extensions = [
         (x509.BasicConstraints(ca=False, path_length=None), True),
@@ -246,20 +253,19 @@ def _issue(issuer: _Holder, names: Sequence[str], role: Role, lasts: timedelta) 
         (x509.SubjectAlternativeName([x509.DNSName(name) for name in names]), False),
         (x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer.key.public_key()), False),
     ]
-    unit = UNITS.get(role, "")
-    return _Holder(_signed(names[0], key, extensions, issuer=issuer, lasts=lasts, unit=unit), key)
+    return new_key_pair(names[0], extensions, issuer=issuer, lasts=lasts, unit=UNITS.get(role, ""))
 
 
-def _signed(
+def new_key_pair(
     name: str,
-    key: ec.EllipticCurvePrivateKey,
     extensions: Sequence[tuple[x509.ExtensionType, bool]],
     *,
-    issuer: _Holder | None,
-    lasts: timedelta,
+    issuer: KeyPair | None = None,
+    lasts: timedelta = _AUTHORITY_LASTS,
     unit: str = "",
-) -> Certificate:
-    """A certificate with the extensions, each critical or not; without an issuer it is self-signed."""
+) -> KeyPair:
+    """A new key and its certificate with these extensions, critical or not; without an issuer it is self-signed."""
+    key = ec.generate_private_key(ec.SECP256R1())
     units = [x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit)] if unit else []
     subject = x509.Name([*units, x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = datetime.now(UTC)
@@ -276,7 +282,7 @@ def _signed(
     )
     for extension, is_critical in extensions:
         builder = builder.add_extension(extension, critical=is_critical)
-    return builder.sign(issuer.key if issuer else key, hashes.SHA256())
+    return KeyPair(builder.sign(issuer.key if issuer else key, hashes.SHA256()), key)
 
 
 def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
@@ -291,10 +297,6 @@ def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-def _pem(certificate: Certificate) -> bytes:
-    return certificate.public_bytes(Encoding.PEM)
 
 
 def _write_together(folder: Path, files: Mapping[Path, bytes]) -> None:

@@ -77,7 +77,6 @@ class Credentials:
         return next(filter(None, problems), "")
 
     def _chain(self) -> tuple[tuple[str, Certificate], ...]:
-        """The certificate, by its first name, and its authority's."""
         from cryptography import x509
 
         authorities = x509.load_pem_x509_certificates(self.authority)
@@ -185,7 +184,6 @@ def refuse_outdated(file: Path, certificate: Certificate) -> None:
 
 
 def _problem(holder: str, certificate: Certificate, now: datetime, by: str) -> str:
-    """Why the holder's certificate is not valid at that time of that clock; "" if it is."""
     starts, ends = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     if starts <= now <= ends:
         return ""

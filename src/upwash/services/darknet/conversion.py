@@ -79,7 +79,6 @@ def cache_folder() -> Path:
 
 
 def _read(cfg: Path, weights: Path, edition: bytes) -> tuple[bytes, str]:
-    """The content of the cfg, and the hash of both files."""
     try:
         content = read_file(cfg, most_bytes=_MOST_CFG_BYTES)
         if weights.exists() and not weights.is_file():

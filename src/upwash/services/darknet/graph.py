@@ -59,7 +59,6 @@ def build_model(network: Network, numbers: str) -> onnx.ModelProto:
 
 
 def _parameters(network: Network, numbers: str) -> Iterator[onnx.TensorProto]:
-    """A tensor for the weights and biases of each convolution, in the order of the file."""
     from onnx import StringStringEntryProto, TensorProto
 
     offset = 0

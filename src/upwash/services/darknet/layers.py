@@ -253,7 +253,6 @@ def _strided(section: Section, previous: Shape, size: int, stride: int, padding:
 
 
 def _source(section: Section, option: str, number: int, before: list[Layer]) -> int:
-    """The index of an earlier layer; below 0 it counts back from the present layer."""
     index = len(before) + number if number < 0 else number
     if not 0 <= index < len(before):
         raise section.error(f"{option} names layer {number}: no earlier layer has this number")

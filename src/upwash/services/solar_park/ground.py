@@ -82,7 +82,6 @@ def _bumps(
 
 
 def _draw_lane(canvas: Canvas, table: Table, lane_m: float) -> None:
-    """Everything in the piece of lane north of a table."""
     rng = table.chance.spawn(1)[0]
     lane = Area(table.area.west_m, table.area.north_m + lane_m, table.area.width_m, lane_m)
     for track_m in (0.33 * lane_m, 0.67 * lane_m):  # wheel tracks of the mower

@@ -105,7 +105,6 @@ def _footprint(rng: Generator, view: View, width_m: float) -> MatLike:
 
 
 def _canvas(footprint_m: MatLike, px_per_m: float) -> Canvas:
-    """An empty canvas for everything in view."""
     west_m, south_m = (float(number) - 4 / px_per_m for number in footprint_m.min(axis=0))
     east_m, north_m = (float(number) + 4 / px_per_m for number in footprint_m.max(axis=0))
     area = Area(west_m, north_m, east_m - west_m, north_m - south_m)
@@ -114,7 +113,6 @@ def _canvas(footprint_m: MatLike, px_per_m: float) -> Canvas:
 
 
 def _lens(canvas: Canvas, footprint_m: MatLike) -> MatLike:
-    """The homography from canvas to photo."""
     seen = np.array([canvas.at(*place) for place in footprint_m], np.float32)
     photo = np.array([[0, 0], [WIDTH_PX, 0], [WIDTH_PX, HEIGHT_PX], [0, HEIGHT_PX]], np.float32)
     return cv2.getPerspectiveTransform(seen, photo)
@@ -132,7 +130,6 @@ def _truth(canvas: Canvas, tables: list[Table], lens: MatLike) -> tuple[TrueBox,
 
 
 def _visible_box(outline: MatLike, label: str) -> TrueBox | None:
-    """The box around the outline, cut at the photo's border; None where too little is left of it."""
     size = np.array([WIDTH_PX, HEIGHT_PX])
     low, high = outline.min(axis=0), outline.max(axis=0)
     seen_low, seen_high = low.clip(0, size), high.clip(0, size)

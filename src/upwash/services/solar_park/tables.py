@@ -80,7 +80,6 @@ def _table_tile() -> MatLike:
 
 
 def _module_tile() -> MatLike:
-    """One module of square cells with cut corners, in an aluminium frame."""
     frame_px = round(FRAME_M * _PX_PER_M)
     shape = (CELLS_DOWN * _CELL_PX + 2 * frame_px, CELLS_ACROSS * _CELL_PX + 2 * frame_px, 3)
     tile = np.full(shape, (168, 164, 160), np.uint8)

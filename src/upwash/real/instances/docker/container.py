@@ -210,7 +210,6 @@ async def describe(
 async def _taken_over(
     engine: DockerEngine, name: str, door: socket.socket, spec: InstanceSpec
 ) -> socket.socket:
-    """The connection from the container's process 1."""
     try:
         async with asyncio.timeout(_TAKES_OVER_S):
             line, _ = await first(
@@ -225,7 +224,6 @@ async def _taken_over(
 
 
 async def _require_running(engine: DockerEngine, name: str, spec: InstanceSpec) -> NoReturn:
-    """Raises InstanceError once the container has ended."""
     while (await engine.ask(lambda api: api.inspect_container(name)))["State"].get("Running"):  # noqa: ASYNC110
         await asyncio.sleep(_LOOK_S)
     raise InstanceError(f"{spec.name} did not start: {last_line(*await engine.output(name))}")

@@ -123,7 +123,6 @@ class DockerRuntime(ContainerRuntime):
         return known
 
     async def _described(self, service: str, reference: str, held: HeldImage) -> ServiceImage:
-        """The image as its own program describes it."""
         labelled = labelled_image(held)
         if labelled is None:
             raise EngineError(

@@ -202,7 +202,6 @@ class Engine:
         return await loop.run_in_executor(self._threads, functools.partial(self._ask_any, ask))
 
     def _ask_any(self, ask: Callable[[Any], T]) -> T:
-        """Ask the first address that answers; runs in a thread."""
         from pylxd.exceptions import ClientConnectionFailed, LXDAPIException
         from requests import RequestException
 

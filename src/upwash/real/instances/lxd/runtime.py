@@ -103,7 +103,6 @@ class LxdRuntime(ContainerRuntime):
         return keep
 
     async def _create_somewhere(self, server: str, image: ServiceImage) -> LxdContainer:
-        """A new container on the first member that can make it; raises EngineError if none can."""
         online = await self._online()
         problem = EngineError("no member of the cluster is online")
         for member in in_order(online, self._containers, self._suspects):
@@ -128,7 +127,6 @@ class LxdRuntime(ContainerRuntime):
     async def _start(
         self, spec: InstanceSpec, image: ServiceImage, callbacks: InstanceCallbacks
     ) -> ControlledInstance:
-        """A service in a container that exists, else in a new one."""
         begin = begin_of(
             spec,
             image.program,  # the daemon need not have the service's program
