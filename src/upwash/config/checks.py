@@ -330,10 +330,8 @@ def _key_problems(key: str, service: ServiceConfig, by_key: Mapping[str, float])
         if name in known:
             continue
         if name == "":
-            yield (
-                key,
-                f"one number, but {service.name} has profile keys: give one for each of {listed(known)}",
-            )
+            problem = f"one number, but {service.name} has profile keys: give one for each of {listed(known)}"
+            yield key, problem
         elif known == [""]:
             yield key, f'"{name}" has no local_call_s: {service.name} has no profile keys, give one number'
         else:

@@ -42,10 +42,8 @@ def explained(error: ValidationError, document: Mapping[str, object], kind: type
         return key, str(error.__cause__)  # a table that was checked by its own class
     named = re.search(r" field `(.*)`$", said, re.DOTALL)
     if named is None:
-        return (
-            key,
-            f"expected {_described(expected)}, found {shown_source(_shown(_value_at(document, steps)))}",
-        )
+        problem = f"expected {_described(expected)}, found {shown_source(_shown(_value_at(document, steps)))}"
+        return key, problem
     name = named.group(1)
     inner_key = f"{key}.{name}" if key else name
     if said.startswith("Object missing"):

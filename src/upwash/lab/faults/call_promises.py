@@ -59,10 +59,8 @@ def bounded_calls(history: History) -> Iterator[Breach]:
         if computed.get(service) and call.computed:
             before_s[service] = took_s = computed[service].popleft().took_s
             if ended.onboard_s > took_s + SLACK_S:
-                yield (
-                    ended,
-                    f"spent {ended.onboard_s:.3f} s on the drone, whose service took {took_s:.3f} s",
-                )
+                why = f"spent {ended.onboard_s:.3f} s on the drone, whose service took {took_s:.3f} s"
+                yield ended, why
 
 
 def _first_calls(events: Iterable[Event]) -> Iterator[schema.Decided]:
@@ -187,10 +185,8 @@ def _raised_afar(events: Iterable[Event]) -> Iterator[Breach]:
         if isinstance(event, schema.Call):
             server = event.server
         elif _is_heard(event) and server is not None and _heard(event).raised:
-            yield (
-                event,
-                f"the mission heard what {server} said was raised; the drone's own service was not asked",
-            )
+            why = f"the mission heard what {server} said was raised; the drone's own service was not asked"
+            yield event, why
 
 
 def _told(history: History) -> list[tuple[Event, probing.CallReport]]:

@@ -66,10 +66,8 @@ def no_harm(history: History) -> Iterator[Breach]:
     allowed_s = sum(call.allowed_s for call in calls)
     latest_s = history.alone.result.mission_time_s + luck_s + allowed_s + _FAREWELL_S + SLACK_S
     if (took_s := history.run.result.mission_time_s) > latest_s:
-        yield (
-            None,
-            f"the mission took {took_s:.3f} s; alone, with what the rules allowed, at most {latest_s:.3f} s",
-        )
+        why = f"the mission took {took_s:.3f} s; alone, with what the rules allowed, at most {latest_s:.3f} s"
+        yield None, why
 
 
 def _hedged_too_much(history: History) -> Iterator[Breach]:
@@ -148,10 +146,8 @@ def pilot_wins(history: History) -> Iterator[Breach]:
         elif fact.event == "given_back_unheard":
             taken = None
         elif taken is not None:
-            yield (
-                fact,
-                f"{fact.command} was commanded {fact.t - taken.t:.3f} s after a {taken.by} took over",
-            )
+            why = f"{fact.command} was commanded {fact.t - taken.t:.3f} s after a {taken.by} took over"
+            yield fact, why
     owners = _owners(history)
     if Owner.PROGRAM in owners[1:]:
         yield None, f"the vehicle was the {' then the '.join(owners)}'s: it was taken back"
@@ -176,10 +172,8 @@ def named_truly(history: History) -> Iterator[Breach]:
         if isinstance(event, schema.ControlChanged) and event.owner in _NAMED_AFTER:
             before = {fact.by for fact in taken if fact.t <= event.t + ROUNDING_S}
             if before.isdisjoint(_NAMED_AFTER[event.owner]):
-                yield (
-                    event,
-                    f"it is said to be the {event.owner}'s, and was taken by {sorted(before) or 'nobody'}",
-                )
+                why = f"it is said to be the {event.owner}'s, and was taken by {sorted(before) or 'nobody'}"
+                yield event, why
 
 
 def _owners(history: History) -> list[Owner]:

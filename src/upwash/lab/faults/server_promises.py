@@ -81,10 +81,8 @@ def _leases(facts: Sequence[Seen], *, end_s: float) -> Iterator[Breach]:
                 last_s = asked_s.get(drone, told.t)
                 ends_s = max(last_s + _LEASE_S, held_until_s.get(drone, 0.0)) + _LOOK_S + SLACK_S
                 if fact.t > max(ends_s, told.t):  # its cause may follow at the same moment
-                    yield (
-                        told,
-                        f"{drone} still has its lease at {fact.t:.3f} s; it was over at {ends_s:.3f} s",
-                    )
+                    why = f"{drone} still has its lease at {fact.t:.3f} s; it was over at {ends_s:.3f} s"
+                    yield told, why
         match fact.event:
             case "asked" | "answered" | "served":
                 asked_s[fact.drone] = fact.t
@@ -206,10 +204,8 @@ def _started_too_soon(facts: Sequence[Seen]) -> Iterator[Breach]:
             case "instance_started":
                 pause_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** (failed - 1)) if failed else 0.0
                 if fact.t < ended_s + pause_s - ROUNDING_S:
-                    yield (
-                        fact,
-                        f"{fact.service} failed to start {failed} times in a row, last at {ended_s:.3f} s",
-                    )
+                    why = f"{fact.service} failed to start {failed} times in a row, last at {ended_s:.3f} s"
+                    yield fact, why
                 if fact.t - ended_s - pause_s > FORGOTTEN_S - SLACK_S:
                     failed = 0
                 is_ready = False
@@ -278,10 +274,8 @@ def _dialled_elsewhere(history: History) -> Iterator[Breach]:
             yield fact, f"{server} had the drone call {address!r:.100}"
         dialled[server] += 1
         if dialled[server] > allowed[server]:
-            yield (
-                fact,
-                f"{server} had the drone call {dialled[server]} addresses instead of {allowed[server]}",
-            )
+            why = f"{server} had the drone call {dialled[server]} addresses instead of {allowed[server]}"
+            yield fact, why
 
 
 def _asked_too_often(history: History) -> Iterator[Breach]:
