@@ -10,10 +10,10 @@ from pathlib import Path
 
 from upwash.config import DroneConfig
 from upwash.core.geo import LocalFrame, Position
-from upwash.emulation.field import EmulatedRadio, Field, drone_namespace
+from upwash.emulation.field import Field, drone_namespace
 from upwash.emulation.namespaces import add_route, join_by_cable
 from upwash.emulation.programs import Computers, NamespaceComputers, flight_program, ready_daemon
-from upwash.emulation.radios import GhostRadio, ShapedRadio
+from upwash.emulation.radios import EmulatedRadio, GhostRadio, ShapedRadio
 from upwash.emulation.request import ComputerKind, EmulationOutcome, EmulationRequest, RadioKind
 from upwash.emulation.vehicles import relayed, tracked
 from upwash.launch.processes import FlightProgram, ready_vehicle

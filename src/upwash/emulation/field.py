@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from upwash.config import DroneConfig, ServerConfig, server_position
 from upwash.core.geo import Position
@@ -94,17 +93,3 @@ def drone_namespace(name: str) -> str:
 def server_namespace(name: str) -> str:
     """The namespace of the server of that name."""
     return f"server-{name}"
-
-
-class EmulatedRadio(Protocol):
-    """What joins the drones and the servers, as good as their distance lets it be."""
-
-    @property
-    def lag_s(self) -> float:
-        """How far it was ever behind the real time."""
-
-    def move(self, drone: str, position: Position) -> None:
-        """The drone is there now. Raises UpwashError where the radio has failed."""
-
-    def close(self) -> None:
-        """Ends it."""

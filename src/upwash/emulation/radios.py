@@ -10,6 +10,7 @@ import contextlib
 import math
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
+from typing import TypeAlias
 
 from upwash.config import true_range_m
 from upwash.core.geo import Position, ground_distance_m
@@ -189,3 +190,6 @@ def _place(position: Position) -> str:
 
 def _server_end(link: EmulatedLink) -> LinkEnd:
     return LinkEnd(link.server_end.namespace, _SERVER_DEVICE, link.server_end.address)
+
+
+EmulatedRadio: TypeAlias = ShapedRadio | GhostRadio

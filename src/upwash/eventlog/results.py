@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from sys import intern
 from typing import Any
 
@@ -204,7 +204,8 @@ class Tally:
             case schema.ServerStep():
                 self._take_step(event)
             case schema.EnergyUsed():
-                self._energy = _energy(event)
+                parts = {part.name: getattr(event, part.name) for part in fields(EnergyTotals)}
+                self._energy = EnergyTotals(**parts)
             case schema.Decided():
                 self._calling = {self._whereabouts.of_call_under_way}
             case schema.Call():
@@ -305,17 +306,6 @@ def _waited_for(call: CallResult, waited_s: float) -> CallResult:
     """The call, with the time that the mission did not wait for its answer."""
     hidden_s = call.delay_s - waited_s
     return replace(call, hidden_s=hidden_s) if hidden_s >= _LEAST_HIDDEN_S else call
-
-
-def _energy(event: schema.EnergyUsed) -> EnergyTotals:
-    return EnergyTotals(
-        total_wh=event.total_wh,
-        flight_wh=event.flight_wh,
-        hover_wh=event.hover_wh,
-        computing_wh=event.computing_wh,
-        radio_wh=event.radio_wh,
-        battery_wh=event.battery_wh,
-    )
 
 
 def mean_local_delay_s(calls: Iterable[CallResult]) -> dict[str, float]:

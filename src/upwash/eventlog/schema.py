@@ -90,6 +90,12 @@ def kind_of(event: type[Event]) -> str:
     return str(event.__struct_config__.tag)
 
 
+class _Explained(Event, frozen=True, kw_only=True):
+    """An event with its reason."""
+
+    why: Text
+
+
 # --- the log ------------------------------------------------------------------------------------------------
 
 
@@ -237,16 +243,12 @@ class MissionCompleted(Event, frozen=True, kw_only=True):
     """The mission was flown to its end, and the drone left every server."""
 
 
-class MissionEnded(Event, frozen=True, kw_only=True):
+class MissionEnded(_Explained, frozen=True, kw_only=True):
     """The mission ended early, and why."""
 
-    why: Text
 
-
-class Stopping(Event, frozen=True, kw_only=True):
+class Stopping(_Explained, frozen=True, kw_only=True):
     """Ctrl-C, SIGTERM or the reserve ends the mission early."""
-
-    why: Text
 
 
 class SetOff(Event, frozen=True, kw_only=True, omit_defaults=True, tag="leg"):
@@ -357,13 +359,11 @@ class ControlChanged(Event, frozen=True, kw_only=True, tag="control"):
     why: Text
 
 
-class UnsignedPort(Event, frozen=True, kw_only=True):
+class UnsignedPort(_Explained, frozen=True, kw_only=True):
     """Anyone who reaches the drone's `udpin` port can pose as the vehicle.
 
     See [signed messages](vehicle.md#signed-messages).
     """
-
-    why: Text
 
 
 class WaitingForVehicle(Event, frozen=True, kw_only=True):
@@ -470,10 +470,8 @@ class LimitsRead(Event, frozen=True, kw_only=True, omit_defaults=True, tag="vehi
     home_above_sea_m: Number | None = None
 
 
-class SiteDoubt(Event, frozen=True, kw_only=True):
+class SiteDoubt(_Explained, frozen=True, kw_only=True):
     """A warning before arming about the place of the mission; the mission may begin all the same."""
-
-    why: Text
 
 
 class DeadManSet(Event, frozen=True, kw_only=True):
@@ -483,10 +481,8 @@ class DeadManSet(Event, frozen=True, kw_only=True):
     action: Literal["return", "land"]
 
 
-class DeadManFailed(Event, frozen=True, kw_only=True):
+class DeadManFailed(_Explained, frozen=True, kw_only=True):
     """Why the autopilot does not act on a silence of the program, in a flight that was in the air already."""
-
-    why: Text
 
 
 class _AtPlace(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -572,10 +568,8 @@ class LeftHovering(Event, frozen=True, kw_only=True):
     """The safe end leaves the vehicle hovering; a pilot must take over."""
 
 
-class LeftToPilot(Event, frozen=True, kw_only=True):
+class LeftToPilot(_Explained, frozen=True, kw_only=True):
     """The program stops sending commands to the vehicle, and why."""
-
-    why: Text
 
 
 class Stood(Event, frozen=True, kw_only=True):
@@ -584,22 +578,16 @@ class Stood(Event, frozen=True, kw_only=True):
     position: Position
 
 
-class FollowingEnded(Event, frozen=True, kw_only=True):
+class FollowingEnded(_Explained, frozen=True, kw_only=True):
     """Why the log ends before a vehicle that another party had taken over is on the ground."""
 
-    why: Text
 
-
-class CoverageNotKept(Event, frozen=True, kw_only=True):
+class CoverageNotKept(_Explained, frozen=True, kw_only=True):
     """The coverage map could not be written; only the log has this flight's measurements."""
 
-    why: Text
 
-
-class BorderWatchFailed(Event, frozen=True, kw_only=True):
+class BorderWatchFailed(_Explained, frozen=True, kw_only=True):
     """The vehicle is silent; until its next message the program checks ranges only once a period."""
-
-    why: Text
 
 
 class Energy(Event, frozen=True, kw_only=True):
@@ -940,13 +928,11 @@ class OffloadingFailed(Event, frozen=True, kw_only=True):
 # --- the clock ----------------------------------------------------------------------------------------------
 
 
-class WaitingForTheTime(Event, frozen=True, kw_only=True):
+class WaitingForTheTime(_Explained, frozen=True, kw_only=True):
     """A certificate is not valid by this computer's clock, and the vehicle's GPS has no fix yet.
 
     See [a clock that is wrong](raspberry-pi.md#a-clock-that-is-wrong), for the next two as well.
     """
-
-    why: Text
 
 
 class ClockSet(Event, frozen=True, kw_only=True):

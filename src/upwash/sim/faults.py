@@ -58,7 +58,7 @@ import contextlib
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
@@ -78,7 +78,7 @@ from upwash.rpc.protocol import (
     StartReply,
     resolve,
 )
-from upwash.sim.link import Handler
+from upwash.sim.link import Handler, Switchboard
 from upwash.support.background import never
 
 _FLAP_S = 5.0
@@ -180,20 +180,10 @@ def _next_change_s(fault: FaultConfig, now_s: float) -> float:
     return fault.to_s if now_s < fault.to_s else math.inf
 
 
-class Plugboard(Protocol):
-    """A table of handlers by address."""
-
-    def plug(self, address: str, handler: Handler) -> None:
-        """From now on the handler answers at the address."""
-
-    def unplug(self, address: str) -> None:
-        """From now on the address has no handler."""
-
-
 class FaultyServer:
     """One server with its faults, which affect the handlers that are plugged in through it."""
 
-    def __init__(self, name: str, address: str, board: Plugboard, *, faults: Faults) -> None:
+    def __init__(self, name: str, address: str, board: Switchboard, *, faults: Faults) -> None:
         self._name = name
         self._address = address
         self._lies = 0

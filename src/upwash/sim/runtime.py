@@ -22,8 +22,8 @@ from upwash.rpc.arrays import array_hint
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
 from upwash.rpc.service import Method, ServiceSpec, carries_fault
 from upwash.rpc.wire import Encoding
-from upwash.sim.faults import Plugboard
-from upwash.sim.link import Observe, unobserved
+from upwash.sim.faults import FaultyServer
+from upwash.sim.link import Observe, Switchboard, unobserved
 from upwash.support.background import never
 
 _FIRST_PORT = 40_000
@@ -62,7 +62,7 @@ class ModelRuntime:
         self,
         services: Mapping[str, ServiceSpec],
         computer: Computer,
-        switchboard: Plugboard,
+        switchboard: Switchboard | FaultyServer,
         *,
         objects: Mapping[str, object] = MappingProxyType({}),
         lanes: int | None = None,

@@ -17,8 +17,9 @@ from upwash.config import DroneConfig, read_drone_config
 from upwash.core.geo import Position
 from upwash.emulation.emulate import make_radio
 from upwash.emulation.enclosure import settle_in
-from upwash.emulation.field import EmulatedLink, EmulatedRadio, Field
+from upwash.emulation.field import EmulatedLink, Field
 from upwash.emulation.namespaces import enter, inside, make_namespace
+from upwash.emulation.radios import EmulatedRadio
 from upwash.emulation.request import RadioKind, emulated
 
 SCENARIO = Path(__file__).parents[3] / "scenarios" / "demonstration.toml"
