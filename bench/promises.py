@@ -41,6 +41,7 @@ from upwash.lab.reproduction.output import decoded
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (
     "promises.md",
+    "hostile-input.md",
     "performance.md",
     "peers.md",
     "reproduction.md",

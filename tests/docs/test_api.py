@@ -84,7 +84,7 @@ def test_programs_in_configurations_are_bundled_by_name_or_the_users_own() -> No
     assert not [program for program in programs if program.startswith("upwash")]
 
 
-@pytest.mark.parametrize("page", ["scenarios.md", "campaigns.md", "report.md"])
+@pytest.mark.parametrize("page", ["scenarios.md", "fleets.md", "campaigns.md", "report.md"])
 def test_what_a_page_shows_in_python_runs(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

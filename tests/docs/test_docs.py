@@ -98,7 +98,8 @@ def test_whoever_cites_upwash_names_its_version_and_license() -> None:
 
 
 def test_the_page_on_containers_shows_runtimes_that_are_understood(tmp_path: Path) -> None:
-    blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/containers.md").read_text(), flags=re.DOTALL)
+    pages = "".join((ROOT / "docs" / name).read_text() for name in ("containers.md", "lxd.md"))
+    blocks = re.findall(r"```toml\n(.*?)```", pages, flags=re.DOTALL)
     file = tmp_path / "server.toml"
     written, known = set[str](), set[str]()
     for block in blocks:

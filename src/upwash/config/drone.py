@@ -292,7 +292,7 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """In place of `east_m` and `north_m`."""
     range_m: values.Range
     """How far it is reached, in metres; or `"measured"`: [servers without a
-    range](networks.md#servers-without-a-range)."""
+    range](links.md#servers-without-a-range)."""
     network: values.Text
     """Its NetworkManager profile; default: the server's name."""
     address: values.Text | None = None

@@ -122,7 +122,7 @@ class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Simulation: a disturbance that lasts for a while: [faults](scenarios.md#faults)."""
+    """Simulation: a disturbance that lasts for a while: [faults](faults.md)."""
 
     target: values.Text
     """A server's name, `link:` and a server's name, or `autopilot`."""
