@@ -15,9 +15,8 @@ LATE_AFTER_S = 2 * 0.7 + 0.001  # no delay is known yet
 
 def fly(*faults: dict[str, Any], hedged: bool = True, range_m: float = 500.0, **tables: Any) -> Run:
     hedge = {"hedge": {"after": "p95", "budget": 0.1}} if hedged else {}
-    policy = {"name": "location-aware", **hedge}
     s1 = server("s1", 0.0, 0.0, range_m=range_m)
-    return simulate(scenario(s1, faults=faults, policy=policy, **tables))
+    return simulate(scenario(s1, faults=faults, **{"policy": {"name": "location-aware", **hedge}, **tables}))
 
 
 def events(run: Run, name: str) -> list[dict[str, Any]]:
@@ -67,3 +66,15 @@ def test_the_next_local_call_waits_for_the_service_to_be_done_with_a_dropped_one
         assert calls[number - 1]["place"] == "s1"
         assert calls[number]["delay_s"] == pytest.approx(calls[number]["queued_s"] + 10.0)
         assert calls[number]["onboard_s"] == pytest.approx(10.0)  # what is learnt is without the wait
+
+
+def test_no_call_is_hedged_while_the_drone_computes_one_that_a_server_has_answered() -> None:
+    run = fly(
+        fault("s1", "slow", from_s=50.0, extra_s=3.0),
+        policy={"name": "location-aware", "hedge": {"after": "p50", "budget": 1.0}},
+        vehicle={"acceleration_m_s2": 50.0},
+        mission={"ground_speed_m_s": 50.0},
+    )
+    names = [event["event"] for event in written(run.events) if event["event"] in ("hedged", "dropped")]
+    assert names == ["hedged", "dropped"] * 3
+    assert len([call for call in events(run, "call") if call["delay_s"] > 3.0]) > 4

@@ -52,6 +52,14 @@ def test_a_fault_costs_one_call_its_hedge_and_no_other_call_anything(target: str
     assert run.result.totals.waits_failed == 0
 
 
+def test_a_call_that_the_drone_answers_before_a_server_that_is_back_did_not_fall_back() -> None:
+    faults = (fault("s1", "stuck", from_s=FROM_S, to_s=TO_S), fault("s1", "stuck", from_s=TO_S + 1.0))
+    calls = [call for call in events(simulate(world(*faults)), "call") if call["t"] > FROM_S]
+    first, second = calls[:2]
+    assert (first["place"], first["fell_back"]) == ("local", True)
+    assert (second["place"], second["fell_back"]) == ("local", False), "the server was merely late"
+
+
 def test_a_server_that_is_dead_for_good_is_asked_about_once_a_second() -> None:
     run = fly("s1", "off", to_s=10_000.0)
     assert events(run, "call")[-1]["place"] == "local"

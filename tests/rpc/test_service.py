@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from upwash.core.operation import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UsageError
-from upwash.rpc.service import Method, load_service, make_stub, once, service, spec_of
+from upwash.rpc.service import Method, load_service, make_stub, once, request_of, service, spec_of
 
 Mode = Literal["light", "heavy"]
 
@@ -333,6 +333,14 @@ def test_values_arrive_as_they_were_sent() -> None:
     assert eyes.sort({"all": []}, Level.LOW, None) is None
     assert eyes.nothing() is None  # type: ignore[func-returns-value]
     assert type(eyes.rank(Level.HIGH)) is Level
+
+
+def test_the_request_of_a_stubs_method_is_the_one_that_its_call_would_send() -> None:
+    operation, method, request = request_of(remote().look, (b"",), {"mode": "heavy"})
+    assert (str(operation), method.name) == ("eyes.look[heavy]", "look")
+    assert perform(Eyes(), method, request) == Eyes().look(b"", "heavy")
+    with pytest.raises(UsageError, match=r"Eyes\.look is no method of a service: give one of an object that"):
+        request_of(Eyes().look, (b"",), {})
 
 
 def test_defaults_and_keywords_are_those_of_the_method() -> None:

@@ -53,6 +53,7 @@ class Lens:
         provider: Literal["cpu", "cuda"] = "cpu",
         files: Files | None = None,
         sizes: dict[str, int] | None = None,
+        by_number: dict[int, bool] | None = None,
         weights: list[float] = [0.5],  # noqa: B006 - what it is here
         limits: Limits | None = None,
         bright: bool = False,
@@ -70,6 +71,7 @@ given_settings = st.fixed_dictionaries(
         "provider": st.sampled_from(["cpu", "cuda"]),
         "files": st.fixed_dictionaries({"cfg": st.sampled_from(["/a/b.cfg", "/c d/é.cfg"])}),
         "sizes": st.dictionaries(st.text(), st.integers(-(2**60), 2**60)),
+        "by_number": st.dictionaries(st.integers(0, 2**60), st.booleans()),
         "weights": st.lists(st.floats(allow_nan=False, allow_infinity=False)),
         "limits": st.fixed_dictionaries({"least": st.floats(0, 1)}, optional={"most": st.floats(0, 1)}),
         "bright": st.booleans(),
@@ -79,9 +81,9 @@ given_settings = st.fixed_dictionaries(
 
 @given(given_settings)
 def test_settings_arrive_as_they_were_given_and_the_others_keep_their_defaults(given: dict[str, Any]) -> None:
-    travelled = json.loads(
-        json.dumps(plain(msgspec.convert(given, KIND, dec_hook=lambda kind, text: kind(text))))
-    )
+    sent = plain(msgspec.convert(given, KIND, dec_hook=lambda kind, text: kind(text)))
+    travelled = json.loads(json.dumps(sent))
+    assert travelled == sent
     made = construct(Lens, KIND, travelled).made
     expected = DEFAULTS | given
     if "colour" in given:

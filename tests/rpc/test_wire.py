@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import enum
 import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from decimal import Decimal
-from typing import Any
+from typing import Any, Literal, NamedTuple
 from uuid import UUID
 
 import msgspec
@@ -35,6 +36,14 @@ class Branch(msgspec.Struct):
 @dataclass(frozen=True)
 class Cell:
     row: int
+
+
+class Step(NamedTuple):
+    row: int
+
+
+class Colour(enum.Enum):
+    RED = "red"
 
 
 @dataclass
@@ -117,8 +126,12 @@ def test_a_message_that_costs_more_than_its_bytes_is_refused_at_once(name: str) 
         (dict[int, str], dict.fromkeys(range(8000), "x")),
         (str, "x" * 200_000),
         (Branch, Branch([Branch()] * 9)),
+        (
+            dict[tuple[str, bytes, bool | None, Colour, Literal[1], tuple[str, ...]], None],
+            {(str(number), b"", None, Colour.RED, 1, ("",)): None for number in range(2000)},
+        ),
     ],
-    ids=["bytes", "numbers", "by name", "by number", "text", "recursive"],
+    ids=["bytes", "numbers", "by name", "by number", "text", "recursive", "by few values"],
 )
 def test_what_a_service_has_to_say_arrives(hint: Any, value: object) -> None:
     encoding: Encoding[Any] = Encoding(hint)

@@ -21,6 +21,7 @@ from upwash.rpc.protocol import (
     DENY,
     HOLD,
     LEAVE,
+    PREPARE,
     START,
     STATUS,
     AvailabilityReply,
@@ -29,6 +30,7 @@ from upwash.rpc.protocol import (
     HoldReply,
     HoldRequest,
     LeaveRequest,
+    PrepareRequest,
     StartReply,
     StartRequest,
     StatusReply,
@@ -68,7 +70,10 @@ class Instance:
 
     async def drain(self, why: str) -> None:
         self.refuses = why
-        await asyncio.sleep(self.call_ends_in_s)
+        await asyncio.wait([self.ended], timeout=self.call_ends_in_s)
+        if self.ended.done():
+            await asyncio.sleep(0.1)  # it is known a moment later, when the life's end may have begun
+            raise InstanceError("it has ended")
 
     async def health(self) -> None:
         if self.is_frozen:
@@ -118,11 +123,14 @@ class Daemon:
             AdmissionController(
                 {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
                 AdmissionSettings(lease_s=LEASE_S, idle_stop_s=100),
-                peers=["s2"],
+                peers=["s2", "s3"],
             ),
             images=IMAGES,
             runtime=self.runtime,
-            dialer=ModelDialer("s1", Switchboard({}), Wire()),
+            dialer=ModelDialer(
+                "s1", Switchboard({"s2": self._nothing_to_hold, "s3": self._nothing_to_hold}), Wire()
+            ),
+            peers={"s2": "s2", "s3": "s3"},
             start_timeout_s=start_timeout_s,
             drain_s=DRAIN_S,
         )
@@ -141,6 +149,15 @@ class Daemon:
         request = HoldRequest("s1", drone, "", ["detector"], for_s)
         reply = await self.edge.handle(HOLD, msgspec.msgpack.encode(request), Client("s2", role=Role.SERVER))
         return msgspec.msgpack.decode(reply, type=HoldReply)
+
+    async def prepare(self, peer: str, drone: str = "d1") -> HoldReply:
+        request = PrepareRequest("s1", peer, ["detector"], arrives_in_s=20.0, hold_s=5.0)
+        reply = await self.edge.handle(PREPARE, msgspec.msgpack.encode(request), Client(drone))
+        return msgspec.msgpack.decode(reply, type=HoldReply)
+
+    async def _nothing_to_hold(self, path: str, body: bytes, client: Client) -> bytes:
+        peer = msgspec.msgpack.decode(body, type=HoldRequest).server
+        return msgspec.msgpack.encode(HoldReply(held=False, reason=f"{peer} is full"))
 
     async def keep_asking(self, for_s: float) -> None:
         """Has the drone's lease renewed for so long, and a little longer."""
@@ -214,6 +231,15 @@ def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_less_th
         assert instance.admitted == {"d1"}
 
     serve(story, slots=2)
+
+
+def test_where_a_peer_holds_no_slot_another_peer_may() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        assert (await daemon.prepare("s2")).reason == "s2 is full"
+        assert (await daemon.prepare("s3")).reason == "s3 is full"
+
+    serve(story)
 
 
 def test_what_the_daemon_sees_keeps_a_lease_alive_and_what_an_instance_says_does_not() -> None:
@@ -319,6 +345,23 @@ def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(
         assert daemon.edge.standing().servers[0].instances[1].replaced == 1
         await daemon.keep_asking(200.0)
         assert len(daemon.runtime.instances) == 2, "one that is well stays"
+
+    serve(story)
+
+
+def test_a_drone_that_waits_for_the_next_instance_gets_it_also_where_the_former_crashes_in_its_last_call() -> (
+    None
+):
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        daemon.runtime.called[0]("d1")
+        daemon.runtime.instances[0].call_ends_in_s = 1e6
+        while not daemon.runtime.instances[0].refuses:
+            await daemon.keep_asking(1.0)
+        starting = asyncio.create_task(daemon.start())
+        await asyncio.sleep(0.1)
+        daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
+        assert (await starting).endpoint not in ("", first.endpoint)
 
     serve(story)
 

@@ -66,6 +66,7 @@ class _Life:
     task: asyncio.Task[None] = field(init=False)
     ending: asyncio.Task[None] | None = None  # while it has to stop
     instance: Instance | None = None  # while it can be called
+    is_ending: bool = False
     is_over: bool = False
 
     @property
@@ -175,8 +176,8 @@ class Instances:
             life.settled.set_result("")
             async with beside(self._watch(life, instance), name=f"the watch of {spec.name}"):
                 why = await instance.exited()
-            host.gone(spec.service, life.number, why, now_s=_now_s())
             _log.warning("%s is gone: %s", spec.name, why)
+            await self.perform(host.gone(spec.service, life.number, why, now_s=_now_s()))
         except TimeoutError:
             why = str(NotReadyInTime(spec.name, self._start_timeout_s, whose="the daemon's"))
             _log.warning("%s", why)
@@ -184,12 +185,13 @@ class Instances:
             why = str(error)
             _log.warning("%s", why)
         finally:
+            life.is_ending = True
             left, life.instance = life.instance, None
             if why:
                 self._observer.failed(spec)
             if left is not None:
                 await self._stop(spec, left)
-            if why and not life.settled.done() and not life.has_place:
+            if why and left is None and not life.has_place:
                 _log.error(
                     "%s serves on in its former version: remove the cause, and reload again", spec.name
                 )
@@ -246,8 +248,9 @@ class Instances:
             self._forget(life)
 
     def _cut(self, life: _Life) -> None:
-        """End the life, unless it is ending: a second cancellation would cut its end short."""
-        if not life.is_over and not life.task.cancelling():
+        """End the life, unless it is ending: a cancellation would cut its end short."""
+        if not life.is_ending:
+            life.is_ending = True
             life.task.cancel()
 
     def _forget(self, life: _Life) -> None:
