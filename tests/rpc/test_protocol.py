@@ -39,13 +39,16 @@ from upwash.rpc.protocol import (
     START,
     AvailabilityReply,
     AvailabilityRequest,
+    DenyRequest,
     HoldReply,
     HoldRequest,
     LeaveReply,
+    LeaveRequest,
     PrepareRequest,
     StartReply,
     StartRequest,
     StatusReply,
+    StatusRequest,
     decode_reply,
     decode_request,
     resolve,
@@ -70,6 +73,15 @@ HONEST: dict[type[msgspec.Struct], dict[str, Any]] = {
 }
 HELD = {"server": "s1", "drone": "heron", "certificate": "", "services": [], "for_s": 1.0}
 PREPARED = {"server": "s1", "peer": "s2", "services": [], "arrives_in_s": 1.0, "hold_s": 1.0}
+REQUESTS: dict[type[msgspec.Struct], dict[str, Any]] = {
+    AvailabilityRequest: {"server": "s1", "services": ["detector"]},
+    StartRequest: {"server": "s1", "service": "detector"},
+    LeaveRequest: {"server": "s1"},
+    DenyRequest: {"server": "s1", "services": ["detector"]},
+    PrepareRequest: PREPARED,
+    HoldRequest: HELD,
+    StatusRequest: {},
+}
 
 values: st.SearchStrategy[Any] = st.recursive(
     st.none()
@@ -305,6 +317,16 @@ def test_a_request_that_breaks_a_bound_is_refused_in_print(
         decode_request(msgspec.msgpack.encode(fields), request_type)
     assert str(refused.value).isprintable()
     assert len(str(refused.value)) < 2000
+
+
+@pytest.mark.parametrize("request_type", REQUESTS)
+def test_a_request_with_a_field_that_the_daemon_does_not_know_is_refused(
+    request_type: type[msgspec.Struct],
+) -> None:
+    fields = REQUESTS[request_type]
+    assert isinstance(decode_request(msgspec.msgpack.encode(fields), request_type), request_type)
+    with pytest.raises(Refused, match=r"undecodable request: .*unknown field `more`"):
+        decode_request(msgspec.msgpack.encode(fields | {"more": 1}), request_type)
 
 
 @pytest.mark.parametrize(
