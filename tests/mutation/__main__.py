@@ -1,10 +1,12 @@
 """Plants defects in packages, one at a time, and counts those that the packages' tests find.
 
     python -m tests.mutation                    # 40 defects in each package of PACKAGES
-    python -m tests.mutation core rpc --count 100 --seed 2 --workers 2
+    python -m tests.mutation core rpc --count 100 --seed 2 --notes /tmp/notes
 
-The defects are drawn by the seed, so that a score can be compared with an earlier one. A survivor is a defect that no
-test of the package finds: write the test, or enter the defect into `argued.txt` with the reason why it does no harm.
+First the tests run once, to note which functions each of them enters. Then a defect is judged by the tests that enter
+its function, until one fails; those that enter the fewest functions come first. The defects are drawn by the seed, so
+that a score can be compared with an earlier one. A survivor is a defect that none of these tests finds: write the
+test, or enter the defect into `argued.txt` with the reason why it does no harm. The scores are in `score.md`.
 """
 
 from __future__ import annotations
@@ -19,95 +21,145 @@ import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
-from queue import SimpleQueue
 
+import msgspec
 from tests.mutation.mutants import Mutant, mutants_of
+from tests.mutation.planted import LONGEST_S, Job, Outcome
 
 ROOT = Path(__file__).parents[2]
 ARGUED = Path(__file__).with_name("argued.txt")
-PACKAGES = {  # the tests that judge a package; those that fail soonest come first
-    "core": ("tests/core", "tests/drone", "tests/sim", "tests/lab"),
-    "drone": ("tests/drone", "tests/sim", "tests/lab", "tests/launch"),
-    "rpc": ("tests/rpc", "tests/fuzz", "tests/ports/test_link.py", "tests/server"),
-    "server": ("tests/server", "tests/sim", "tests/lab", "tests/launch"),
-    "real/mavlink": ("tests/ports", "tests/sim", "tests/fuzz"),
+PACKAGES = {  # the tests that judge a package
+    "core": ("tests/core", "tests/server", "tests/drone"),
+    "drone": ("tests/drone",),
+    "rpc": ("tests/rpc", "tests/server"),
+    "server": ("tests/server",),
+    "real/mavlink": ("tests/ports",),
 }
-_TIMES_AS_LONG = 4  # as without a defect: then the program hangs, which is a way to find the defect
-_ROUNDS_S = 30
+_MOST_TESTS = 200  # for one defect
+_PYTEST = (
+    sys.executable,
+    "-m",
+    "pytest",
+    "-q",
+    "--no-header",
+    "--tb=no",
+    "-p",
+    "no:cacheprovider",
+    "--timeout=60",
+)
+_ORDINARY = "not root and not long and not sandbox and not flight and not system"
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What became of one mutant: `survived`, or found by that test."""
+class Notes(msgspec.Struct):
+    """What `entered.py` writes."""
 
-    mutant: Mutant
-    found_by: str
-    took_s: float
+    functions: dict[str, list[str]]
 
-
-class Tree:
-    """A copy of the sources in which one defect is planted at a time; everything else is the repository's."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        for entry in ROOT.iterdir():
-            if entry.name == "src":
-                shutil.copytree(entry, folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
-            elif not entry.name.startswith((".git", ".venv")) or entry.name == ".gitignore":
-                (folder / entry.name).symlink_to(entry)
-
-    def tests(self, paths: Sequence[str], timeout_s: float | None) -> tuple[str, float]:
-        """Runs tests up to the first failure. Returns the name of the test that failed, or "", and the seconds."""
-        began_s = time.monotonic()
-        command = [
-            *(sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider"),
-            *("-m", "not root and not long and not sandbox and not flight and not system", *paths),
+    def tests_of(self, mutant: Mutant) -> list[str]:
+        """The tests that enter the defect's function; where it has none, those that enter its file."""
+        entry = f"{mutant.file.relative_to(ROOT)}:{mutant.function}"
+        chosen = [
+            test
+            for test, entered in self.functions.items()
+            if any(each.startswith(entry) if not mutant.function else each == entry for each in entered)
         ]
-        environment = os.environ | {"PYTHONPATH": str(self._folder / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
-        with subprocess.Popen(
-            command,
-            cwd=self._folder,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        ) as running:
-            try:
-                printed, _ = running.communicate(timeout=timeout_s)
-            except subprocess.TimeoutExpired:
-                os.killpg(running.pid, 9)
-                return "a hang", time.monotonic() - began_s
-        failed = [line for line in printed.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        name = failed[0] if failed else "" if running.returncode == 0 else printed[-300:]
-        return name, time.monotonic() - began_s
+        return sorted(chosen or self.functions, key=lambda test: len(self.functions[test]))[:_MOST_TESTS]
 
-    def judge(self, mutant: Mutant, paths: Sequence[str], timeout_s: float) -> Verdict:
-        """Plants the defect, runs the tests, and removes the defect."""
-        file = self._folder / mutant.file.relative_to(ROOT)
-        sound = file.read_bytes()
-        file.write_bytes(mutant.applied())
+
+def noted(package: str, folder: Path) -> Notes:
+    """Which functions the tests of the package enter; from the folder, if it has the notes already."""
+    parts = []
+    for path in PACKAGES[package]:
+        file = folder / f"{path.replace('/', '-')}.json"
+        if not file.exists():
+            command = (*_PYTEST, "-p", "tests.mutation.entered", "-m", _ORDINARY, path)
+            ran = subprocess.run(
+                command,
+                cwd=ROOT,
+                env=os.environ | {"MUTATION_ENTERED": str(file)},
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            if ran.returncode != 0:
+                sys.exit(f"without a defect tests fail in {path}: {ran.stdout[-500:]}")
+        parts.append(msgspec.json.decode(file.read_bytes(), type=Notes))
+    return Notes({test: entered for part in parts for test, entered in part.functions.items()})
+
+
+def judged(jobs: Sequence[Job], folder: Path) -> list[Outcome]:
+    """What becomes of each defect in a function: planted in forks of one process."""
+    if not jobs:
+        return []
+    file = folder / "jobs"
+    file.write_bytes(b"".join(msgspec.json.encode(job, enc_hook=str) + b"\n" for job in jobs))
+    paths = sorted({test.partition("::")[0] for job in jobs for test in job.tests})
+    subprocess.run(
+        (*_PYTEST, "-p", "tests.mutation.planted", "-m", _ORDINARY, *paths),
+        cwd=ROOT,
+        env=os.environ | {"MUTATION_JOBS": str(file), "PYTHONPATH": str(ROOT / "src")},
+        stdout=subprocess.DEVNULL,
+        check=True,
+    )
+    lines = file.with_suffix(".outcomes").read_bytes().splitlines()
+    return [msgspec.json.decode(line, type=Outcome) for line in lines]
+
+
+def judged_alone(job: Job, folder: Path) -> Outcome:
+    """What becomes of a defect that must perhaps be there at the import: planted in a copy of the sources."""
+    place = folder / "copy"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    for entry in ROOT.iterdir():
+        if entry.name == "src":
+            shutil.copytree(entry, place / "src", ignore=shutil.ignore_patterns("__pycache__"))
+        elif not entry.name.startswith((".git", ".venv")) or entry.name == ".gitignore":
+            (place / entry.name).symlink_to(entry)
+    (place / job.mutant.file.relative_to(ROOT)).write_bytes(job.mutant.applied())
+    began_s = time.monotonic()
+    with subprocess.Popen(
+        (*_PYTEST, "-x", "-m", _ORDINARY, *job.tests),
+        cwd=place,
+        env=os.environ | {"PYTHONPATH": str(place / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as running:
         try:
-            took_s = 0.0
-            for path in paths:
-                failed, more_s = self.tests([path], timeout_s)
-                took_s += more_s
-                if failed:
-                    return Verdict(mutant, failed, took_s)
-            return Verdict(mutant, "", took_s)
-        finally:
-            file.write_bytes(sound)
+            printed, _ = running.communicate(timeout=LONGEST_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(running.pid, 9)
+            return Outcome("a hang", time.monotonic() - began_s)
+    failed = [line for line in printed.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    found_by = failed[0] if failed else "" if running.returncode == 0 else printed[-300:]
+    return Outcome(found_by, time.monotonic() - began_s)
 
 
 def drawn(package: str, count: int, seed: int) -> list[Mutant]:
-    """As many mutants of the package, drawn by the seed; those of `argued.txt` are left out."""
-    argued = {line.partition("#")[0].strip() for line in ARGUED.read_text().splitlines()}
+    """As many mutants of the package, drawn by the seed."""
     files = sorted((ROOT / "src/upwash" / package).rglob("*.py"))
     every = [mutant for file in files for mutant in mutants_of(file)]
-    sample = random.Random(seed).sample(every, min(count, len(every)))
-    return [mutant for mutant in sample if _key(mutant) not in argued]
+    return random.Random(seed).sample(every, min(count, len(every)))
+
+
+def score(package: str, mutants: Sequence[Mutant], notes: Notes, folder: Path) -> str:
+    """Judges the mutants and prints what finds each; the row of the table."""
+    argued_away = {line.partition("#")[0].strip() for line in ARGUED.read_text().splitlines()}
+    argued = [mutant for mutant in mutants if _key(mutant) in argued_away]
+    jobs = [Job(mutant, notes.tests_of(mutant)) for mutant in mutants if mutant not in argued]
+    in_functions = [job for job in jobs if job.mutant.function]
+    outcomes = dict(zip((job.mutant for job in in_functions), judged(in_functions, folder), strict=True))
+    found = 0
+    for job in jobs:
+        outcome = outcomes.get(job.mutant)
+        if outcome is None or not outcome.found_by:
+            outcome = judged_alone(job, folder)
+        found += bool(outcome.found_by)
+        place = str(job.mutant).removeprefix(f"{ROOT}/")
+        print(f"{outcome.took_s:5.0f} s  {place}  {outcome.found_by or 'SURVIVED'}", flush=True)
+    return f"{len(mutants)} planted, {found} found, {len(argued)} argued"
 
 
 def _key(mutant: Mutant) -> str:
@@ -116,44 +168,28 @@ def _key(mutant: Mutant) -> str:
 
 
 def main() -> None:
-    """Judges the mutants and prints each survivor, then the score of each package."""
+    """Judges mutants of each package, and prints each score."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("package", nargs="*", help="default: all of " + ", ".join(PACKAGES))
     parser.add_argument("--count", type=int, default=40, help="defects in each package")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="packages at a time")
+    parser.add_argument("--notes", type=Path, help="a folder that keeps what the tests enter")
     wanted = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(wanted.workers) as pool:
-        trees: SimpleQueue[Tree] = SimpleQueue()
-        for number in range(wanted.workers):
-            place = Path(folder) / str(number)
-            place.mkdir()
-            trees.put(Tree(place))
-        for package in wanted.package or PACKAGES:
-            paths = PACKAGES[package]
-            tree = trees.get()
-            sound = [tree.tests([path], None) for path in paths]
-            trees.put(tree)
-            if failed := "".join(name for name, _ in sound):
-                sys.exit(f"without a defect the tests of {package} fail: {failed}")
-            timeout_s = _ROUNDS_S + _TIMES_AS_LONG * wanted.workers * max(took_s for _, took_s in sound)
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(wanted.workers) as pool:
 
-            def judged(mutant: Mutant, paths: Sequence[str] = paths, timeout_s: float = timeout_s) -> Verdict:
-                tree = trees.get()
-                try:
-                    return tree.judge(mutant, paths, timeout_s)
-                finally:
-                    trees.put(tree)
+        def run(package: str) -> str:
+            folder = Path(scratch) / package.replace("/", "-")
+            folder.mkdir()
+            keep = wanted.notes or folder
+            keep.mkdir(exist_ok=True)
+            mutants = drawn(package, wanted.count, wanted.seed)
+            return f"{package}: seed {wanted.seed}: {score(package, mutants, noted(package, keep), folder)}"
 
-            mutants, found = drawn(package, wanted.count, wanted.seed), 0
-            for verdict in pool.map(judged, mutants):
-                found += bool(verdict.found_by)
-                by = verdict.found_by or "SURVIVED"
-                mutant = str(verdict.mutant).removeprefix(f"{ROOT}/")
-                print(f"{verdict.took_s:5.0f} s  {mutant}  {by}", flush=True)
-            print(f"{package}: {found} of {len(mutants)} found, seed {wanted.seed}", flush=True)
+        for line in list(pool.map(run, wanted.package or PACKAGES)):
+            print(line)
 
 
 if __name__ == "__main__":

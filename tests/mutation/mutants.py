@@ -27,15 +27,17 @@ _SWAPPED: dict[type[ast.AST], type[ast.AST]] = {
     ast.Div: ast.Mult,
 }
 _LEFT_ALONE = (ast.Raise, ast.Assert, ast.AnnAssign, ast.Import, ast.ImportFrom)
+_DECLARED = ("frozen", "slots")  # for the type checker, which finds what breaks them
 _TYPES = ("annotation", "returns", "decorator_list", "bases", "type_params")
 _LOGGERS = ("_log.", "self._log.")
 
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One defect: the bytes of the file from `start` to `end` become `text`."""
+    """One defect: the bytes of the file from `start` to `end` become `text`; `function` is "" outside functions."""
 
     file: Path
+    function: str
     line: int
     start: int
     end: int
@@ -57,24 +59,29 @@ def mutants_of(file: Path) -> Iterator[Mutant]:
     offsets = [0]
     for line in source.splitlines(keepends=True):
         offsets.append(offsets[-1] + len(line))
-    for node in _nodes(ast.parse(source)):
+    for node, function in _nodes(ast.parse(source)):
         changed = _changed(node)
         if changed is not None:
             start = offsets[node.lineno - 1] + node.col_offset
             end = offsets[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
-            yield Mutant(file, node.lineno, start, end, ast.unparse(node), changed)
+            yield Mutant(file, function, node.lineno, start, end, ast.unparse(node), changed)
 
 
-def _nodes(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
-    """The expressions and statements that say what is done, not of which type a value is."""
-    if isinstance(node, _LEFT_ALONE):
+def _nodes(node: ast.AST, function: str = "", prefix: str = "") -> Iterator[tuple[ast.expr | ast.stmt, str]]:
+    """The expressions and statements that say what is done, not of which type a value is, each with its function."""
+    if isinstance(node, _LEFT_ALONE) or (isinstance(node, ast.keyword) and node.arg in _DECLARED):
         return
     if isinstance(node, ast.expr | ast.stmt):
-        yield node
+        yield node, function
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        function = prefix + node.name
+        prefix = f"{function}.<locals>."
+    elif isinstance(node, ast.ClassDef):
+        prefix = f"{prefix}{node.name}."
     for name, value in ast.iter_fields(node):
         for child in value if isinstance(value, list) else [value]:
             if isinstance(child, ast.AST) and name not in _TYPES:
-                yield from _nodes(child)
+                yield from _nodes(child, function, prefix)
 
 
 def _changed(node: ast.expr | ast.stmt) -> str | None:
