@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
+from typing import Any, TypeVar
 
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
 from upwash.real.link.door import Door, Lead, leading, opened_door
@@ -16,6 +18,7 @@ from upwash.real.link.proxy import GrpcSocket
 from upwash.real.link.streams import listening_socket
 from upwash.real.trust.credentials import Credentials, Trust
 
+T = TypeVar("T")
 MakeListener = Callable[[str, WhoIs], Listener]
 
 
@@ -39,6 +42,12 @@ def reached(endpoint: str) -> str:
     return f"127.0.0.1{endpoint}" if endpoint.startswith(":") else endpoint
 
 
+def elsewhere(work: Coroutine[Any, Any, T]) -> T:
+    """What the work returns, from a loop of its own, also while one runs in this thread."""
+    with ThreadPoolExecutor(1) as threads:
+        return threads.submit(asyncio.run, work).result()
+
+
 @contextmanager
 def behind_door(
     make: MakeListener,
@@ -57,9 +66,9 @@ def behind_door(
         listener = make(f"unix:{inside.path}", inside.client)
         door = Door(Trust(shown), limits)
         listener.start()
-        entrance = asyncio.run(door.lead(outside, inside.connect))
+        entrance = elsewhere(door.lead(outside, inside.connect))
         try:
             yield listener, door, entrance.address
         finally:
-            asyncio.run(door.close())
+            elsewhere(door.close())
             listener.stop()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 from http.server import BaseHTTPRequestHandler
@@ -72,8 +71,10 @@ def test_a_limit_that_would_not_hold_is_refused_by_name_and_a_default_is_left_ou
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_without_a_sandbox_no_limit_holds_and_none_is_ignored_in_silence(tmp_path: Path, name: str) -> None:
-    found = asyncio.run(find_confinement(read(tmp_path)))
+async def test_without_a_sandbox_no_limit_holds_and_none_is_ignored_in_silence(
+    tmp_path: Path, name: str
+) -> None:
+    found = await find_confinement(read(tmp_path))
     assert set(found.limits(read(tmp_path)).values()) == {NO_LIMITS}
     with pytest.raises(UsageError, match=f'{name} of service .*runtime.sandbox is "off": say "required"'):
         found.limits(read(tmp_path, service=f"{name} = {EVERY[name]}"))
@@ -87,11 +88,11 @@ def test_more_processors_than_there_are_are_no_limit(tmp_path: Path) -> None:
         in_sandbox.limits(read(tmp_path, service=f"cpus = {there + 1}"))
 
 
-def test_a_device_that_is_not_here_ends_the_start_instead_of_the_sandbox(tmp_path: Path) -> None:
+async def test_a_device_that_is_not_here_ends_the_start_instead_of_the_sandbox(tmp_path: Path) -> None:
     config = read(tmp_path, runtime='devices = ["/dev/null", "/dev/nosuchcard0"]')
     runtime = replace(config.runtime, sandbox="auto", sandbox_as_root=True)
     with pytest.raises(UsageError, match="devices: /dev/nosuchcard0 cannot be seen here: load the driver"):
-        asyncio.run(find_confinement(replace(config, runtime=runtime)))
+        await find_confinement(replace(config, runtime=runtime))
 
 
 class Engine(BaseHTTPRequestHandler):
@@ -115,12 +116,12 @@ class Engine(BaseHTTPRequestHandler):
     def log_message(self, *_: object) -> None: ...
 
 
-def test_a_limit_that_docker_cannot_put_on_containers_is_refused(tmp_path: Path) -> None:
+async def test_a_limit_that_docker_cannot_put_on_containers_is_refused(tmp_path: Path) -> None:
     at = f"unix://{tmp_path}/engine.sock"
     docker = f'kind = "docker"\nengine.addresses = ["{at}"]'
     with ThreadingUnixStreamServer(f"{tmp_path}/engine.sock", Engine) as server:
         Thread(target=server.serve_forever, daemon=True).start()
-        found = asyncio.run(find_confinement(read(tmp_path, runtime=docker)))
+        found = await find_confinement(read(tmp_path, runtime=docker))
         server.shutdown()
     allowed = read(tmp_path, runtime=docker, service="processes = 64")
     assert found.limits(allowed)["counter"] == Limits(processes=64, disk_bytes=DEFAULT_LIMITS.disk_bytes)
@@ -130,7 +131,7 @@ def test_a_limit_that_docker_cannot_put_on_containers_is_refused(tmp_path: Path)
         found.limits(read(tmp_path, runtime=docker, service="memory_bytes = 268_435_456"))
 
 
-def test_a_reload_with_a_limit_that_would_not_hold_is_refused(tmp_path: Path) -> None:
+async def test_a_reload_with_a_limit_that_would_not_hold_is_refused(tmp_path: Path) -> None:
     config = read(tmp_path)
     config = replace(config, images=config.images[1:])  # the bundled detector
     confinement = Confinement(unenforced={"cpus": "there is no taskset"})
@@ -139,5 +140,5 @@ def test_a_reload_with_a_limit_that_would_not_hold_is_refused(tmp_path: Path) ->
     with pytest.raises(
         UsageError, match='cpus of service "detector" would have no effect: there is no taskset'
     ):
-        asyncio.run(services.anew(limited))
+        await services.anew(limited)
     assert services.images["detector"].limits == DEFAULT_LIMITS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 
 import pytest
@@ -55,10 +54,10 @@ def read(folder: Path, *, within_s: float = 60.0) -> DaemonConfig:
     return read_daemon_config(file)
 
 
-def test_new_methods_of_code_that_prints_are_known(folder: Path) -> None:
+async def test_new_methods_of_code_that_prints_are_known(folder: Path) -> None:
     services = DaemonServices(read(folder), Confinement())
     (folder / "level.py").write_text("print('hello')" + SERVICE.format(name="Level") + MORE)
-    images = asyncio.run(services.anew(read(folder)))
+    images = await services.anew(read(folder))
     assert images["level"].methods == {"read", "tare"}
     assert images["level"].version != services.images["level"].version
     assert images["scale"] == services.images["scale"]
@@ -73,13 +72,13 @@ def test_new_methods_of_code_that_prints_are_known(folder: Path) -> None:
         ("import time; time.sleep(600)", 10.0, "it is not loaded within 10 s"),
     ],
 )
-def test_code_that_cannot_be_loaded_leaves_its_service_alone(
+async def test_code_that_cannot_be_loaded_leaves_its_service_alone(
     folder: Path, caplog: pytest.LogCaptureFixture, code: str, within_s: float, why: str
 ) -> None:
     services = DaemonServices(read(folder), Confinement())
     (folder / "level.py").write_text(code)
     (folder / "other/scale.py").write_text(SERVICE.format(name="Scale") + MORE)
-    images = asyncio.run(services.anew(read(folder, within_s=within_s)))
+    images = await services.anew(read(folder, within_s=within_s))
     assert images["level"] == services.images["level"]
     assert images["scale"].methods == {"read", "tare"}
     (said,) = caplog.messages
@@ -95,23 +94,23 @@ def test_code_that_cannot_be_loaded_leaves_its_service_alone(
         ('name = "level"\nprogram = "level.py', 'name = "tare"\nprogram = "tare.py', "No such file"),
     ],
 )
-def test_a_program_or_settings_that_do_not_fit_are_refused_as_they_are_named(
+async def test_a_program_or_settings_that_do_not_fit_are_refused_as_they_are_named(
     folder: Path, former: str, latter: str, why: str
 ) -> None:
     services = DaemonServices(read(folder), Confinement())
     file = folder / "server.toml"
     file.write_text(file.read_text().replace(former, latter))
     with pytest.raises(UsageError, match=why):
-        asyncio.run(services.anew(read_daemon_config(file)))
+        await services.anew(read_daemon_config(file))
 
 
-def test_another_upwash_on_the_disk_leaves_all_services_and_names_the_signal(
+async def test_another_upwash_on_the_disk_leaves_all_services_and_names_the_signal(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     services = DaemonServices(read(folder), Confinement())
     monkeypatch.setattr(daemon_services, "version_of_upwash", lambda: "another")
     (folder / "level.py").write_text(SERVICE.format(name="Level") + MORE)
-    assert asyncio.run(services.anew(read(folder))) == services.images
+    assert await services.anew(read(folder)) == services.images
     (said,) = caplog.messages
     assert "upwash itself has changed on the disk" in said
     assert "SIGUSR2" in said

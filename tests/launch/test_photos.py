@@ -76,11 +76,11 @@ def write_video(file: Path, *frames: int) -> str:
     ("frames", "said"),
     [(range(60, 250, 5), ""), (range(0, 12), "is black"), ([90] * 40, "stands still")],
 )
-def test_a_device_whose_picture_is_black_or_stands_still_is_told(
+async def test_a_device_whose_picture_is_black_or_stands_still_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: list[int], said: str
 ) -> None:
     monkeypatch.setattr(cameras, "_APART_S", 0.05)
-    seen = asyncio.run(look(configured(tmp_path, device=write_video(tmp_path / "flight.avi", *frames))))
+    seen = await look(configured(tmp_path, device=write_video(tmp_path / "flight.avi", *frames)))
     assert len(seen.photos) == 1
     assert len(seen.troubles) == bool(said)
     assert said in "".join(seen.troubles)
@@ -90,7 +90,7 @@ def test_a_device_whose_picture_is_black_or_stands_still_is_told(
     ("program", "needs"),
     [("survey", True), ("m.py:shoots", True), ("m.py:asks_for_help", True), ("sounds.py:sounds", False)],
 )
-def test_a_camera_is_needed_by_missions_that_take_photos(
+async def test_a_camera_is_needed_by_missions_that_take_photos(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, needs: bool
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
@@ -101,11 +101,11 @@ def test_a_camera_is_needed_by_missions_that_take_photos(
     assert needs_camera(config) == needs
     if needs:
         with pytest.raises(UsageError, match=r"no camera: say in \[camera\]"):
-            asyncio.run(look(config))
+            await look(config)
     else:
-        assert asyncio.run(look(config)) == Look({})
+        assert await look(config) == Look({})
 
 
-def test_a_photo_without_a_camera_says_what_to_configure() -> None:
+async def test_a_photo_without_a_camera_says_what_to_configure() -> None:
     with pytest.raises(CameraError, match=r"say in \[camera\] where photos come from"):
-        asyncio.run(NoCamera().take_photo(None))  # type: ignore[arg-type]
+        await NoCamera().take_photo(None)  # type: ignore[arg-type]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -93,24 +92,24 @@ def test_every_reason_is_told_and_a_flight_meets_the_first(
         assert str(refused.value) == str(found[0].error)
 
 
-def test_a_service_that_fails_on_a_photo_of_the_camera_is_named(tmp_path: Path) -> None:
+async def test_a_service_that_fails_on_a_photo_of_the_camera_is_named(tmp_path: Path) -> None:
     services = [{"name": "shortsighted", "program": "services.py:Shortsighted", "local_call_s": 1.0}]
-    (error,) = asyncio.run(services_in_trouble(configured(tmp_path, service=services), {"1.jpg": b"photo"}))
+    (error,) = await services_in_trouble(configured(tmp_path, service=services), {"1.jpg": b"photo"})
     assert "shortsighted.look failed on 1.jpg" in str(error) and "no such layer" in str(error)
 
 
-def test_a_service_that_starts_too_slowly_is_named_with_the_key_that_says_so(tmp_path: Path) -> None:
+async def test_a_service_that_starts_too_slowly_is_named_with_the_key_that_says_so(tmp_path: Path) -> None:
     services = [{"name": "late", "program": "services.py:Late", "local_call_s": 1.0}]
     config = configured(tmp_path, service=services, start_timeout_s=0.5)
-    (error,) = asyncio.run(services_in_trouble(config, {}))
+    (error,) = await services_in_trouble(config, {})
     assert "late@drone was not ready within 0.5 s: raise start_timeout_s" in str(error)
 
 
-def test_services_that_do_not_start_on_this_computer_are_named(tmp_path: Path) -> None:
+async def test_services_that_do_not_start_on_this_computer_are_named(tmp_path: Path) -> None:
     services = [
         {"name": "sound", "program": "services.py:Sound", "local_call_s": 1.0},
         {"name": "unsound", "program": "services.py:Unsound", "local_call_s": 1.0},
     ]
-    (error,) = asyncio.run(services_in_trouble(configured(tmp_path, service=services), {}))
+    (error,) = await services_in_trouble(configured(tmp_path, service=services), {})
     assert "unsound" in str(error)
     assert "no model.onnx" in str(error)

@@ -176,10 +176,7 @@ def test_a_flight_that_is_taken_up_counts_from_when_the_clock_was_set(tmp_path: 
         f'{{"t": 30.0, "event": "clock_set", "before": "2025-06-01T00:00:30+00:00", "after": "{now}"}}\n'
     )
 
-    async def resume() -> None:
-        FileJournal(log, resumes=True).close()
-
-    asyncio.run(resume())
+    FileJournal(log, resumes=True).close()
     assert 30.0 <= read_events(log)[-1].t < 90.0
 
 

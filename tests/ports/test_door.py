@@ -67,19 +67,15 @@ def served(shown: Credentials, limits: DoorLimits | None = None) -> Iterator[tup
         yield door, address
 
 
-def ask(address: str, shown: Credentials, path: str = PATH, body: bytes = b"", times: int = 1) -> bytes:
+async def ask(address: str, shown: Credentials, path: str = PATH, body: bytes = b"", times: int = 1) -> bytes:
     """The last of several answers over one link."""
-
-    async def talk() -> bytes:
-        link = GrpcDialer("", shown, max_message_bytes=100_000).dial(address, server="s1")
-        try:
-            for _ in range(times):
-                answer = await link.request(path, body, timeout_s=10.0)
-            return answer
-        finally:
-            await link.close()
-
-    return asyncio.run(talk())
+    link = GrpcDialer("", shown, max_message_bytes=100_000).dial(address, server="s1")
+    try:
+        for _ in range(times):
+            answer = await link.request(path, body, timeout_s=10.0)
+        return answer
+    finally:
+        await link.close()
 
 
 def context_of(shown: Credentials) -> ssl.SSLContext:
@@ -113,17 +109,19 @@ def spoken_to(address: str, drone: str, credentials: ReadCredentials) -> Iterato
 # --- certificates -------------------------------------------------------------------------------------------
 
 
-def test_a_caller_is_who_its_certificate_says(credentials: ReadCredentials) -> None:
+async def test_a_caller_is_who_its_certificate_says(credentials: ReadCredentials) -> None:
     with served(credentials("s1")) as (_, address):
-        assert ask(address, credentials("heron")) == b"heron"
-        assert ask(address, credentials("stork")) == b"stork"
+        assert await ask(address, credentials("heron")) == b"heron"
+        assert await ask(address, credentials("stork")) == b"stork"
 
 
-def test_a_revoked_certificate_gets_no_answer_and_its_connections_end(credentials: ReadCredentials) -> None:
+async def test_a_revoked_certificate_gets_no_answer_and_its_connections_end(
+    credentials: ReadCredentials,
+) -> None:
     heron, stork = credentials("heron"), credentials("stork")
     without_heron = Trust(credentials("s1"), revoked=frozenset({fingerprint(heron.certificate)}))
 
-    async def revoke_in_between(door: Door, address: str) -> None:
+    with served(credentials("s1")) as (door, address):
         link = GrpcDialer("", heron, max_message_bytes=100_000).dial(address, server="s1")
         assert await link.request(PATH, b"", timeout_s=10.0) == b"heron"
         await door.trust(without_heron)
@@ -131,13 +129,10 @@ def test_a_revoked_certificate_gets_no_answer_and_its_connections_end(credential
             with pytest.raises(Unreachable):
                 await link.request(PATH, b"", timeout_s=10.0)
         await link.close()
-
-    with served(credentials("s1")) as (door, address):
-        asyncio.run(revoke_in_between(door, address))
-        assert ask(address, stork) == b"stork"
+        assert await ask(address, stork) == b"stork"
 
 
-def test_two_authorities_are_believed_side_by_side_and_then_only_the_new_one(
+async def test_two_authorities_are_believed_side_by_side_and_then_only_the_new_one(
     keys: Path, credentials: ReadCredentials
 ) -> None:
     old, new = credentials("s1"), credentials("other/s1")
@@ -146,14 +141,14 @@ def test_two_authorities_are_believed_side_by_side_and_then_only_the_new_one(
         heron = credentials("heron")
         from_new = credentials("other/heron")  # which believes the daemon's old certificate too, as it has to
         believing = Credentials(both.authority, from_new.certificate, from_new.key)
-        assert ask(address, heron) == ask(address, believing) == b"heron"
-        asyncio.run(door.trust(Trust(new)))
+        assert await ask(address, heron) == await ask(address, believing) == b"heron"
+        await door.trust(Trust(new))
         with pytest.raises(Unreachable):
-            ask(address, heron)
-        assert ask(address, from_new) == b"heron"
+            await ask(address, heron)
+        assert await ask(address, from_new) == b"heron"
 
 
-def test_who_is_refused_is_counted_by_the_reason(
+async def test_who_is_refused_is_counted_by_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, credentials: ReadCredentials
 ) -> None:
     make_keys(tmp_path, servers=[["s1"]], drones=["heron"])
@@ -182,7 +177,7 @@ def test_who_is_refused_is_counted_by_the_reason(
 
     with served(own) as (door, address):
         assert counted(door) == {}
-        asyncio.run(door.trust(Trust(own, revoked=frozenset({fingerprint(heron.certificate)}))))
+        await door.trust(Trust(own, revoked=frozenset({fingerprint(heron.certificate)})))
         knock(address, nobody)
         for shown in (foreign, mayfly, chick, heron, heron):
             knock(address, context_of(shown))
@@ -214,13 +209,13 @@ def test_trust_tells_holders_apart(keys: Path, credentials: ReadCredentials) -> 
         trust.holder(der("other/heron"))
 
 
-def test_a_connection_ends_with_its_certificate(
+async def test_a_connection_ends_with_its_certificate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, credentials: ReadCredentials
 ) -> None:
     monkeypatch.setattr(module, "_CERTIFICATE_LASTS", timedelta(seconds=3))
     make_keys(tmp_path, servers=[["s1"]], drones=["mayfly"])
 
-    async def outlive(address: str) -> None:
+    with served(read(tmp_path, "s1")) as (_, address):
         link = GrpcDialer("", read(tmp_path, "mayfly"), max_message_bytes=100_000).dial(address, server="s1")
         assert await link.request(PATH, b"", timeout_s=10.0) == b"mayfly"
         async with asyncio.timeout(10.0):
@@ -231,9 +226,6 @@ def test_a_connection_ends_with_its_certificate(
                     break
                 await asyncio.sleep(0.1)
         await link.close()
-
-    with served(read(tmp_path, "s1")) as (_, address):
-        asyncio.run(outlive(address))
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
@@ -252,30 +244,30 @@ def test_tls_1_3_alone_is_spoken(version: ssl.TLSVersion, credentials: ReadCrede
 # --- how much -----------------------------------------------------------------------------------------------
 
 
-def test_silent_strangers_give_way_to_who_speaks(credentials: ReadCredentials) -> None:
+async def test_silent_strangers_give_way_to_who_speaks(credentials: ReadCredentials) -> None:
     few = DoorLimits(strangers=8, strangers_per_address=4)
     with served(credentials("s1"), few) as (_, address), contextlib.ExitStack() as stack:
         silent = [stack.enter_context(connected(address)) for _ in range(20)]
-        assert ask(address, credentials("heron")) == b"heron"
+        assert await ask(address, credentials("heron")) == b"heron"
         assert [connection.recv(1) for connection in silent[:15]] == [b""] * 15  # hung up on
 
 
-def test_who_begins_too_much_is_shut_out_and_nobody_else(
+async def test_who_begins_too_much_is_shut_out_and_nobody_else(
     credentials: ReadCredentials, caplog: pytest.LogCaptureFixture
 ) -> None:
     strict = DoorLimits(begun_per_s=1.0, burst_s=20.0)
     with served(credentials("s1"), strict) as (_, address):
-        assert ask(address, credentials("heron"), times=20) == b"heron"
+        assert await ask(address, credentials("heron"), times=20) == b"heron"
         for _ in range(2):  # over a connection of before, and over a new one
             with pytest.raises(LinkError):
-                ask(address, credentials("heron"), times=20)
-        assert ask(address, credentials("stork"), times=20) == b"stork"
+                await ask(address, credentials("heron"), times=20)
+        assert await ask(address, credentials("stork"), times=20) == b"stork"
     said = "\n".join(caplog.messages)
     assert "hanging up on heron: it begins or breaks off more requests than any drone would" in said
     assert re.search("refused 127.0.0.1: heron is shut out for another [0-9]+ s", said)
 
 
-def test_room_for_replies_that_is_made_again_and_again_shuts_out(credentials: ReadCredentials) -> None:
+async def test_room_for_replies_that_is_made_again_and_again_shuts_out(credentials: ReadCredentials) -> None:
     strict = DoorLimits(pieces_per_s=1.0, burst_s=100.0)
     with served(credentials("s1"), strict) as (_, address), spoken_to(address, "heron", credentials) as heron:
         for _ in range(100):
@@ -285,8 +277,8 @@ def test_room_for_replies_that_is_made_again_and_again_shuts_out(credentials: Re
             while heron.recv(4096):
                 heron.sendall(frame(WINDOW_UPDATE, b"\0\0\0\1"))
         with pytest.raises(LinkError):
-            ask(address, credentials("heron"))
-        assert ask(address, credentials("stork")) == b"stork"
+            await ask(address, credentials("heron"))
+        assert await ask(address, credentials("stork")) == b"stork"
 
 
 def test_a_handshake_without_end_is_refused(
@@ -298,29 +290,29 @@ def test_a_handshake_without_end_is_refused(
     assert "refused 127.0.0.1: its handshake is longer than any drone's" in caplog.text
 
 
-def test_handshakes_give_way_to_newer_ones(credentials: ReadCredentials) -> None:
+async def test_handshakes_give_way_to_newer_ones(credentials: ReadCredentials) -> None:
     few = DoorLimits(handshakes_per_address=4, handshake_s=60.0)
     with served(credentials("s1"), few) as (_, address), contextlib.ExitStack() as stack:
         begun = [stack.enter_context(connected(address)) for _ in range(10)]
         for stranger in begun:
             stranger.sendall(ENDLESS_HELLO[:100])
-        assert ask(address, credentials("heron")) == b"heron"
+        assert await ask(address, credentials("heron")) == b"heron"
         for stranger in begun[:6]:
             assert stranger.recv(1) == b""
 
 
-def test_a_connection_takes_little_memory(credentials: ReadCredentials) -> None:
+async def test_a_connection_takes_little_memory(credentials: ReadCredentials) -> None:
     with served(credentials("s1")) as (_, address), contextlib.ExitStack() as stack:
-        ask(address, credentials("heron"))
+        await ask(address, credentials("heron"))
         tracemalloc.start()
         stack.callback(tracemalloc.stop)
         for _ in range(20):
             stack.enter_context(spoken_to(address, "heron", credentials))
-        ask(address, credentials("stork"))
+        await ask(address, credentials("stork"))
         assert tracemalloc.get_traced_memory()[0] < 20 * 50_000
 
 
-def test_who_reads_nothing_takes_little_memory_and_gets_all_in_the_end(
+async def test_who_reads_nothing_takes_little_memory_and_gets_all_in_the_end(
     tmp_path: Path, credentials: ReadCredentials
 ) -> None:
     path, answer = str(tmp_path / "talker"), os.urandom(8_000_000)
@@ -334,7 +326,7 @@ def test_who_reads_nothing_takes_little_memory_and_gets_all_in_the_end(
     with served(credentials("s1")) as (door, _), listening_socket(f"unix:{path}") as talker:
         talking = threading.Thread(target=say_all)
         talking.start()
-        entrance = asyncio.run(door.lead(listening_socket("127.0.0.1:0"), GrpcSocket(path).connect))
+        entrance = await door.lead(listening_socket("127.0.0.1:0"), GrpcSocket(path).connect)
         with spoken_to(f"127.0.0.1{entrance.endpoint}", "heron", credentials) as heron:
             tracemalloc.start()
             heard = bytearray()
@@ -346,7 +338,7 @@ def test_who_reads_nothing_takes_little_memory_and_gets_all_in_the_end(
         talking.join()
 
 
-def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
+async def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
     tmp_path: Path, credentials: ReadCredentials
 ) -> None:
     path, kept = str(tmp_path / "hostile"), contextlib.ExitStack()
@@ -369,24 +361,26 @@ def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
         listening = listening_socket("127.0.0.1:0")
         # Otherwise the system may keep for its reader all that is sent, and no sender waits.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**16)
-        entrance = asyncio.run(door.lead(listening, announcing_at(path)))
+        entrance = await door.lead(listening, announcing_at(path))
         plain = socket.create_connection(("127.0.0.1", int(entrance.endpoint[1:])))
         with context.wrap_socket(plain, server_hostname="s1") as stork:
             stork.settimeout(0.5)
             with pytest.raises(TimeoutError):  # nobody reads
                 stork.sendall(PREFACE + (2**24 - 1).to_bytes(3) + bytes(6 + 2**24 - 1))
-            assert ask(address, credentials("heron")) == b"heron"
+            assert await ask(address, credentials("heron")) == b"heron"
     hostile.join()
 
 
-def test_a_health_check_is_answered_and_nothing_is_watched(credentials: ReadCredentials) -> None:
+async def test_a_health_check_is_answered_and_nothing_is_watched(credentials: ReadCredentials) -> None:
     heron = credentials("heron")
     with served(credentials("s1")) as (_, address):
-        assert ask(address, heron, CHECK) == ask(address, heron, CHECK, b"\x0a\x02s1") == b"\x08\x01"
+        assert (
+            await ask(address, heron, CHECK) == await ask(address, heron, CHECK, b"\x0a\x02s1") == b"\x08\x01"
+        )
         with pytest.raises(LinkError, match="NOT_FOUND"):
-            ask(address, heron, CHECK, b"\x0a\x02s3")
+            await ask(address, heron, CHECK, b"\x0a\x02s3")
         with pytest.raises(LinkError, match="UNIMPLEMENTED"):
-            ask(address, heron, WATCH)
+            await ask(address, heron, WATCH)
 
 
 def unused_ports() -> Iterator[int]:
@@ -427,9 +421,9 @@ def test_drones_are_told_the_port_that_they_see(credentials: ReadCredentials) ->
     assert asyncio.run(lead_one()) == (":17100", f"127.0.0.1:{port}")
 
 
-def test_a_door_that_closes_leaves_no_thread_and_no_connection(credentials: ReadCredentials) -> None:
+async def test_a_door_that_closes_leaves_no_thread_and_no_connection(credentials: ReadCredentials) -> None:
     with served(credentials("s1")) as (_, address):
-        assert ask(address, credentials("heron")) == b"heron"
+        assert await ask(address, credentials("heron")) == b"heron"
         host, _, port = address.partition(":")
         stranger = socket.create_connection((host, int(port)), timeout=10.0)
     with stranger, contextlib.suppress(ConnectionResetError):  # where it was not even taken yet
@@ -493,21 +487,18 @@ async def test_who_asks_again_and_again_keeps_nobody_else_out() -> None:
         task.cancel()
 
 
-def test_a_way_in_that_fails_ends_the_door_with_its_failure(
+async def test_a_way_in_that_fails_ends_the_door_with_its_failure(
     credentials: Callable[[str], Credentials], caplog: pytest.LogCaptureFixture
 ) -> None:
     class Defective(socket.socket):
         def accept(self) -> tuple[socket.socket, object]:
             raise LookupError("a defect")
 
-    async def main() -> None:
+    with pytest.raises(LookupError, match="a defect"):
         async with opened_door(Trust(credentials("s1"))) as door:
             listening = Defective(fileno=listening_socket("127.0.0.1:0").detach())
             entrance = await door.lead(listening, announcing_at("/nowhere"))
             with socket.create_connection(("127.0.0.1", int(entrance.address.rpartition(":")[2]))):
                 async with asyncio.timeout(10.0):
                     await never()
-
-    with pytest.raises(LookupError, match="a defect"):
-        asyncio.run(main())
     assert "the way in at 127.0.0.1" in caplog.text

@@ -149,18 +149,23 @@ def test_only_a_connection_is_taken_and_nothing_else_kept() -> None:
     os.close(hearing)
 
 
-def test_an_instance_that_gives_nothing_does_not_hold_the_door_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_instance_that_gives_nothing_does_not_hold_the_door_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(proxy, "_GIVEN_S", 0.05)
     silent, taking = socket.socketpair()
     with silent, taking, pytest.raises(ConnectionAbortedError, match="no connection"):
-        asyncio.run(take(taking))
+        await take(taking)
 
 
-def test_a_client_is_known_by_the_connection_that_it_is_given_until_it_hangs_up(tmp_path: Path) -> None:
+async def test_a_client_is_known_by_the_connection_that_it_is_given_until_it_hangs_up(tmp_path: Path) -> None:
     heron = Client("heron", "00aa")
     inside = GrpcSocket(str(tmp_path / "inside"))
 
-    async def call() -> None:
+    with socket.socket(socket.AF_UNIX) as served:
+        served.bind(inside.path)
+        served.listen()
+        open_proxy(listening_socket(f"unix:{tmp_path}/outside"), inside, is_announced=True)
         in_thread = asyncio.to_thread
         async with announcing_at(str(tmp_path / "outside"))(heron) as end:
             connection, peer = await in_thread(served.accept)
@@ -172,9 +177,3 @@ def test_a_client_is_known_by_the_connection_that_it_is_given_until_it_hangs_up(
         with connection:
             assert await in_thread(connection.recv, 16) == b""  # the instance has let go of it, too
         assert inside.client(f"unix:{peer}") == Client("")
-
-    with socket.socket(socket.AF_UNIX) as served:
-        served.bind(inside.path)
-        served.listen()
-        open_proxy(listening_socket(f"unix:{tmp_path}/outside"), inside, is_announced=True)
-        asyncio.run(call())

@@ -85,16 +85,12 @@ async def linked(
         await link.close()
 
 
-def request(
+async def request(
     address: str, body: bytes = b"photo", *, path: str = PATH, timeout_s: float = 5.0, **dialled: Any
 ) -> bytes:
     """One request over a link of its own."""
-
-    async def ask() -> bytes:
-        async with linked(address, **dialled) as link:
-            return await link.request(path, body, timeout_s=timeout_s)
-
-    return asyncio.run(ask())
+    async with linked(address, **dialled) as link:
+        return await link.request(path, body, timeout_s=timeout_s)
 
 
 class Stuck:
@@ -132,26 +128,26 @@ def entering(handler: Stuck) -> Coroutine[Any, Any, bool]:
 
 
 @pytest.mark.parametrize("body", [b"", b"\x00\xff" * 40_000])
-def test_a_request_gets_its_reply(body: bytes) -> None:
+async def test_a_request_gets_its_reply(body: bytes) -> None:
     with listening(echo) as address:
-        assert request(address, body) == body
+        assert await request(address, body) == body
 
 
-def test_a_request_gets_its_reply_over_a_unix_socket(tmp_path: Path) -> None:
+async def test_a_request_gets_its_reply_over_a_unix_socket(tmp_path: Path) -> None:
     with listening(echo, listen=f"unix:{tmp_path}/socket") as address:
         assert address == f"unix:{tmp_path}/socket"
-        assert request(address) == b"photo"
+        assert await request(address) == b"photo"
 
 
-def test_a_unix_socket_carries_no_certificates_even_for_a_drone_that_has_some(
+async def test_a_unix_socket_carries_no_certificates_even_for_a_drone_that_has_some(
     tmp_path: Path, credentials: ReadCredentials
 ) -> None:
     with listening(echo, listen=f"unix:{tmp_path}/socket") as address:
-        assert request(address, shown=credentials("heron")) == b"photo"
+        assert await request(address, shown=credentials("heron")) == b"photo"
 
 
-def test_requests_on_one_link_do_not_wait_for_each_other() -> None:
-    async def ask_all(handler: Stuck, address: str) -> None:
+async def test_requests_on_one_link_do_not_wait_for_each_other() -> None:
+    with stuck() as (handler, address):
         async with linked(address) as link:
             hanging = [asyncio.create_task(link.request(PATH, b"", timeout_s=30.0)) for _ in range(12)]
             await asyncio.to_thread(wait_for, lambda: len(handler.callers) == 12, within_s=5.0)
@@ -159,11 +155,8 @@ def test_requests_on_one_link_do_not_wait_for_each_other() -> None:
             handler.let_go.set()
             assert await asyncio.gather(*hanging) == [b""] * 12
 
-    with stuck() as (handler, address):
-        asyncio.run(ask_all(handler, address))
 
-
-def test_the_handler_learns_how_much_time_is_left() -> None:
+async def test_the_handler_learns_how_much_time_is_left() -> None:
     left_s: list[float | None] = []
 
     def handler(_path: str, body: bytes, caller: Caller) -> bytes:
@@ -171,7 +164,7 @@ def test_the_handler_learns_how_much_time_is_left() -> None:
         return body
 
     with listening(handler) as address:
-        request(address, timeout_s=4.0)
+        await request(address, timeout_s=4.0)
     assert left_s[0] is not None
     assert 2.0 < left_s[0] <= 4.1
 
@@ -204,23 +197,23 @@ def test_a_name_of_the_hosts_file_needs_no_dns_server(tmp_path: Path) -> None:
 # --- no answer ----------------------------------------------------------------------------------------------
 
 
-def test_no_answer_in_time_is_said_in_time() -> None:
+async def test_no_answer_in_time_is_said_in_time() -> None:
     with stuck() as (handler, address):
         began_s = time.monotonic()
         with pytest.raises(DeadlineExceeded, match=rf"s1 at {address}: no answer within 0\.3 s"):
-            request(address, timeout_s=0.3)
+            await request(address, timeout_s=0.3)
         assert 0.25 < time.monotonic() - began_s < 2.0
         wait_for(lambda: not handler.callers[0].is_waiting(), within_s=5.0)
 
 
-def test_nobody_at_the_address_is_said_at_once(tmp_path: Path) -> None:
+async def test_nobody_at_the_address_is_said_at_once(tmp_path: Path) -> None:
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
     for address in (f"127.0.0.1:{port}", f"unix:{tmp_path}/nobody"):
         began_s = time.monotonic()
         with pytest.raises(Unreachable, match="s1 at"):
-            request(address, timeout_s=10.0)
+            await request(address, timeout_s=10.0)
         assert time.monotonic() - began_s < 5.0
 
 
@@ -240,8 +233,8 @@ async def test_a_server_that_stops_ends_the_request_under_way() -> None:
             await stopping
 
 
-def test_a_cancelled_request_tells_the_server() -> None:
-    async def ask(handler: Stuck, address: str) -> None:
+async def test_a_cancelled_request_tells_the_server() -> None:
+    with stuck() as (handler, address):
         async with linked(address) as link:
             asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
             await entering(handler)
@@ -252,12 +245,9 @@ def test_a_cancelled_request_tells_the_server() -> None:
             await asyncio.to_thread(wait_for, lambda: not handler.callers[0].is_waiting(), within_s=5.0)
             assert await link.request(PATH, b"quick", timeout_s=5.0) == b"quick"
 
+
+async def test_closing_a_link_ends_its_requests_and_it_takes_no_more() -> None:
     with stuck() as (handler, address):
-        asyncio.run(ask(handler, address))
-
-
-def test_closing_a_link_ends_its_requests_and_it_takes_no_more() -> None:
-    async def ask(handler: Stuck, address: str) -> None:
         async with linked(address) as link:
             asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
             await entering(handler)
@@ -268,9 +258,6 @@ def test_closing_a_link_ends_its_requests_and_it_takes_no_more() -> None:
                 with pytest.raises(Unreachable, match="closed"):
                     await link.request(path, b"", timeout_s=5.0)
             await asyncio.to_thread(wait_for, lambda: not handler.callers[0].is_waiting(), within_s=5.0)
-
-    with stuck() as (handler, address):
-        asyncio.run(ask(handler, address))
 
 
 # HTTP/2's frames of a server that lets its client send 2 GB on each stream and altogether.
@@ -304,8 +291,8 @@ def deaf(folder: Path) -> Iterator[str]:
 
 
 @pytest.mark.timeout(20)
-def test_a_request_that_nobody_reads_ends_at_its_deadline_and_with_its_link(tmp_path: Path) -> None:
-    async def ask(address: str) -> None:
+async def test_a_request_that_nobody_reads_ends_at_its_deadline_and_with_its_link(tmp_path: Path) -> None:
+    with deaf(tmp_path) as address:
         link = GrpcDialer("heron", None, max_message_bytes=LARGE).dial(address, server="s1")
         with pytest.raises(DeadlineExceeded, match=r"no answer within 0\.3 s"):
             await link.request(PATH, bytes(LARGE), timeout_s=0.3)
@@ -315,12 +302,9 @@ def test_a_request_that_nobody_reads_ends_at_its_deadline_and_with_its_link(tmp_
         with pytest.raises(Unreachable, match="the link is closed"):
             await asking
 
-    with deaf(tmp_path) as address:
-        asyncio.run(ask(address))
-
 
 @pytest.mark.parametrize("greeting", [b"", b"\x00garbage" * 100, b"HTTP/1.1 200 OK\r\n\r\n"])
-def test_something_else_at_the_address_is_no_server(greeting: bytes) -> None:
+async def test_something_else_at_the_address_is_no_server(greeting: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
 
         def answer() -> None:
@@ -331,7 +315,7 @@ def test_something_else_at_the_address_is_no_server(greeting: bytes) -> None:
         thread.start()
         try:
             with pytest.raises((Unreachable, DeadlineExceeded)):
-                request(f"127.0.0.1:{other.getsockname()[1]}", timeout_s=1.0)
+                await request(f"127.0.0.1:{other.getsockname()[1]}", timeout_s=1.0)
         finally:
             thread.join()
 
@@ -339,24 +323,24 @@ def test_something_else_at_the_address_is_no_server(greeting: bytes) -> None:
 # --- refusals -----------------------------------------------------------------------------------------------
 
 
-def test_a_refusal_arrives_with_its_reason() -> None:
+async def test_a_refusal_arrives_with_its_reason() -> None:
     def refuse(_path: str, _body: bytes, caller: Caller) -> bytes:
         raise Refused(f"drone {caller.client.name} has no lease here")
 
     with listening(refuse) as address, pytest.raises(Refused, match="drone heron has no lease here"):
-        request(address)
+        await request(address)
 
 
-def test_another_error_of_upwash_arrives_as_a_refusal_too() -> None:
+async def test_another_error_of_upwash_arrives_as_a_refusal_too() -> None:
     def fail(_path: str, _body: bytes, _caller: Caller) -> bytes:
         raise UpwashError("no room on the disk")
 
     with listening(fail) as address, pytest.raises(Refused, match="no room on the disk"):
-        request(address)
+        await request(address)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("the password is 1234"), SystemExit("the password is 1234")])
-def test_a_bug_of_the_handler_is_logged_and_its_text_kept_from_the_caller(
+async def test_a_bug_of_the_handler_is_logged_and_its_text_kept_from_the_caller(
     error: BaseException, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(_path: str, _body: bytes, _caller: Caller) -> bytes:
@@ -367,18 +351,18 @@ def test_a_bug_of_the_handler_is_logged_and_its_text_kept_from_the_caller(
         listening(fail) as address,
         pytest.raises(LinkError) as caught,
     ):
-        request(address, timeout_s=2.0)
+        await request(address, timeout_s=2.0)
     assert isinstance(caught.value, Refused)
     assert "1234" not in str(caught.value)
     assert "1234" in caplog.text
 
 
-def test_a_path_that_is_not_upwashs_is_refused() -> None:
+async def test_a_path_that_is_not_upwashs_is_refused() -> None:
     with listening(echo) as address, pytest.raises(Refused, match="UNIMPLEMENTED"):
-        request(address, path="/another.package/echo")
+        await request(address, path="/another.package/echo")
 
 
-def test_a_message_that_is_too_large_is_refused_by_either_end() -> None:
+async def test_a_message_that_is_too_large_is_refused_by_either_end() -> None:
     def grow(_path: str, _body: bytes, _caller: Caller) -> bytes:
         return bytes(3 * MAX_MESSAGE_BYTES)
 
@@ -389,24 +373,24 @@ def test_a_message_that_is_too_large_is_refused_by_either_end() -> None:
             (b"grow", "the result has .* of the computer that runs the service"),
         ):
             with pytest.raises(Refused, match=said):
-                request(address, body)
+                await request(address, body)
 
 
 @pytest.mark.parametrize(
     ("path", "most"),
     [(AVAILABILITY, LONGEST_REPLY_BYTES), (START, LONGEST_REPLY_BYTES), (STATUS, MAX_MESSAGE_BYTES)],
 )
-def test_a_daemons_reply_is_not_received_beyond_what_one_may_be(path: str, most: int) -> None:
+async def test_a_daemons_reply_is_not_received_beyond_what_one_may_be(path: str, most: int) -> None:
     def grow(_path: str, body: bytes, _caller: Caller) -> bytes:
         return bytes(int(body))
 
     with listening(grow) as address:
-        assert len(request(address, str(most).encode(), path=path)) == most
+        assert len(await request(address, str(most).encode(), path=path)) == most
         with pytest.raises(Refused, match=r"larger than max|more than max_message_bytes"):
-            request(address, str(most + 1).encode(), path=path)
+            await request(address, str(most + 1).encode(), path=path)
 
 
-def test_a_call_without_a_lease_is_told_from_other_refusals_and_by_a_status_that_is_none_else() -> None:
+async def test_a_call_without_a_lease_is_told_from_other_refusals_and_by_a_status_that_is_none_else() -> None:
     """A drone of the last release takes both for refusals; of a daemon of that release both arrive as such."""
 
     def refuse(_path: str, body: bytes, _caller: Caller) -> bytes:
@@ -414,9 +398,9 @@ def test_a_call_without_a_lease_is_told_from_other_refusals_and_by_a_status_that
 
     with listening(refuse) as address:
         with pytest.raises(NoLease, match="no lease"):
-            request(address, b"late")
+            await request(address, b"late")
         with pytest.raises(Refused, match="no lease") as refused:
-            request(address, b"else")
+            await request(address, b"else")
         assert not isinstance(refused.value, NoLease)
         with grpc.insecure_channel(address) as channel, pytest.raises(grpc.RpcError) as raised:
             channel.unary_unary(PATH)(b"late", metadata=((DRONE_METADATA, "heron"),), timeout=5.0)
@@ -438,14 +422,14 @@ class Rude(grpc.GenericRpcHandler):  # type: ignore[misc]
         return grpc.unary_unary_rpc_method_handler(refuse)
 
 
-def test_a_refusal_arrives_in_print_and_is_no_longer_than_a_reason() -> None:
+async def test_a_refusal_arrives_in_print_and_is_no_longer_than_a_reason() -> None:
     server = grpc.server(ThreadPoolExecutor(1))
     server.add_generic_rpc_handlers((Rude(),))
     address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
     server.start()
     try:
         with pytest.raises(Refused) as refused:
-            request(address)
+            await request(address)
     finally:
         server.stop(None).wait()
     assert SHOWN in str(refused.value)
@@ -453,7 +437,7 @@ def test_a_refusal_arrives_in_print_and_is_no_longer_than_a_reason() -> None:
     assert len(str(refused.value)) < 1100
 
 
-def test_who_is_refused_and_what_for_is_logged_in_print(caplog: pytest.LogCaptureFixture) -> None:
+async def test_who_is_refused_and_what_for_is_logged_in_print(caplog: pytest.LogCaptureFixture) -> None:
     def refuse(_path: str, body: bytes, _caller: Caller) -> bytes:
         raise Refused(f"there is no {body.decode()}")
 
@@ -462,7 +446,7 @@ def test_who_is_refused_and_what_for_is_logged_in_print(caplog: pytest.LogCaptur
         listening(refuse) as address,
         pytest.raises(Refused) as refused,
     ):
-        request(address, ESCAPES.encode())
+        await request(address, ESCAPES.encode())
     assert SHOWN in str(refused.value)
     assert SHOWN in caplog.messages[0]
     assert all(each.isprintable() for each in caplog.messages)
@@ -489,7 +473,7 @@ def test_a_request_is_refused_at_the_gate_before_its_body_is_there() -> None:
             let_go.set()
 
 
-def test_a_request_that_does_not_end_holds_up_no_other() -> None:
+async def test_a_request_that_does_not_end_holds_up_no_other() -> None:
     with (
         listening(echo, concurrently=2) as address,
         grpc.insecure_channel(address, [("grpc.enable_http_proxy", 0)]) as channel,
@@ -497,7 +481,7 @@ def test_a_request_that_does_not_end_holds_up_no_other() -> None:
         let_go = threading.Event()
         channel.stream_unary(PATH).future(iter(let_go.wait, True), timeout=10.0)
         try:
-            assert request(address) == b"photo"
+            assert await request(address) == b"photo"
         finally:
             let_go.set()
 
@@ -509,12 +493,12 @@ def test_a_request_that_does_not_end_holds_up_no_other() -> None:
         (1, 16, "stork", "1 requests are under way already"),
     ],
 )
-def test_requests_beyond_a_drones_share_or_the_servers_bound_are_refused_at_once_and_in_the_log(
+async def test_requests_beyond_a_drones_share_or_the_servers_bound_are_refused_at_once_and_in_the_log(
     caplog: pytest.LogCaptureFixture, concurrently: int, each: int, refused: str, why: str
 ) -> None:
     handler = Stuck()
 
-    async def ask(address: str) -> None:
+    with listening(handler, concurrently=concurrently, each=each) as address:
         async with linked(address) as heron, linked(address, drone="stork") as stork:
             waiting = asyncio.create_task(heron.request(PATH, b"photo", timeout_s=10.0))
             assert await entering(handler)
@@ -526,24 +510,23 @@ def test_requests_beyond_a_drones_share_or_the_servers_bound_are_refused_at_once
             assert await waiting == b"photo"
             for link in (heron, stork):
                 assert await link.request(PATH, b"quick", timeout_s=5.0) == b"quick"
-
-    with listening(handler, concurrently=concurrently, each=each) as address:
-        asyncio.run(ask(address))
     assert f"refused /upwash.test/echo to {refused}: {why}" in caplog.text
 
 
-def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_request_that_is_too_large_is_refused_in_the_log_too(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     with listening(echo) as address:
         with pytest.raises(Refused, match="more than max_message_bytes"):
-            request(address, bytes(MAX_MESSAGE_BYTES + 1))
+            await request(address, bytes(MAX_MESSAGE_BYTES + 1))
         wait_for(lambda: f"larger than max_message_bytes = {MAX_MESSAGE_BYTES}" in caplog.text, within_s=5.0)
 
 
-def test_a_services_reply_is_not_received_beyond_what_one_may_be() -> None:
+async def test_a_services_reply_is_not_received_beyond_what_one_may_be() -> None:
     def grow(_path: str, body: bytes, _caller: Caller) -> bytes:
         return bytes(int(body))
 
-    async def ask(address: str) -> None:
+    with listening(grow) as address:
         dialer = GrpcDialer(
             "heron", None, max_message_bytes=MAX_MESSAGE_BYTES, max_reply_bytes={"small": 1024}
         )
@@ -554,9 +537,6 @@ def test_a_services_reply_is_not_received_beyond_what_one_may_be() -> None:
             await link.request(service_path("small", "look"), b"1025", timeout_s=5.0)
         await link.close()
 
-    with listening(grow) as address:
-        asyncio.run(ask(address))
-
 
 def test_a_compressed_request_is_not_inflated() -> None:
     with listening(echo) as address, grpc.insecure_channel(address) as channel:
@@ -565,7 +545,7 @@ def test_a_compressed_request_is_not_inflated() -> None:
     assert len(arrived) < MAX_MESSAGE_BYTES
 
 
-def test_a_compressed_reply_is_not_inflated() -> None:
+async def test_a_compressed_reply_is_not_inflated() -> None:
     class Compressing(grpc.GenericRpcHandler):  # type: ignore[misc]
         def service(self, _: object) -> Any:
             return grpc.unary_unary_rpc_method_handler(self.answer)
@@ -578,7 +558,7 @@ def test_a_compressed_reply_is_not_inflated() -> None:
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()
     try:
-        assert len(request(f"127.0.0.1:{port}")) < MAX_MESSAGE_BYTES
+        assert len(await request(f"127.0.0.1:{port}")) < MAX_MESSAGE_BYTES
     finally:
         server.stop(None)
 
@@ -587,19 +567,21 @@ def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
     return caller.client.name.encode()
 
 
-def test_the_drone_is_who_its_certificate_says_whatever_it_calls_itself(credentials: ReadCredentials) -> None:
+async def test_the_drone_is_who_its_certificate_says_whatever_it_calls_itself(
+    credentials: ReadCredentials,
+) -> None:
     with listening(name_of_caller, shown=credentials("s1")) as address:
         for server in ("s1", "s2"):
             shown = credentials("heron")
-            assert request(address, drone="stork", server=server, shown=shown) == b"heron"
+            assert await request(address, drone="stork", server=server, shown=shown) == b"heron"
 
 
-def test_without_certificates_the_drone_is_who_it_says() -> None:
+async def test_without_certificates_the_drone_is_who_it_says() -> None:
     with listening(name_of_caller) as address:
-        assert request(address, drone="stork") == b"stork"
+        assert await request(address, drone="stork") == b"stork"
 
 
-def test_strangers_and_impostors_get_no_answer(credentials: ReadCredentials) -> None:
+async def test_strangers_and_impostors_get_no_answer(credentials: ReadCredentials) -> None:
     ours, theirs = credentials("heron"), credentials("other/heron")
     believing = Credentials(ours.authority, theirs.certificate, theirs.key)
     with listening(echo, shown=credentials("s1")) as address:
@@ -610,24 +592,24 @@ def test_strangers_and_impostors_get_no_answer(credentials: ReadCredentials) -> 
             {"shown": None},
         ):
             with pytest.raises(Unreachable):
-                request(address, timeout_s=2.0, **dialled)
-        assert request(address, shown=ours) == b"photo"
+                await request(address, timeout_s=2.0, **dialled)
+        assert await request(address, shown=ours) == b"photo"
 
 
-def test_a_server_of_another_authority_is_not_believed(credentials: ReadCredentials) -> None:
+async def test_a_server_of_another_authority_is_not_believed(credentials: ReadCredentials) -> None:
     with listening(echo, shown=credentials("other/s1")) as address, pytest.raises(Unreachable):
-        request(address, timeout_s=2.0, shown=credentials("heron"))
+        await request(address, timeout_s=2.0, shown=credentials("heron"))
 
 
-def test_an_unreachable_server_is_told_in_plain_words(credentials: ReadCredentials) -> None:
+async def test_an_unreachable_server_is_told_in_plain_words(credentials: ReadCredentials) -> None:
     heron = credentials("heron")
     with listening(echo, shown=credentials("s1")) as address:
         with pytest.raises(Unreachable, match=r"^s3 at \S+: its certificate is .* another server's$"):
-            request(address, timeout_s=2.0, server="s3", shown=heron)
+            await request(address, timeout_s=2.0, server="s3", shown=heron)
         with pytest.raises(Unreachable, match=r"^s1 at \S+: (?!failed to connect)"):
-            request(address, timeout_s=2.0)
+            await request(address, timeout_s=2.0)
     with pytest.raises(Unreachable, match=r"^s1 at \S+: connection refused: nobody serves there$"):
-        request(address, timeout_s=2.0, shown=heron)
+        await request(address, timeout_s=2.0, shown=heron)
 
 
 @pytest.mark.parametrize(
@@ -639,7 +621,7 @@ def test_an_unreachable_server_is_told_in_plain_words(credentials: ReadCredentia
         (b"", True, "it hung up"),
     ],
 )
-def test_what_is_no_daemon_is_told_in_plain_words(
+async def test_what_is_no_daemon_is_told_in_plain_words(
     credentials: ReadCredentials, answer: bytes, with_certificates: bool, said: str
 ) -> None:
     class Other(socketserver.BaseRequestHandler):
@@ -650,13 +632,13 @@ def test_what_is_no_daemon_is_told_in_plain_words(
         threading.Thread(target=server.serve_forever, daemon=True).start()
         address = f"127.0.0.1:{server.server_address[1]}"
         with pytest.raises(Unreachable) as caught:
-            request(address, timeout_s=2.0, shown=credentials("heron") if with_certificates else None)
+            await request(address, timeout_s=2.0, shown=credentials("heron") if with_certificates else None)
         server.shutdown()
     assert str(caught.value).startswith(f"s1 at {address}: {said}")
     assert not re.search("SSL|TSI|HTTP/2|SETTINGS|Handshake", str(caught.value))
 
 
-def test_a_server_that_nothing_comes_back_from_is_said_to_be_out_of_reach(
+async def test_a_server_that_nothing_comes_back_from_is_said_to_be_out_of_reach(
     credentials: ReadCredentials,
 ) -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=0) as full, socket.socket() as first:
@@ -665,7 +647,7 @@ def test_a_server_that_nothing_comes_back_from_is_said_to_be_out_of_reach(
         with pytest.raises(
             Unreachable, match=f"s1 at {address}: no connection: its computer is off or out of"
         ):
-            request(address, path=AVAILABILITY, timeout_s=8.0, shown=credentials("heron"))
+            await request(address, path=AVAILABILITY, timeout_s=8.0, shown=credentials("heron"))
 
 
 @contextmanager
@@ -692,7 +674,7 @@ def taking_connections(greet: Callable[[socket.socket], socket.socket]) -> Itera
 
 
 @pytest.mark.parametrize("greets", [False, True])
-def test_why_a_server_takes_connections_and_does_not_answer_is_found_out(
+async def test_why_a_server_takes_connections_and_does_not_answer_is_found_out(
     credentials: ReadCredentials, greets: bool
 ) -> None:
     context, shown = server_context(credentials("s1")), credentials("heron")
@@ -711,13 +693,13 @@ def test_why_a_server_takes_connections_and_does_not_answer_is_found_out(
             Unreachable, match=f"s1 at {address}: it takes connections and does not answer: {found}"
         ),
     ):
-        request(address, path=AVAILABILITY, timeout_s=4.0, shown=shown)
+        await request(address, path=AVAILABILITY, timeout_s=4.0, shown=shown)
 
 
 # --- listening ----------------------------------------------------------------------------------------------
 
 
-def test_an_address_in_use_is_named(credentials: ReadCredentials) -> None:
+async def test_an_address_in_use_is_named(credentials: ReadCredentials) -> None:
     with listening(echo) as address:
         for shown in (None, credentials("s1")):
             with (
@@ -725,7 +707,7 @@ def test_an_address_in_use_is_named(credentials: ReadCredentials) -> None:
                 listening(echo, shown=shown, listen=address),
             ):
                 """Not reached."""
-        assert request(address) == b"photo"
+        assert await request(address) == b"photo"
 
 
 def test_a_unix_socket_in_use_is_not_taken_over(tmp_path: Path) -> None:
@@ -746,6 +728,6 @@ def test_an_address_that_is_not_this_machines_is_named() -> None:
         """Not reached."""
 
 
-def test_an_ipv6_address_is_told_as_it_can_be_dialled() -> None:
+async def test_an_ipv6_address_is_told_as_it_can_be_dialled() -> None:
     with listening(echo, listen="[::1]:0") as address:
-        assert request(address) == b"photo"
+        assert await request(address) == b"photo"

@@ -213,8 +213,10 @@ async def test_a_start_that_is_cancelled_leaves_nothing(
 
 
 @pytest.mark.parametrize("turns", range(1, 6))
-def test_a_start_that_is_cancelled_early_leaves_nothing(services: Path, tmp_path: Path, turns: int) -> None:
-    async def use() -> None:
+async def test_a_start_that_is_cancelled_early_leaves_nothing(
+    services: Path, tmp_path: Path, turns: int
+) -> None:
+    with nothing_left_open():
         starting = asyncio.create_task(runtime(tmp_path).start(spec(services), called=lambda _: None))
         for _ in range(turns):
             await asyncio.sleep(0)
@@ -222,9 +224,6 @@ def test_a_start_that_is_cancelled_early_leaves_nothing(services: Path, tmp_path
         with contextlib.suppress(asyncio.CancelledError):
             await starting
         expect_no_child()
-
-    with nothing_left_open():
-        asyncio.run(use())
 
 
 def test_a_process_that_cannot_be_made_is_an_instance_error(
@@ -331,16 +330,13 @@ async def test_a_service_that_wants_to_exit_answers_and_goes_on(services: Path, 
         assert await bench.call("echo", b"photo") == b"photo"
 
 
-def test_a_paced_start_takes_its_time(services: Path, tmp_path: Path) -> None:
-    async def run() -> float:
-        began_s = time.monotonic()
-        slow = InstanceSpec("s1", "workbench", Program(f"{services}:Workbench"), start_pace_s=1.5)
-        instance = await runtime(tmp_path).start(slow, called=lambda _: None)
-        took_s = time.monotonic() - began_s
-        await instance.stop()
-        return took_s
-
-    assert asyncio.run(run()) >= 1.5
+async def test_a_paced_start_takes_its_time(services: Path, tmp_path: Path) -> None:
+    began_s = time.monotonic()
+    slow = InstanceSpec("s1", "workbench", Program(f"{services}:Workbench"), start_pace_s=1.5)
+    instance = await runtime(tmp_path).start(slow, called=lambda _: None)
+    took_s = time.monotonic() - began_s
+    await instance.stop()
+    assert took_s >= 1.5
     expect_no_child()
 
 

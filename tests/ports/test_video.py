@@ -91,17 +91,14 @@ def frame_of(photo: Photo) -> int:
     return round(float(image.mean()) / STEP)
 
 
-def test_a_photo_is_the_newest_frame_and_not_one_from_a_buffer(stream: Stream) -> None:
-    async def frames_behind() -> list[int]:
-        behind = []
-        async with camera_on(stream.address) as camera:
-            for _ in range(3):
-                await asyncio.sleep(0.4)  # eight frames that nobody asks for
-                photo = await camera.take_photo(HERE)
-                behind.append((stream.sent - frame_of(photo)) % 25)
-        return behind
-
-    assert max(asyncio.run(frames_behind())) <= 3  # of which the way through the decoder takes one or two
+async def test_a_photo_is_the_newest_frame_and_not_one_from_a_buffer(stream: Stream) -> None:
+    behind = []
+    async with camera_on(stream.address) as camera:
+        for _ in range(3):
+            await asyncio.sleep(0.4)  # eight frames that nobody asks for
+            photo = await camera.take_photo(HERE)
+            behind.append((stream.sent - frame_of(photo)) % 25)
+    assert max(behind) <= 3  # of which the way through the decoder takes one or two
 
 
 def test_a_photo_knows_when_its_frame_came(stream: Stream) -> None:
@@ -128,14 +125,14 @@ def test_of_a_late_stream_a_photo_is_what_was_there_when_it_was_asked_for(stream
 
 
 @pytest.mark.skipif(video._has_gstreamer(), reason="this OpenCV has GStreamer")
-def test_a_pipeline_without_gstreamer_is_refused_with_the_remedy() -> None:
+async def test_a_pipeline_without_gstreamer_is_refused_with_the_remedy() -> None:
     with pytest.raises(
         UsageError, match="this OpenCV was built without GStreamer: use Debian's python3-opencv"
     ):
-        asyncio.run(VideoCamera.open("videotestsrc ! videoconvert ! appsink"))
+        await VideoCamera.open("videotestsrc ! videoconvert ! appsink")
 
 
-def test_frames_with_more_bits_than_a_jpeg_are_refused_with_the_remedy(
+async def test_frames_with_more_bits_than_a_jpeg_are_refused_with_the_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Thermal:
@@ -153,13 +150,13 @@ def test_frames_with_more_bits_than_a_jpeg_are_refused_with_the_remedy(
     monkeypatch.setattr(cv2, "VideoCapture", Thermal)
     monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.2)
     with pytest.raises(CameraError, match=r"its frames have 16 bits a pixel.*give 8 .*format=GRAY8"):
-        asyncio.run(VideoCamera.open("/dev/video0"))
+        await VideoCamera.open("/dev/video0")
 
 
-def test_a_device_may_be_named_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_device_may_be_named_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.5)
     with pytest.raises(CameraError, match=r"/dev/video99.*no frame within 0\.5 s"):
-        asyncio.run(VideoCamera.open("/dev/video99"))
+        await VideoCamera.open("/dev/video99")
 
 
 def test_a_stream_that_hangs_is_an_error_in_bounded_time(
@@ -188,18 +185,18 @@ async def test_a_stream_that_breaks_is_opened_again(stream: Stream, monkeypatch:
 
 
 @pytest.mark.parametrize("source", [97, "/nowhere/video.avi", "http://127.0.0.1:9/none"])
-def test_a_camera_that_is_not_there_is_an_error_in_bounded_time(
+async def test_a_camera_that_is_not_there_is_an_error_in_bounded_time(
     source: int | str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.5)
     with pytest.raises(CameraError, match=rf"camera {source}: no frame within 0.5 s: it does not open"):
-        asyncio.run(VideoCamera.open(source))
+        await VideoCamera.open(source)
 
 
-def test_a_password_in_a_url_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_password_in_a_url_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.2)
     with pytest.raises(CameraError) as raised:
-        asyncio.run(VideoCamera.open("http://pilot:secret@127.0.0.1:9/none"))
+        await VideoCamera.open("http://pilot:secret@127.0.0.1:9/none")
     assert raised.value.camera == "http://127.0.0.1:9/none"
     assert "secret" not in str(raised.value)
 

@@ -193,44 +193,41 @@ def test_an_instance_that_says_anything_is_heard_out_or_hung_up_on(lines: list[b
     asyncio.run(hear())
 
 
-def test_an_instance_is_believed_only_what_can_be_so() -> None:
-    async def hear() -> None:
-        reports = asyncio.StreamReader()
-        reports.feed_data(line(Ready("127.0.0.1:1")))
-        called: list[str] = []
-        answered: list[AnsweredCall] = []
-        control = InstanceControl(
-            SPEC,
-            Output("test@s1"),
-            called=called.append,
-            answered=answered.append,
-            reports=reports,
-            orders=Silent(),  # type: ignore[arg-type]
-        )
-        begin: Any = ServiceEnded(0)  # whatever it is told
-        await control.begin(begin)
-        admitting = asyncio.create_task(control.admit(frozenset({"heron"})))
-        await asyncio.sleep(0)
-        said: list[FromInstance] = [
-            Admitted(),
-            Called("stork"),
-            Called("heron"),
-            Answered(drone="heron", method="work", queued_s=0.0, took_s=0.0),
-            Answered(drone="heron", method="rest", queued_s=0.0, took_s=0.0),
-            Answered(drone="stork", method="work", queued_s=0.0, took_s=0.0),
-        ]
-        said += [
-            Answered(drone="heron", method="work", queued_s=queued_s, took_s=took_s)
-            for queued_s, took_s in itertools.permutations((0.0, -1.0, 1e300), 2)
-        ]
-        reports.feed_data(b"".join(map(line, said)))
-        reports.feed_eof()
-        await admitting
-        await control.ended()
-        assert called == ["heron"]
-        assert answered == [AnsweredCall("heron", "work", 0.0, 0.0)]
-
-    asyncio.run(hear())
+async def test_an_instance_is_believed_only_what_can_be_so() -> None:
+    reports = asyncio.StreamReader()
+    reports.feed_data(line(Ready("127.0.0.1:1")))
+    called: list[str] = []
+    answered: list[AnsweredCall] = []
+    control = InstanceControl(
+        SPEC,
+        Output("test@s1"),
+        called=called.append,
+        answered=answered.append,
+        reports=reports,
+        orders=Silent(),  # type: ignore[arg-type]
+    )
+    begin: Any = ServiceEnded(0)  # whatever it is told
+    await control.begin(begin)
+    admitting = asyncio.create_task(control.admit(frozenset({"heron"})))
+    await asyncio.sleep(0)
+    said: list[FromInstance] = [
+        Admitted(),
+        Called("stork"),
+        Called("heron"),
+        Answered(drone="heron", method="work", queued_s=0.0, took_s=0.0),
+        Answered(drone="heron", method="rest", queued_s=0.0, took_s=0.0),
+        Answered(drone="stork", method="work", queued_s=0.0, took_s=0.0),
+    ]
+    said += [
+        Answered(drone="heron", method="work", queued_s=queued_s, took_s=took_s)
+        for queued_s, took_s in itertools.permutations((0.0, -1.0, 1e300), 2)
+    ]
+    reports.feed_data(b"".join(map(line, said)))
+    reports.feed_eof()
+    await admitting
+    await control.ended()
+    assert called == ["heron"]
+    assert answered == [AnsweredCall("heron", "work", 0.0, 0.0)]
 
 
 class Silent:
