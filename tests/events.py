@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -46,6 +47,13 @@ def line(kind: str, t: float, **facts: object) -> bytes:
 def written(events: Iterable[Event]) -> list[dict[str, Any]]:
     """The events as the log has them."""
     return [msgspec.json.decode(msgspec.json.encode(each)) for each in events]
+
+
+def read(log: Path | str, *kinds: str) -> list[dict[str, Any]]:
+    """The events of these kinds, or all, in the whole lines of a log that may still grow, or is not there yet."""
+    lines = Path(log).read_bytes().splitlines(keepends=True) if Path(log).exists() else []
+    events = [msgspec.json.decode(each) for each in lines if each.endswith(b"\n")]
+    return [each for each in events if not kinds or each["event"] in kinds]
 
 
 @functools.cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import os
 import signal
@@ -12,14 +11,14 @@ import socketserver
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
+from tests.programs import UPWASH, ended, running, upwash
 
 from upwash.cli.main import main
 
@@ -53,36 +52,26 @@ remote_call_s = { light = 0.3, heavy = 0.3 }
 """
 
 
-class Ended(NamedTuple):
-    """The exit code of a command, and what it printed."""
-
-    returncode: int
-    stdout: str
-    stderr: str
+Ended = subprocess.CompletedProcess[str]
+Run = Callable[..., Ended]
 
 
-def upwash(*arguments: str, folder: Path | None = None) -> Ended:
-    """Runs the command to its end in the folder, in this process: a program of its own would import it all anew."""
-    stdout, stderr = io.StringIO(), io.StringIO()
-    with (
-        contextlib.chdir(folder or Path.cwd()),
-        contextlib.redirect_stdout(stdout),
-        contextlib.redirect_stderr(stderr),
-    ):
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command to its end in this process, in the test's folder."""
+
+    def run(*arguments: str) -> Ended:
+        monkeypatch.chdir(tmp_path)
         try:
             code = main(arguments)
-        except SystemExit as end:  # of argparse
-            code = int(end.code or 0)
-    return Ended(code, stdout.getvalue(), stderr.getvalue())
+        except SystemExit as end:
+            code = int(str(end.code))
+        return Ended(arguments, code, *capsys.readouterr())
+
+    return run
 
 
-def program(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Runs the command to its end, as a shell does."""
-    command = [sys.executable, "-m", "upwash", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-
-
-def complaint(ended: Ended | subprocess.CompletedProcess[str], code: int = 2) -> str:
+def complaint(ended: Ended, code: int = 2) -> str:
     """The one line that a command which could not do its work says, and nothing else."""
     assert (ended.stdout, ended.returncode) == ("", code), ended.stderr
     assert ended.stderr.startswith("upwash: ")
@@ -102,25 +91,17 @@ def drone(tmp_path: Path) -> Path:
 
 def loaded_by(code: str) -> set[str]:
     script = f"{code}\nimport sys, json\nprint(json.dumps([name.partition('.')[0] for name in sys.modules]))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    return set(json.loads(done.stdout.splitlines()[-1]))
+    return set(json.loads(ended([sys.executable, "-c", script]).stdout.splitlines()[-1]))
 
 
 # --- help and weight ----------------------------------------------------------------------------------------
 
 
 def test_help_names_every_command() -> None:
-    done = program("--help")
+    done = upwash("--help")
     assert (done.returncode, done.stderr) == (0, "")
     for command in COMMANDS:
         assert f"\n    {command} " in done.stdout
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_each_command_has_help(command: str) -> None:
-    done = upwash(command, "--help")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith(f"usage: upwash {command}")
 
 
 def test_the_version_is_the_installed_one() -> None:
@@ -129,8 +110,7 @@ def test_the_version_is_the_installed_one() -> None:
 
 def test_the_installed_command_is_the_same() -> None:
     script = Path(sys.executable).with_name("upwash")
-    done = subprocess.run([script, "--help"], capture_output=True, text=True, check=True)
-    assert done.stdout == program("--help").stdout
+    assert ended([script, "--help"]).stdout == upwash("--help").stdout
 
 
 def test_the_package_and_its_help_load_nothing_heavy() -> None:
@@ -143,19 +123,13 @@ def test_the_package_and_its_help_load_nothing_heavy() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        (),
-        ("submarine",),
-        ("fly",),
-        ("serve",),
-        ("fly", "survey", "--config", "drone.toml", "--colour", "red"),
-        ("vehicle", "--home", "Volos"),
-        ("vehicle", "--home", "39.4"),
-        ("vehicle", "--acceleration", "fast"),
+        *("", "submarine", "fly", "serve", "fly survey --config drone.toml --colour red"),
+        *("vehicle --home Volos", "vehicle --home 39.4", "vehicle --home 91,0", "vehicle --home nan,0"),
+        "vehicle --acceleration fast",
     ],
-    ids=" ".join,
 )
-def test_arguments_that_do_not_fit_are_refused_with_the_usage(arguments: tuple[str, ...]) -> None:
-    done = upwash(*arguments)
+def test_arguments_that_do_not_fit_are_refused_with_the_usage(arguments: str, run: Run) -> None:
+    done = run(*arguments.split())
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("usage: upwash")
     assert "Traceback" not in done.stderr
@@ -175,19 +149,18 @@ def test_arguments_that_do_not_fit_are_refused_with_the_usage(arguments: tuple[s
         ("exiting.py:fly", "cannot be loaded from exiting.py"),
     ],
 )
-def test_a_mission_that_is_not_there_is_named(drone: Path, mission: str, said: str) -> None:
+def test_a_mission_that_is_not_there_is_named(drone: Path, mission: str, said: str, run: Run) -> None:
     (drone.parent / "mission.py").write_text("HEIGHT_M = 3\n")
     (drone.parent / "broken.py").write_text("def fly(:\n")
     (drone.parent / "exiting.py").write_text("import sys\nsys.exit()\n")
-    assert said in complaint(upwash("fly", mission, "--config", "drone.toml", folder=drone.parent))
+    assert said in complaint(run("fly", mission, "--config", "drone.toml"))
 
 
 def test_a_mission_may_lie_in_a_module_of_the_current_folder(drone: Path) -> None:
     (drone.parent / "my_mission.py").write_text("HEIGHT_M = 3\n")
-    for program in ([str(Path(sys.executable).with_name("upwash"))], [sys.executable, "-m", "upwash"]):
+    for program in ([str(Path(sys.executable).with_name("upwash"))], UPWASH):
         command = [*program, "fly", "my_mission:HEIGHT_M", "--config", "drone.toml"]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=drone.parent, check=False)
-        assert "is not a function" in complaint(done)
+        assert "is not a function" in complaint(ended(command, drone.parent))
 
 
 @pytest.mark.parametrize(
@@ -208,20 +181,20 @@ def test_a_mission_may_lie_in_a_module_of_the_current_folder(drone: Path) -> Non
     ],
 )
 def test_a_configuration_that_cannot_be_flown_is_refused_before_anything_starts_and_by_a_check(
-    drone: Path, old: str, new: str, said: str
+    drone: Path, old: str, new: str, said: str, run: Run
 ) -> None:
     assert old in DRONE
     drone.write_text(DRONE.replace(old, new))
-    assert said in complaint(upwash("fly", "--config", "drone.toml", folder=drone.parent))
-    checked = upwash("check", "drone.toml", folder=drone.parent)
+    assert said in complaint(run("fly", "--config", "drone.toml"))
+    checked = run("check", "drone.toml")
     assert checked.returncode in (1, 2)
     assert said in " ".join((checked.stdout + checked.stderr).split())
 
 
-def test_a_configuration_that_is_not_there_is_named(tmp_path: Path) -> None:
-    for command in ("fly", "serve"):
-        for name in ("missing.toml", "."):
-            assert complaint(upwash(command, "--config", name, folder=tmp_path)).startswith(f"{name}: ")
+@pytest.mark.parametrize("command", ["fly", "serve"])
+@pytest.mark.parametrize("name", ["missing.toml", "."])
+def test_a_configuration_that_is_not_there_is_named(command: str, name: str, run: Run) -> None:
+    assert complaint(run(command, "--config", name)).startswith(f"{name}: ")
 
 
 @pytest.mark.parametrize(
@@ -234,16 +207,13 @@ def test_a_configuration_that_is_not_there_is_named(tmp_path: Path) -> None:
     ],
 )
 def test_a_certificate_that_does_not_fit_is_refused(
-    drone: Path, keys: Path, authority: str, name: str, said: str
+    drone: Path, keys: Path, authority: str, name: str, said: str, *, run: Run
 ) -> None:
-    lines = [
-        "[keys]",
-        f'authority = "{keys}/{authority}"',
-        f'certificate = "{keys}/{name}.pem"',
-        f'key = "{keys}/{name}.key"',
-    ]
-    drone.write_text(DRONE + "\n".join(lines))
-    assert said in complaint(upwash("fly", "--config", "drone.toml", folder=drone.parent))
+    drone.write_text(
+        f'{DRONE}[keys]\nauthority = "{keys}/{authority}"\n'
+        f'certificate = "{keys}/{name}.pem"\nkey = "{keys}/{name}.key"\n'
+    )
+    assert said in complaint(run("fly", "--config", "drone.toml"))
 
 
 @contextlib.contextmanager
@@ -268,32 +238,33 @@ def test_what_grpc_says_of_a_failed_handshake_is_printed_only_for_who_wants_it(
     if wish:
         monkeypatch.setenv("GRPC_VERBOSITY", wish)
     with another_programs_port() as address:
-        ended = program("status", address, "--server", "s1", "--operator", "heron", "--keys", str(keys))
-    assert ended.stderr.splitlines()[-1].startswith(f"upwash: s1 at {address}: ")
-    assert ("ssl_transport_security" in ended.stderr) == is_said
-    assert (ended.stderr.count("\n") > 1) == is_said
+        done = upwash("status", address, "--server", "s1", "--operator", "heron", "--keys", str(keys))
+    assert done.stderr.splitlines()[-1].startswith(f"upwash: s1 at {address}: ")
+    assert ("ssl_transport_security" in done.stderr) == is_said
+    assert (done.stderr.count("\n") > 1) == is_said
 
 
-def test_a_log_that_cannot_be_written_is_named(drone: Path) -> None:
-    said = complaint(upwash("fly", "--config", "drone.toml", "--log", "drone.toml/log", folder=drone.parent))
+@pytest.mark.usefixtures("drone")
+def test_a_log_that_cannot_be_written_is_named(run: Run) -> None:
+    said = complaint(run("fly", "--config", "drone.toml", "--log", "drone.toml/log"))
     assert said.startswith("cannot write the event log drone.toml/log: ")
 
 
-def test_check_says_what_a_configuration_holds_and_what_hurts(drone: Path, keys: Path) -> None:
-    ended = upwash("check", str(drone))
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert ended.stdout.startswith(f"{drone} is understood: 1 waypoint, 1 service, 1 server\n")
+def test_check_says_what_a_configuration_holds_and_what_hurts(drone: Path, keys: Path, run: Run) -> None:
+    done = run("check", str(drone))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.startswith(f"{drone} is understood: 1 waypoint, 1 service, 1 server\n")
     drone.write_text(DRONE + f'[keys]\nauthority = "{keys}/authority.pem"\ncertificate = "no"\nkey = "no"\n')
-    ended = upwash("check", str(drone))
-    assert ended.returncode == 1
-    assert "warning: " in ended.stdout
-    assert str(drone.parent / "no") in ended.stdout
+    done = run("check", str(drone))
+    assert done.returncode == 1
+    assert "warning: " in done.stdout
+    assert str(drone.parent / "no") in done.stdout
 
 
-def test_check_finds_no_networks_where_none_are_joined(drone: Path) -> None:
-    ended = upwash("check", str(drone), "--networks")
-    assert ended.returncode == 2
-    assert 'network.kind is "wired", so no network is joined' in ended.stderr
+def test_check_finds_no_networks_where_none_are_joined(drone: Path, run: Run) -> None:
+    done = run("check", str(drone), "--networks")
+    assert done.returncode == 2
+    assert 'network.kind is "wired", so no network is joined' in done.stderr
 
 
 @pytest.mark.timeout(90)
@@ -304,10 +275,8 @@ def test_an_autopilot_that_is_not_there_is_a_failure(drone: Path) -> None:
     assert not [file.name for file in drone.parent.iterdir() if file.suffix == ".sock"]
 
 
-def test_without_a_command_the_commands_are_listed() -> None:
-    ended = upwash()
-    assert (ended.returncode, ended.stdout) == (2, "")
-    assert "fly a mission" in ended.stderr
+def test_without_a_command_the_commands_are_listed(run: Run) -> None:
+    assert "fly a mission" in run().stderr
 
 
 # --- a vehicle ----------------------------------------------------------------------------------------------
@@ -315,8 +284,7 @@ def test_without_a_command_the_commands_are_listed() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_vehicle_says_where_it_listens_until_it_is_told_to_end(number: signal.Signals) -> None:
-    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", "udp:127.0.0.1:0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as vehicle:
+    with running("vehicle", "--listen", "udp:127.0.0.1:0", stderr=subprocess.PIPE) as vehicle:
         assert vehicle.stdout is not None
         assert vehicle.stderr is not None
         said, _, address = vehicle.stdout.readline().strip().partition(" ready at udp:")
@@ -327,42 +295,33 @@ def test_a_vehicle_says_where_it_listens_until_it_is_told_to_end(number: signal.
         assert vehicle.stderr.read() == ""
 
 
-def test_a_vehicle_that_cannot_listen_says_so() -> None:
+def test_a_vehicle_that_cannot_listen_says_so(run: Run) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        assert str(port) in complaint(upwash("vehicle", "--listen", f"tcp:127.0.0.1:{port}"))
-    assert "pigeon" in complaint(upwash("vehicle", "--listen", "pigeon"))
+        assert str(port) in complaint(run("vehicle", "--listen", f"tcp:127.0.0.1:{port}"))
+    assert "pigeon" in complaint(run("vehicle", "--listen", "pigeon"))
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    "option",
     [
-        ("--acceleration", "0"),
-        ("--acceleration", "nan"),
-        ("--armable-after", "-1"),
-        ("--speedup", "0"),
-        ("--battery", "101"),
-        ("--fault", "engine"),
-        ("--fault", "link:9-3"),
-        ("--home", "91,0"),
-        ("--home", "nan,0"),
+        *("--acceleration 0", "--acceleration nan", "--armable-after -1", "--speedup 0", "--battery 101"),
+        *("--fault engine", "--fault link:9-3"),
     ],
-    ids=" ".join,
 )
-def test_a_vehicle_that_could_not_fly_is_refused(arguments: tuple[str, ...]) -> None:
-    ended = upwash("vehicle", "--listen", "udp:127.0.0.1:0", *arguments)
-    assert (ended.returncode, ended.stdout) == (2, "")
+def test_a_vehicle_that_could_not_fly_is_refused(option: str, run: Run) -> None:
+    assert complaint(run("vehicle", "--listen", "udp:127.0.0.1:0", *option.split()))
 
 
 # --- keys ---------------------------------------------------------------------------------------------------
 
 
-def test_keys_prints_the_files_that_it_made_and_only_the_owner_reads_the_keys(tmp_path: Path) -> None:
+def test_keys_prints_the_files_that_it_made_and_only_the_owner_reads_the_keys(
+    tmp_path: Path, run: Run
+) -> None:
     previous = os.umask(0)
     try:
-        done = upwash(
-            "keys", "keys", "--server", "s1,s2", "--drone", "heron", "--drone", "stork", folder=tmp_path
-        )
+        done = run("keys", "keys", "--server", "s1,s2", "--drone", "heron", "--drone", "stork")
     finally:
         os.umask(previous)
     assert (done.returncode, done.stderr) == (0, "")
@@ -376,21 +335,25 @@ def test_keys_prints_the_files_that_it_made_and_only_the_owner_reads_the_keys(tm
         assert mode == (0o600 if name.endswith(".key") else 0o644)
 
 
-def test_keys_of_a_second_run_are_of_the_same_authority_and_nothing_is_overwritten(tmp_path: Path) -> None:
-    assert upwash("keys", ".", "--drone", "heron", folder=tmp_path).returncode == 0
-    second = upwash("keys", ".", "--server", "s1", folder=tmp_path)
+def test_keys_of_a_second_run_are_of_the_same_authority_and_nothing_is_overwritten(
+    tmp_path: Path, run: Run
+) -> None:
+    assert run("keys", ".", "--drone", "heron").returncode == 0
+    second = run("keys", ".", "--server", "s1")
     assert second.stdout.splitlines() == ["s1.pem", "s1.key"]
-    assert "heron.key: already there" in complaint(upwash("keys", ".", "--drone", "heron", folder=tmp_path))
+    assert "heron.key: already there" in complaint(run("keys", ".", "--drone", "heron"))
 
 
-def test_keys_says_what_is_left_to_do_with_a_list_and_with_another_authority(tmp_path: Path) -> None:
-    assert upwash("keys", "keys", "--drone", "heron", folder=tmp_path).returncode == 0
+def test_keys_says_what_is_left_to_do_with_a_list_and_with_another_authority(
+    tmp_path: Path, run: Run
+) -> None:
+    assert run("keys", "keys", "--drone", "heron").returncode == 0
     for option, file, said in (
         (("--revoke", "heron"), "keys/revoked.txt", "no daemon knows of it yet: copy revoked.txt to each"),
         (("--new-authority",), "keys/authority.pem", "copy authority.pem to every drone and server"),
         (("--drop-former-authorities",), "keys/authority.pem", "as yet they believe the former too"),
     ):
-        done = upwash("keys", "keys", *option, folder=tmp_path)
+        done = run("keys", "keys", *option)
         assert (done.returncode, done.stdout.splitlines()[0]) == (0, file)
         assert said in done.stderr
 
@@ -405,8 +368,10 @@ def test_keys_says_what_is_left_to_do_with_a_list_and_with_another_authority(tmp
         (("--server", "s1", "--drone", "s1"), '"s1" is named twice'),
     ],
 )
-def test_keys_that_cannot_be_made_are_refused(tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
-    assert said in complaint(upwash("keys", "keys", *arguments, folder=tmp_path))
+def test_keys_that_cannot_be_made_are_refused(
+    tmp_path: Path, arguments: tuple[str, ...], said: str, run: Run
+) -> None:
+    assert said in complaint(run("keys", "keys", *arguments))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -425,17 +390,16 @@ sys.exit(main())
 
 
 def test_a_ctrl_c_before_the_command_is_loaded_ends_it_quietly() -> None:
-    command = [sys.executable, "-c", INTERRUPTED_IMPORT]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+    done = ended([sys.executable, "-c", INTERRUPTED_IMPORT])
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
 @pytest.mark.parametrize("verbose", [["-v", "check"], ["check", "--verbose"]])
 def test_where_an_error_arose_is_told_to_those_who_ask(drone: Path, verbose: list[str]) -> None:
     (drone.parent / "mine.py").write_text("\n\nimport nothing_of_that_name\n")
     drone.write_text(DRONE.replace("[mission]", '[mission]\nprogram = "mine.py:fly"'))
-    ended = upwash(*verbose, str(drone))
-    assert ended.returncode == 2
-    assert f'File "{drone.parent / "mine.py"}", line 3' in ended.stderr
-    last = ended.stderr.splitlines()[-1]
+    done = upwash(*verbose, str(drone))
+    assert done.returncode == 2
+    assert f'File "{drone.parent / "mine.py"}", line 3' in done.stderr
+    last = done.stderr.splitlines()[-1]
     assert complaint(upwash("check", str(drone))) == last.removeprefix("upwash: ").strip()

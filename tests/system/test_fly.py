@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import logging
 import os
@@ -10,13 +11,14 @@ import pty
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.events import read
+from tests.programs import running, stand_in, write_drone
 
 from upwash.cli.main import main
 from upwash.errors import AutopilotError
@@ -24,27 +26,13 @@ from upwash.real.mavlink import FlightSettings, Patience
 
 pytestmark = pytest.mark.system
 
-CONFIG = """
-name = "heron"
-[mission]
-home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }
-ground_speed_m_s = 5.0
-altitude_m = 5.0
-waypoints_m = [[0, 0], [200, 0]]
-[autopilot]
-connection = "tcp:127.0.0.1:1"
-[camera]
-folder = "photos"
-[[service]]
-name = "detector"
-local_call_s = { light = 1.0, heavy = 3.0 }
-"""
-
+PLAN = {"ground_speed_m_s": 5.0, "altitude_m": 5.0, "waypoints_m": [[0, 0], [200, 0]]}
+DETECTOR = {"name": "detector", "local_call_s": {"light": 1.0, "heavy": 3.0}}
 MISSION = """
 import os, signal, threading
 from pathlib import Path
 
-def patrol(drone):
+def fly(drone):
     drone.autopilot.arm()
     drone.autopilot.takeoff(drone.altitude_m)
     here, there = drone.plan
@@ -60,41 +48,31 @@ IMPATIENT = FlightSettings(
 )
 
 
-@contextmanager
-def vehicle(*options: str) -> Iterator[str]:
-    """The connection to a stand-in."""
-    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", "tcp:127.0.0.1:0", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        Path("vehicle.pid").write_text(str(process.pid))
-        try:
-            yield process.stdout.readline().strip().partition(" ready at ")[2]
-        finally:
-            process.terminate()
-
-
+vehicle = functools.partial(stand_in, Path(), listen="tcp:127.0.0.1:0")
 Fly = Callable[[str], tuple[int, str]]
+
+
+def configured(program: str, **tables: Any) -> None:
+    """A drone in this folder, with a mission."""
+    write_drone(Path(), program, **{"mission": PLAN, "service": [DETECTOR]} | tables)
 
 
 @pytest.fixture
 def fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Fly:
     """Flies the mission with an impatient driver; returns the exit code and the complaint."""
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
-    (tmp_path / "drone.toml").write_text(CONFIG)
-    (tmp_path / "patrol.py").write_text(MISSION)
     monkeypatch.setattr("upwash.launch.flight.FlightSettings", lambda **_: IMPATIENT)
     monkeypatch.chdir(tmp_path)
+    configured(MISSION)
 
     def flown(connection: str) -> tuple[int, str]:
-        code = main(["fly", "patrol.py:patrol", "--config", "drone.toml", "--autopilot", connection])
+        code = main(["fly", "--config", "drone.toml", "--autopilot", connection])
         return code, capsys.readouterr().err
 
     return flown
 
 
 def test_a_vehicle_that_refuses_to_arm_is_quoted(fly: Fly) -> None:
-    with vehicle("--armable-after", "0", "--fault", "arming") as connection:
+    with vehicle("--fault", "arming") as connection:
         code, said = fly(connection)
     assert code == 1
     assert said.startswith("upwash: arm: the vehicle was not ready within 0.3 s")
@@ -103,13 +81,13 @@ def test_a_vehicle_that_refuses_to_arm_is_quoted(fly: Fly) -> None:
 
 
 def test_a_vehicle_that_falls_silent_half_way_is_named_with_the_step(fly: Fly) -> None:
-    with vehicle("--armable-after", "0", "--acceleration", "50") as connection:
+    with vehicle("--acceleration", "50") as connection:
         code, said = fly(connection)
     assert code == 1
     assert said.startswith("upwash: goto 200.0 m east, 0.0 m north: nothing was heard on tcp:")
     assert said.count("\n") == 1
     (log,) = Path("runs").glob("*/events.jsonl")
-    told = [json.loads(line) for line in log.read_text().splitlines() if '"link_' in line]
+    told = [event for event in read(log) if event["event"].startswith("link_")]
     assert [event["event"] for event in told] == ["link_lost", "link_restored"]
     assert told[0]["silent_s"] < 1.0
     assert 3.0 < told[1]["silent_s"] < 8.0
@@ -128,8 +106,18 @@ def stumble(drone):
 
 
 def flown(mission: str, *options: str) -> int:
-    with vehicle("--armable-after", "0") as connection:
+    with vehicle() as connection:
         return main(["fly", mission, "--config", "drone.toml", "--autopilot", connection, *options])
+
+
+@contextlib.contextmanager
+def on_a_terminal(connection: str, *options: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A flight that has a terminal, and the other end of that."""
+    terminal, ours = pty.openpty()
+    command = ("fly", *options, "--config", "drone.toml", "--autopilot", connection)
+    with running(*command, stdin=ours, stdout=ours, stderr=ours) as flight:
+        os.close(ours)
+        yield flight, terminal
 
 
 @pytest.fixture
@@ -150,15 +138,12 @@ def test_without_a_terminal_a_flight_is_plain_lines(capsys: pytest.CaptureFixtur
 
 @pytest.mark.usefixtures("brief")
 def test_on_a_terminal_what_a_mission_prints_stands_once_among_the_lines() -> None:
-    terminal, ours = pty.openpty()
-    with vehicle("--armable-after", "3") as connection:
-        command = ["fly", "brief.py:look", "--config", "drone.toml", "--autopilot", connection]
-        with subprocess.Popen(
-            [sys.executable, "-m", "upwash", *command], stdin=ours, stdout=ours, stderr=ours
-        ) as flight:
-            os.close(ours)
-            shown = b"".join(_read_all(terminal))
-            assert flight.wait(60.0) == 0
+    with (
+        vehicle("--armable-after", "3") as connection,
+        on_a_terminal(connection, "brief.py:look") as (flight, terminal),
+    ):
+        shown = b"".join(_read_all(terminal))
+        assert flight.wait(60.0) == 0
     os.close(terminal)
     assert shown.count(b"said by the mission") == 1
     places = [shown.index(words) for words in (b"mission started", b"said by the mission", b" arming")]
@@ -201,7 +186,7 @@ def test_a_flight_that_fails_leaves_its_object_and_says_why(capsys: pytest.Captu
 
 
 SHORT = """
-def hop(drone):
+def fly(drone):
     drone.autopilot.arm()
     drone.autopilot.takeoff(drone.altitude_m)
     drone.autopilot.return_home_and_land()
@@ -212,19 +197,16 @@ def hop(drone):
 @pytest.mark.flight
 @pytest.mark.usefixtures("fly")
 def test_a_flight_goes_on_when_its_terminal_is_closed() -> None:
-    Path("short.py").write_text(SHORT)
-    terminal, ours = pty.openpty()
-    with vehicle("--armable-after", "0", "--acceleration", "50") as connection:
-        command = ["fly", "short.py:hop", "--config", "drone.toml", "--autopilot", connection]
-        with subprocess.Popen(
-            [sys.executable, "-m", "upwash", *command, "--log", "log"], stdin=ours, stdout=ours, stderr=ours
-        ) as flight:
-            os.close(ours)
-            while b"returning home" not in os.read(terminal, 4096):
-                pass
-            os.close(terminal)
-            flight.send_signal(signal.SIGHUP)
-            assert flight.wait(60.0) == 0
+    configured(SHORT)
+    with (
+        vehicle("--acceleration", "50") as connection,
+        on_a_terminal(connection, "--log", "log") as (flight, terminal),
+    ):
+        while b"returning home" not in os.read(terminal, 4096):
+            pass
+        os.close(terminal)
+        flight.send_signal(signal.SIGHUP)
+        assert flight.wait(60.0) == 0
     assert "mission_completed" in Path("log").read_text()
 
 
@@ -232,13 +214,11 @@ def test_a_flight_goes_on_when_its_terminal_is_closed() -> None:
 def test_a_flight_with_signed_messages_needs_the_vehicles_key(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("signing.key", "another.key"):
         assert main(["keys", "--signing", name]) == 0
-    with_key = CONFIG.replace("[autopilot]", '[autopilot]\nsigning_key = "signing.key"')
-    Path("drone.toml").write_text(with_key)
     fly = ["fly", "brief.py:look", "--config", "drone.toml", "--quiet", "--autopilot"]
-    with vehicle("--armable-after", "0", "--signing-key", "signing.key") as connection:
-        assert main([*fly, connection]) == 0
-        Path("drone.toml").write_text(with_key.replace("signing.key", "another.key"))
-        assert main([*fly, connection]) == 1
+    with vehicle("--signing-key", "signing.key") as connection:
+        for code, key in enumerate(("signing.key", "another.key")):
+            configured("", autopilot={"signing_key": key})
+            assert main([*fly, connection]) == code
     assert "its messages are signed with another key" in capsys.readouterr().err
 
 
@@ -256,16 +236,12 @@ def test_a_port_that_anyone_reaches_is_warned_of_at_the_start(
     assert "unsigned_port" in Path("flight.jsonl").read_text()
 
 
-def test_after_the_second_ctrl_c_it_says_that_the_vehicle_is_left_to_itself(fly: Fly) -> None:
-    Path("far.py").write_text(FAR)
-    with vehicle("--armable-after", "0", "--acceleration", "5") as connection:
-        command = ["fly", "far.py:far", "--config", "drone.toml", "--autopilot", connection, "--log", "log"]
-        with subprocess.Popen(
-            [sys.executable, "-m", "upwash", *command],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        ) as flight:
+@pytest.mark.usefixtures("fly")
+def test_after_the_second_ctrl_c_it_says_that_the_vehicle_is_left_to_itself() -> None:
+    configured(FAR)
+    with vehicle("--acceleration", "5") as connection:
+        command = ("fly", "--config", "drone.toml", "--autopilot", connection, "--log", "log")
+        with running(*command, stderr=subprocess.PIPE) as flight:
             assert flight.stdout is not None
             assert flight.stderr is not None
             stopped = [line for line in iter(flight.stdout.readline, "") if _stop_at(flight, line)]
@@ -278,7 +254,7 @@ def test_after_the_second_ctrl_c_it_says_that_the_vehicle_is_left_to_itself(fly:
 
 
 FAR = """
-def far(drone):
+def fly(drone):
     drone.autopilot.arm()
     drone.autopilot.takeoff(2.0)
     print("in the air", flush=True)
@@ -299,7 +275,7 @@ WATCHED = """
 import http.client, logging
 from pathlib import Path
 
-def look(drone):
+def fly(drone):
     drone.autopilot.arm()
     (handler,) = logging.getLogger("upwash.metrics").handlers
     connection = http.client.HTTPConnection(handler.address, timeout=10.0)
@@ -318,14 +294,14 @@ class AddressHandler(logging.Handler):
         self.address = re.findall(r"http://(.*)/metrics", record.getMessage())[0]
 
 
+@pytest.mark.usefixtures("fly")
 def test_prometheus_finds_a_flights_numbers_while_it_flies(
-    fly: Fly, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    Path("watched.py").write_text(WATCHED)
-    Path("drone.toml").write_text('metrics = "127.0.0.1:0"\n' + CONFIG)
+    configured(WATCHED, metrics="127.0.0.1:0")
     monkeypatch.setattr(logging.getLogger("upwash.metrics"), "handlers", [AddressHandler()])
     caplog.set_level(logging.INFO, "upwash.metrics")
-    assert flown("watched.py:look", "--quiet") == 0
+    assert flown("mission.py:fly", "--quiet") == 0
     told = Path("metrics.txt").read_text().splitlines()
     assert "upwash_mission_under_way 1.0" in told
     assert "upwash_waypoints 2.0" in told
@@ -334,30 +310,21 @@ def test_prometheus_finds_a_flights_numbers_while_it_flies(
 PATIENT = """
 import time
 
-def look(drone):
+def fly(drone):
     drone.autopilot.arm()
     time.sleep(1.0)
     drone.autopilot.disarm()
 """
 
-WITHOUT_RANGE = """
-[network]
-coverage_map = "lte.coverage.json"
-[[server]]
-name = "s1"
-range_m = "measured"
-address = "127.0.0.1:1"
-remote_call_s = 0.2
-"""
+WITHOUT_RANGE = {"name": "s1", "range_m": "measured", "address": "127.0.0.1:1", "remote_call_s": 0.2}
 
 
 @pytest.mark.parametrize("ends", ["well", "badly"])
-def test_what_a_flight_measured_of_a_server_without_a_range_is_kept_however_it_ends(
-    fly: Fly, ends: str
-) -> None:
-    Path("patient.py").write_text(PATIENT + ("" if ends == "well" else "    raise ValueError('no idea')\n"))
-    Path("drone.toml").write_text(CONFIG + WITHOUT_RANGE)
-    assert flown("patient.py:look") == (0 if ends == "well" else 1)
+@pytest.mark.usefixtures("fly")
+def test_what_a_flight_measured_of_a_server_without_a_range_is_kept_however_it_ends(ends: str) -> None:
+    program = PATIENT + ("" if ends == "well" else "    raise ValueError('no idea')\n")
+    configured(program, network={"coverage_map": "lte.coverage.json"}, server=[WITHOUT_RANGE])
+    assert flown("mission.py:fly") == (0 if ends == "well" else 1)
     kept = json.loads(Path("lte.coverage.json").read_text())
     (place,) = kept["servers"]["s1"]
     assert place["tried"] > 0

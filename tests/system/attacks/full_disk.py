@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 import msgspec
+from tests.programs import COUNTER, COUNTING, ROOT, ended, stand_in, write_drone
 
 from upwash.eventlog import log as event_log
-from upwash.launch.processes import ready_program
 
-SCENARIO = str(Path(__file__).parents[3] / "scenarios" / "thesis.toml")
+SCENARIO = f"{ROOT}/scenarios/thesis.toml"
 FLOWN_NOT_KEPT = 3
 CALLS = 3
 
@@ -38,51 +38,12 @@ from upwash.cli.main import main
 sys.exit(main(sys.argv[2:]))
 """
 
-DRONE = """
-name = "heron"
-[mission]
-program = "counting.py:hop"
-home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }
-altitude_m = 3.0
-waypoints_m = [[0, 0]]
-[autopilot]
-connection = "udpout:127.0.0.1:1"
-[camera]
-folder = "photos"
-photo_s = 0.1
-[[service]]
-name = "counter"
-program = "counting.py:Counter"
-local_call_s = 0.1
-"""
-
-COUNTING = f"""
-from upwash import service
-
-@service
-class Counter:
-    def count(self, photo: bytes) -> int:
-        return len(photo)
-
-def hop(drone):
-    counter = drone.service(Counter)
-    drone.autopilot.arm()
-    drone.autopilot.takeoff(drone.altitude_m)
-    for waypoint in drone.plan:
-        drone.autopilot.goto(waypoint)
-        for number in range({CALLS}):
-            print("photo", number, flush=True)
-            drone.user.notify(counter.count(drone.camera.take_photo()), at=waypoint)
-    drone.end_flight()
-    drone.autopilot.disarm()
-"""
-
 SERVER = """
 listen = "127.0.0.1:0"
 allow_without_certificates = true
 [[service]]
 name = "counter"
-program = "counting.py:Counter"
+program = "mission.py:Counter"
 [[server]]
 name = "s1"
 """
@@ -102,21 +63,20 @@ class Finding:
             self.broken.append(otherwise)
 
 
-def prepare(folder: Path) -> None:
+def prepare(folder: Path, vehicle: str = "udpout:127.0.0.1:1") -> None:
     """Puts what the commands read into the folder."""
-    (folder / "photos").mkdir()
-    (folder / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
-    for name, text in (("drone.toml", DRONE), ("counting.py", COUNTING), ("server.toml", SERVER)):
-        (folder / name).write_text(text)
+    plan = {"altitude_m": 3.0, "waypoints_m": [[10 * number, 0] for number in range(CALLS)]}
+    service = COUNTER | {"local_call_s": 0.1}
+    tables = {"autopilot": {"connection": vehicle}, "camera": {"photo_s": 0.1}, "service": [service]}
+    write_drone(folder, COUNTING, mission=plan, **tables)
+    (folder / "server.toml").write_text(SERVER)
 
 
 def upwash(
     folder: Path, *arguments: str, most_bytes: int = resource.RLIM_INFINITY
 ) -> subprocess.CompletedProcess[str]:
     """Runs a command whose files may have so many bytes."""
-    return subprocess.run(
-        _command(arguments, most_bytes), cwd=folder, capture_output=True, text=True, timeout=120, check=False
-    )
+    return ended(_command(arguments, most_bytes), folder)
 
 
 def _command(arguments: tuple[str, ...], most_bytes: int) -> list[str]:
@@ -151,7 +111,7 @@ WRITERS = {
     "report --geojson": Writer(("report", "flown.jsonl", "--geojson", "out.x"), 500, "out.x", before=(_LOG,)),
     "report --mcap": Writer(("report", "flown.jsonl", "--mcap", "out.x"), 500, "out.x", before=(_LOG,)),
     "profile --out": Writer(
-        ("profile", "counting.py:Counter", "--photos", "photos", "--calls", "1", "--out", "out.x"),
+        ("profile", "mission.py:Counter", "--photos", "photos", "--calls", "1", "--out", "out.x"),
         50,
         "out.x",
         prints="[[service]]",
@@ -217,51 +177,36 @@ def attack_campaign(folder: Path) -> Finding:
 # --- flights ------------------------------------------------------------------------------------------------
 
 
-@contextmanager
-def vehicle(folder: Path) -> Iterator[str]:
-    """How to reach a stand-in that can be armed at once."""
-    options = (
-        "--listen",
-        "udp:127.0.0.1:0",
-        "--armable-after",
-        "0",
-        "--acceleration",
-        "50",
-        "--param",
-        "RTL_ALT=300",
-    )
-    with ready_program("vehicle", folder, "vehicle", *options) as address:
-        yield address.replace("udp:", "udpout:")
+FLY = ("fly", "--config", "drone.toml")
+LOG = ("--log", "events.jsonl")
+AGILE = ("--acceleration", "50", "--param", "RTL_ALT=300")
 
 
 @contextmanager
 def flying(
     folder: Path,
-    connection: str,
     *options: str,
     most_bytes: int = resource.RLIM_INFINITY,
-    out: int | BinaryIO,
+    out: int | BinaryIO = subprocess.PIPE,
 ) -> Iterator[subprocess.Popen[str]]:
-    """A flight as a process of its own."""
-    arguments = ("fly", "--config", "drone.toml", "--autopilot", connection, *options)
-    with subprocess.Popen(
-        _command(arguments, most_bytes), cwd=folder, stdout=out, stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    """A flight as a process of its own, past a stand-in, whose files may have so many bytes."""
+    with stand_in(folder, *AGILE) as vehicle:
+        prepare(folder, vehicle)
+        command = _command((*FLY, *options), most_bytes)
+        with subprocess.Popen(command, cwd=folder, stdout=out, stderr=subprocess.PIPE, text=True) as process:
+            try:
+                yield process
+            finally:
+                process.kill()
 
 
 def attack_flight(folder: Path) -> Finding:
     """The disk is full soon after take-off, and stays so."""
-    with vehicle(folder) as connection:
-        log = ("--log", "events.jsonl")
-        with flying(folder, connection, *log, most_bytes=2500, out=subprocess.PIPE) as process:
-            printed, said = process.communicate(timeout=120)
+    with flying(folder, *LOG, most_bytes=2500) as process:
+        printed, said = process.communicate(timeout=120)
     finding = _flown(process.returncode, said, kept=False)
     finding.expect(f"{CALLS} calls: {CALLS} on the drone" in printed, "the result lacks calls")
-    finding.expect("1 of 1 waypoints reached" in printed, "the result lacks the waypoint")
+    finding.expect(f"{CALLS} of {CALLS} waypoints reached" in printed, "the result lacks a waypoint")
     finding.expect("the flight goes on" in said, "it is not told when the log has no room")
     _expect_whole(folder / "events.jsonl", finding, ends="")
     return finding
@@ -269,10 +214,8 @@ def attack_flight(folder: Path) -> Finding:
 
 def attack_printed_result(folder: Path) -> Finding:
     """The same with --json: the object has all that was flown."""
-    with vehicle(folder) as connection:
-        log = ("--log", "events.jsonl", "--json")
-        with flying(folder, connection, *log, most_bytes=2500, out=subprocess.PIPE) as process:
-            printed, said = process.communicate(timeout=120)
+    with flying(folder, *LOG, "--json", most_bytes=2500) as process:
+        printed, said = process.communicate(timeout=120)
     finding = _flown(process.returncode, said, kept=False)
     result = msgspec.json.decode(printed)["result"]
     finding.expect(result["completed"] and len(result["calls"]) == CALLS, "the object lacks what was flown")
@@ -281,15 +224,12 @@ def attack_printed_result(folder: Path) -> Finding:
 
 def attack_until_there_is_room(folder: Path) -> Finding:
     """The disk is full in flight, and has room again before its end: the log lacks nothing."""
-    with vehicle(folder) as connection:
-        log = ("--log", "events.jsonl")
-        with flying(folder, connection, *log, most_bytes=2500, out=subprocess.DEVNULL) as process:
-            assert process.stderr is not None
-            first_line = process.stderr.readline()
-            resource.prlimit(
-                process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
-            )
-            _, said = process.communicate(timeout=120)
+    endless = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    with flying(folder, *LOG, most_bytes=2500, out=subprocess.DEVNULL) as process:
+        assert process.stderr is not None
+        first_line = process.stderr.readline()
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, endless)
+        _, said = process.communicate(timeout=120)
     finding = Finding(process.returncode, said.strip())
     finding.expect("has no room" in first_line, f"it said first: {first_line}")
     finding.expect(process.returncode == 0, f"the exit code is {process.returncode}")
@@ -299,77 +239,48 @@ def attack_until_there_is_room(folder: Path) -> Finding:
 
 def attack_and_kill(folder: Path) -> Finding:
     """The disk is full in flight, and the program is killed: what it left is taken up."""
-    with vehicle(folder) as connection:
-        log = ("--log", "events.jsonl")
-        with flying(folder, connection, *log, most_bytes=2500, out=subprocess.DEVNULL) as first:
-            assert first.stderr is not None
-            first.stderr.readline()
-            first.kill()
-        with flying(folder, connection, "--resume", "events.jsonl", out=subprocess.PIPE) as second:
-            printed, said = second.communicate(timeout=120)
-    finding = Finding(second.returncode, said.strip())
-    finding.expect(second.returncode == 0, f"the exit code is {second.returncode}: {printed}{said}")
+    with flying(folder, *LOG, most_bytes=2500, out=subprocess.DEVNULL) as first:
+        assert first.stderr is not None
+        first.stderr.readline()
+        first.kill()
+        second = upwash(folder, *FLY, "--resume", "events.jsonl")
+    finding = Finding(second.returncode, second.stderr.strip())
+    finding.expect(
+        second.returncode == 0, f"the exit code is {second.returncode}: {second.stdout}{second.stderr}"
+    )
     _expect_whole(folder / "events.jsonl", finding, ends="mission_completed")
     return finding
 
 
-def attack_full_output(folder: Path) -> Finding:
-    """What the flight and its mission print goes to a full disk."""
-    log = ("--log", "events.jsonl")
-    with (
-        Path("/dev/full").open("wb") as full,
-        vehicle(folder) as connection,
-        flying(folder, connection, *log, out=full) as process,
-    ):
+def attack_output(folder: Path, out: Callable[[], BinaryIO]) -> Finding:
+    """What the flight and its mission print goes to a full disk, or to a pipe that nobody reads any more."""
+    with out() as lost, flying(folder, *LOG, out=lost) as process:
         _, said = process.communicate(timeout=120)
     finding = _flown(process.returncode, said)
     _expect_whole(folder / "events.jsonl", finding, ends="mission_completed")
     return finding
 
 
-def attack_closed_pipe(folder: Path) -> Finding:
-    """What the flight and its mission print goes to a pipe that nobody reads any more."""
+def _full() -> BinaryIO:
+    return Path("/dev/full").open("wb")
+
+
+def _closed() -> BinaryIO:
     reading, writing = os.pipe()
     os.close(reading)
-    log = ("--log", "events.jsonl")
-    with (
-        os.fdopen(writing, "wb") as closed,
-        vehicle(folder) as connection,
-        flying(folder, connection, *log, out=closed) as process,
-    ):
-        _, said = process.communicate(timeout=120)
-    finding = _flown(process.returncode, said)
-    _expect_whole(folder / "events.jsonl", finding, ends="mission_completed")
-    return finding
+    return os.fdopen(writing, "wb")
 
 
 def attack_small_disk(folder: Path) -> Finding | None:
     """The log lies on a disk of 4 KB; None where this user may not make one."""
-    small = [
-        "unshare",
-        "-Urm",
-        "sh",
-        "-c",
-        'mkdir -p small && mount -t tmpfs -o size=4k none small && "$@"',
-        "sh",
-    ]
-    if (
-        shutil.which("unshare") is None
-        or subprocess.run([*small, "true"], cwd=folder, check=False).returncode
-    ):
+    make = 'mkdir -p small && mount -t tmpfs -o size=4k none small && "$@"'
+    small = ("unshare", "-Urm", "sh", "-c", make, "sh")
+    if shutil.which("unshare") is None or ended([*small, "true"], folder).returncode:
         return None
-    with vehicle(folder) as connection:
-        arguments = (
-            "fly",
-            "--config",
-            "drone.toml",
-            "--autopilot",
-            connection,
-            "--log",
-            "small/events.jsonl",
-        )
-        command = [*small, *_command(arguments, resource.RLIM_INFINITY)]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    with stand_in(folder, *AGILE) as vehicle:
+        prepare(folder, vehicle)
+        fly = _command((*FLY, "--log", "small/events.jsonl"), resource.RLIM_INFINITY)
+        done = ended([*small, *fly], folder)
     finding = _flown(done.returncode, done.stderr, kept=False)
     finding.expect(f"{CALLS} calls: {CALLS} on the drone" in done.stdout, "the result lacks calls")
     return finding
@@ -381,8 +292,8 @@ FLIGHTS: dict[str, Callable[[Path], Finding | None]] = {
     "fly, no room for the log for a while": attack_until_there_is_room,
     "fly, no room for the log, killed, --resume": attack_and_kill,
     "fly, a log on a disk of 4 KB": attack_small_disk,
-    "fly, standard output full": attack_full_output,
-    "fly, standard output closed": attack_closed_pipe,
+    "fly, standard output full": partial(attack_output, out=_full),
+    "fly, standard output closed": partial(attack_output, out=_closed),
 }
 
 

@@ -14,7 +14,6 @@ import contextlib
 import os
 import re
 import socket
-import subprocess
 import sys
 import tempfile
 import threading
@@ -28,12 +27,10 @@ from typing import Any
 
 import grpc
 import msgspec
-from tests.events import written
+from tests.events import read
+from tests.programs import running, stand_in, write_drone
 from tests.system.daemons import memory_bytes
 
-from upwash.eventlog import log as event_log
-from upwash.eventlog import schema
-from upwash.launch.processes import ready_program
 from upwash.real.trust.authority import keys_in, make_keys
 from upwash.rpc.protocol import AVAILABILITY, START, service_path
 
@@ -48,19 +45,15 @@ _LONGEST_LINE = 20_000  # of a log, or of what is printed
 _UNPRINTABLE = re.compile("[^\n\\x20-\\x7e\\xa0-\u1fff\u2010-\u2027\u2030-\u205e\u2070-\ud7ff]")
 _MEGABYTES = 2**20
 
-ADDER = """
+MISSION = """
 import time
-from upwash.rpc.service import service
+from upwash import service
 
 @service
 class Adder:
     def add(self, first: int, second: int) -> int:
         time.sleep(0.2)
         return first + second
-"""
-
-MISSION = """
-from adder import Adder
 
 def fly(drone):
     adder = drone.service(Adder)
@@ -72,40 +65,12 @@ def fly(drone):
         drone.user.notify(answers, at=waypoint)
     drone.autopilot.land()
 """
-
-DRONE = """
-name = "heron"
-[mission]
-program = "mission.py:fly"
-home = {{ latitude_deg = 39.3666, longitude_deg = 22.9507 }}
-altitude_m = 2.0
-ground_speed_m_s = 5.0
-waypoints_m = [[0, 0], [10, 0], [20, 0]]
-[autopilot]
-connection = "{vehicle}"
-[network]
-kind = "wired"
-[keys]
-authority = "keys/authority.pem"
-certificate = "keys/heron.pem"
-key = "keys/heron.key"
-[camera]
-folder = "photos"
-[[service]]
-name = "adder"
-program = "adder.py:Adder"
-local_call_s = 1.0
-[[server]]
-name = "s1"
-network = "s1"
-address = "{daemon}"
-east_m = 0.0
-north_m = 0.0
-range_m = 1000.0
-check_s = 3.0
-check_running_s = 1.0
-remote_call_s = 0.05
-"""
+PLAN = {"altitude_m": 2.0, "ground_speed_m_s": 5.0, "waypoints_m": [[0, 0], [10, 0], [20, 0]]}
+KEYS = {"authority": "keys/authority.pem", "certificate": "keys/heron.pem", "key": "keys/heron.key"}
+NEAR = {
+    "name": SERVER, "network": SERVER, "east_m": 0.0, "north_m": 0.0, "range_m": 1000.0,
+    "check_s": 3.0, "check_running_s": 1.0, "remote_call_s": 0.05,
+}  # fmt: skip
 
 Reply = bytes | dict[str, Any]
 
@@ -284,26 +249,22 @@ class Outcome:
 def flown_past(lie: Lie, folder: Path) -> Outcome:
     """Flies the mission past a daemon that tells the lie, in that folder."""
     make_keys(folder / "keys", servers=[[SERVER]], drones=["heron"])
-    (folder / "photos").mkdir()
-    (folder / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
-    (folder / "adder.py").write_text(ADDER)
-    (folder / "mission.py").write_text(MISSION)
-    with _vehicle(folder) as vehicle, LyingDaemon(lie, folder / "keys") as daemon:
-        (folder / "drone.toml").write_text(DRONE.format(vehicle=vehicle, daemon=daemon.address))
+    adder = {"name": SERVICE, "program": "mission.py:Adder", "local_call_s": 1.0}
+    with stand_in(folder, "--acceleration", "50") as vehicle, LyingDaemon(lie, folder / "keys") as daemon:
+        server = NEAR | {"address": daemon.address}
+        pilot = {"connection": vehicle}
+        write_drone(
+            folder, MISSION, mission=PLAN, autopilot=pilot, keys=KEYS, service=[adder], server=[server]
+        )
         code, took_s, most_bytes = _fly(folder)
         asked, elsewhere = sum(daemon.asked.values()), daemon.called_elsewhere
     said = (folder / "said").read_bytes().decode(errors="backslashreplace")
-    events = event_log.read(folder / "log.jsonl")
-    texts = [*_texts(written(events)), said]
-    answers = [
-        each
-        for event in events
-        if isinstance(event, schema.Notified)
-        for each in msgspec.convert(event.message, list[int])
-    ]
+    events = read(folder / "log.jsonl")
+    texts = [*_texts(events), said]
+    answers = [each for event in events if event["event"] == "notified" for each in event["message"]]
     wanted = [number + each for number in range(3) for each in range(4)]
     return Outcome(
-        completed=code == 0 and any(event.kind == "mission_completed" for event in events),
+        completed=code == 0 and any(event["event"] == "mission_completed" for event in events),
         right_answers=sum(one == other for one, other in zip(answers, wanted, strict=False)),
         took_s=took_s,
         memory_bytes=most_bytes,
@@ -327,23 +288,11 @@ def _texts(value: object) -> Iterator[str]:
                 yield from _texts(each)
 
 
-@contextlib.contextmanager
-def _vehicle(folder: Path) -> Iterator[str]:
-    options = ("--listen", "tcp:127.0.0.1:0", "--armable-after", "0", "--acceleration", "50")
-    with ready_program("vehicle", folder, "vehicle", *options) as address:
-        yield address
-
-
 def _fly(folder: Path) -> tuple[int, float, int]:
     """The flight's exit code, how long it took, and the most memory that it held; it is killed after a while."""
-    command = [sys.executable, "-m", "upwash", "fly", "--config", "drone.toml", "--log", "log.jsonl"]
+    fly = ("fly", "--config", "drone.toml", "--log", "log.jsonl")
     began_s, most_bytes = time.monotonic(), 0
-    with (
-        (folder / "said").open("wb") as said,
-        subprocess.Popen(
-            command, cwd=folder, stdout=said, stderr=said, env={**os.environ, "PYTHONPATH": _path(folder)}
-        ) as flight,
-    ):
+    with (folder / "said").open("wb") as said, running(*fly, folder=folder, stdout=said) as flight:
         while flight.poll() is None:
             with contextlib.suppress(FileNotFoundError, ProcessLookupError, StopIteration):
                 most_bytes = max(most_bytes, memory_bytes(flight.pid, "VmHWM"))
@@ -351,10 +300,6 @@ def _fly(folder: Path) -> tuple[int, float, int]:
                 flight.kill()
             time.sleep(0.05)
     return flight.returncode, time.monotonic() - began_s, most_bytes
-
-
-def _path(folder: Path) -> str:
-    return os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
