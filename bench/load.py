@@ -31,7 +31,8 @@ from bench.echo import REPLY_BYTES, Echo
 from bench.program import command_line, machine
 from bench.results import leave
 from bench.servers import GRPC_PATH
-from tests.system.daemons import children, memory_bytes
+from tests.children import children
+from tests.system.daemons import memory_bytes
 
 from upwash.errors import LinkError, NoLease
 from upwash.real.link.link import GrpcDialer

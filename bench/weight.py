@@ -33,7 +33,7 @@ from bench.echo import answer
 from bench.program import command_line
 from bench.results import FOLDER, leave
 from bench.servers import GRPC_PATH
-from tests.system.daemons import children
+from tests.children import children
 
 from upwash.real.trust.authority import make_keys
 

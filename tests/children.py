@@ -2,41 +2,56 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process of this machine, as proc(5) has it."""
+
+    pid: int
+    state: str
+    parent: int
+    command: str
+
+    @property
+    def is_instance(self) -> bool:
+        return "upwash.real.instances.instance" in self.command
+
+
+def processes(*, mark: str = "") -> Iterator[Process]:
+    """Every process, or those that have the mark in their environment."""
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):  # it has just ended
+            if entry.name.isdigit() and (not mark or mark.encode() in (entry / "environ").read_bytes()):
+                state, parent = _stat(int(entry.name))[:2]
+                command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                yield Process(int(entry.name), state, int(parent), command)
+
+
+def children(process_id: int) -> list[int]:
+    """The living processes that the process started."""
+    return [each.pid for each in processes() if each.parent == process_id and each.state not in "ZX"]
 
 
 def expect_no_child() -> None:
     """Neither an instance nor a zombie is a child of this process; others may be, as other tests start pools."""
-    assert [child for child in _children() if _is_left_over(child)] == []
+    own = [each for each in processes() if each.parent == os.getpid()]
+    assert [each for each in own if each.state == "Z" or each.is_instance] == []
 
 
 def is_alive(process_id: int) -> bool:
     """Whether it runs: neither gone nor a zombie."""
-    return _stat(Path("/proc", str(process_id)))[:1] not in ([], ["Z"], ["X"])
-
-
-def _children() -> list[Path]:
-    return [
-        entry
-        for entry in Path("/proc").iterdir()
-        if entry.name.isdigit() and _stat(entry)[1:2] == [str(os.getpid())]
-    ]
-
-
-def _is_left_over(process: Path) -> bool:
     try:
-        return (
-            _stat(process)[0] == "Z"
-            or b"upwash.real.instances.instance" in (process / "cmdline").read_bytes()
-        )
-    except (OSError, IndexError):
+        return _stat(process_id)[0] not in "ZX"
+    except OSError:
         return False
 
 
-def _stat(process: Path) -> list[str]:
-    """State, parent and so on; empty for a process that has just ended."""
-    try:
-        return (process / "stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return []
+def _stat(process_id: int) -> list[str]:
+    """State, parent and so on."""
+    return Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()

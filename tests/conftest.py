@@ -9,7 +9,6 @@ import inspect
 import os
 import shutil
 import signal
-import subprocess
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
@@ -18,6 +17,8 @@ from hypothesis import HealthCheck, settings
 from tests import podman as podmans
 from tests.engines import Kind, OwnEngine, own_engine, why_not
 from tests.podman import OwnPodman
+from tests.programs import ROOT, ended
+from tests.system.container_site import image_of
 from tests.system.fake_networkmanager import bus_daemon
 from tests.system.radios import Field, field_below
 
@@ -26,7 +27,7 @@ from upwash.real.trust.authority import make_keys
 from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.sim.loop import run_virtually
 
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
+SCENARIOS = ROOT / "scenarios"
 WAITING_GROUPS = (
     *(f"flights-{number}" for number in range(4)),
     "browser",
@@ -187,14 +188,7 @@ def _engine(kind: Kind) -> Iterator[OwnEngine]:
 @pytest.fixture(scope="session")
 def workbench_image(services: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image of the workbench."""
-    from upwash.missions.bundled import load_service_alone
-    from upwash.packaging.image import Recipe, package
-
-    return package(
-        Recipe(load_service_alone(f"{services}:Workbench")),
-        tmp_path_factory.mktemp("images"),
-        report=lambda _: None,
-    )
+    return image_of(f"{services}:Workbench", tmp_path_factory.mktemp("images"))
 
 
 @pytest.fixture(scope="session")
@@ -209,17 +203,8 @@ def podman() -> Iterator[OwnPodman]:
 @pytest.fixture(scope="session")
 def docker_images(services: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Images of the workbench and the vandal, as Docker and Podman take them."""
-    from upwash.missions.bundled import load_service_alone
-    from upwash.packaging.image import Recipe, package
-
-    return [
-        package(
-            Recipe(load_service_alone(f"{services}:{cls}"), format="docker"),
-            tmp_path_factory.mktemp("images"),
-            report=lambda _: None,
-        )
-        for cls in ("Workbench", "Vandal")
-    ]
+    folder = tmp_path_factory.mktemp("images")
+    return [image_of(f"{services}:{cls}", folder, "docker") for cls in ("Workbench", "Vandal")]
 
 
 @pytest.fixture(scope="session")
@@ -228,19 +213,8 @@ def detail(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("g++") is None:
         pytest.skip("no g++ here: tests/system/install-packages installs it")
     program = tmp_path_factory.mktemp("program") / "detail"
-    made = subprocess.run(
-        (
-            "g++",
-            "-std=c++17",
-            "-O1",
-            str(SCENARIOS.parent / "examples/other-languages/detail.cpp"),
-            "-o",
-            str(program),
-        ),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    source = ROOT / "examples/other-languages/detail.cpp"
+    made = ended(["g++", "-std=c++17", "-O1", source, "-o", program])
     if "nlohmann/json.hpp: No such file" in made.stderr:
         pytest.skip("no nlohmann/json.hpp here: tests/system/install-packages installs it")
     assert made.returncode == 0, made.stderr

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from tests.children import processes
+
 Kind = Literal["lxd", "incus"]
 _READY_S = 60
 _STOP_S = 20.0
@@ -118,10 +120,9 @@ def _end(
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    for mount in sorted(_mounts_below(folder), reverse=True):
-        subprocess.run(("umount", "--lazy", mount), check=False)
-    for _ in range(100):
-        left = _processes_of(folder)
+    unmount_below(folder)
+    for _ in range(100):  # what was started for containers in the folder: their monitors, which name it
+        left = [each.pid for each in processes() if str(folder) in each.command and each.pid != os.getpid()]
         if not left:
             break
         for process_id in left:
@@ -130,22 +131,11 @@ def _end(
         time.sleep(0.05)
 
 
-def _mounts_below(folder: Path) -> list[str]:
-    return [
-        line.split()[1]
-        for line in Path("/proc/self/mounts").read_text().splitlines()
-        if line.split()[1].startswith(f"{folder}/")
-    ]
-
-
-def _processes_of(folder: Path) -> list[int]:
-    """What was started for containers in the folder: their monitors, which name it."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        with contextlib.suppress(OSError):
-            if entry.name.isdigit() and str(folder).encode() in (entry / "cmdline").read_bytes():
-                found.append(int(entry.name))
-    return [process_id for process_id in found if process_id != os.getpid()]
+def unmount_below(folder: Path) -> None:
+    """Takes away what is mounted in the folder."""
+    mounts = [line.split()[1] for line in Path("/proc/self/mounts").read_text().splitlines()]
+    for mount in sorted((each for each in mounts if each.startswith(f"{folder}/")), reverse=True):
+        subprocess.run(("umount", "--lazy", mount), check=False)
 
 
 def _daemon(kind: Kind) -> str:

@@ -13,7 +13,7 @@ Scenario: TypeAlias = Callable[..., Awaitable[None]]
 Test: TypeAlias = Callable[..., None]
 
 
-def played(world: Callable[..., None] | str, *arguments: Any, **named: Any) -> Callable[[Scenario], Test]:
+def played(world: Callable[..., object] | str, *arguments: Any, **named: Any) -> Callable[[Scenario], Test]:
     """Make a coroutine function a test, which `world(scenario, *arguments, **named)` plays.
 
     A world that is a text is the fixture of that name. The world passes as many positional arguments as the coroutine

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.engines import unmount_below
 from tests.waiting import wait_for
 
 _END_S = 20.0
@@ -101,9 +102,7 @@ def own_podman() -> Iterator[OwnPodman]:
             podman.command("rm", "--all", "--force", "--time=0")
         process.terminate()
         process.wait(timeout=_END_S)
-        for line in Path("/proc/self/mounts").read_text().splitlines():
-            if line.split()[1].startswith(f"{folder}/"):
-                subprocess.run(("umount", "--lazy", line.split()[1]), check=False)
+        unmount_below(folder)
         shutil.rmtree(folder, ignore_errors=True)
 
 

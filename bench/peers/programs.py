@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bench.peers.link import DRONE, SERVER
 from bench.peers.order import Order
-from tests.system.daemons import children
+from tests.children import children
 
 from upwash.emulation.namespaces import command, inside
 from upwash.launch.processes import ready_program

@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.children import expect_no_child
-from tests.system.daemons import children
+from tests.children import children, expect_no_child
 
 from upwash.core.admission.limits import Limits
 from upwash.errors import InstanceError, LinkError, UsageError

@@ -9,12 +9,15 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 from tests.waiting import wait_for
+
+from upwash.launch.processes import ready_program
 
 AXE = Path(__file__).parent / "axe" / "axe.min.js"
 _PROGRAMS = ("chromium", "chromedriver")
@@ -31,6 +34,14 @@ def why_not() -> str:
     """Why there is no browser here, empty if there is."""
     missing = [program for program in _PROGRAMS if shutil.which(program) is None]
     return f"{' and '.join(missing)} not installed" if missing else ""
+
+
+NEEDED = [
+    pytest.mark.system,
+    pytest.mark.root,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(bool(why_not()), reason=why_not()),
+]
 
 
 class Browser:
@@ -85,6 +96,50 @@ class Browser:
         """What the first element of that selector says, seen or not."""
         return str(self.run("return document.querySelector(arguments[0])?.textContent ?? ''", selector))
 
+    def each(self, selector: str, script: str) -> list[Any]:
+        """What the script, of the name `each`, makes of each element of that selector."""
+        return list(
+            self.run(f"return [...document.querySelectorAll(arguments[0])].map((each) => {script})", selector)
+        )
+
+    def rows(self, selector: str) -> list[list[str]]:
+        """What the cells of a table's body say."""
+        cells = "[...each.cells].map((cell) => cell.textContent.trim())"
+        return self.each(f"{selector} tbody tr", cells)
+
+    def drawn(self) -> None:
+        """Waits until the page has drawn what it knows, which it does at its next frame."""
+        self.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def seek(self, at_s: float) -> None:
+        """Moves the slider of a flight's page."""
+        self.run(
+            "const slider = document.getElementById('time'); slider.value = arguments[0];"
+            "slider.dispatchEvent(new Event('input'));",
+            at_s,
+        )
+        self.wait_for_moment(at_s)
+        self.drawn()
+
+    def wait_for_moment(self, at_s: float) -> None:
+        """Waits until that second is shown."""
+        self.wait_until(lambda: self.moment() == at_s)
+
+    def moment(self) -> float:
+        """The second of the mission that is shown."""
+        return float(self.run("return document.getElementById('time').value"))
+
+    def width(self) -> float:
+        """How wide what it shows is."""
+        return float(self.run("return document.documentElement.scrollWidth"))
+
+    def too_small(self, selector: str) -> list[str]:
+        """Which of these are lower than fingers hit."""
+        shown = self.each(
+            selector, "each.offsetParent && each.getBoundingClientRect().height < 24 && each.outerHTML"
+        )
+        return [each for each in shown if each]
+
     def wait_until(self, seen: Callable[[], Seen], *, within_s: float = _PATIENCE_S) -> Seen:
         """Waits until that is true, and returns it."""
         return wait_for(seen, within_s=within_s, seen=lambda: self.text("main")[:500])
@@ -115,6 +170,14 @@ class Browser:
         """What the page loaded that is not of that address."""
         loaded = self.run("return performance.getEntriesByType('resource').map((entry) => entry.name)")
         return [name for name in loaded if not name.startswith(address)]
+
+
+@contextlib.contextmanager
+def view_of(*logs: Path | str) -> Iterator[str]:
+    """The address of `upwash view` of the logs, with its options behind them, until the end of the block."""
+    folder = Path(logs[0]).parent
+    with ready_program("view", folder, "view", *map(str, logs), "--port", "0") as address:
+        yield address
 
 
 @contextlib.contextmanager

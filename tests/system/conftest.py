@@ -1,8 +1,8 @@
-"""What tests of containers share: the engines in which their services run."""
+"""What system tests share: a browser, and the engines in which services run in containers."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from ipaddress import IPv4Network
 from pathlib import Path
@@ -11,18 +11,18 @@ import pytest
 from tests.doors import led
 from tests.engines import OwnEngine
 from tests.podman import OwnPodman
+from tests.system.browser import Browser, browser
 from tests.system.container_site import (
     DISK_BYTES,
-    MAX_MESSAGE_BYTES,
     MEMORY_BYTES,
     PROCESSES,
     Host,
     Site,
+    image_of,
 )
+from tests.system.daemons import MAX_MESSAGE_BYTES
 
 from upwash.core.admission.limits import Limits
-from upwash.missions.bundled import load_service_alone
-from upwash.packaging.image import Recipe, package
 from upwash.real.instances.containers import reference_of
 from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
@@ -41,10 +41,16 @@ ReadCredentials = Callable[[str], Credentials]
 
 
 @pytest.fixture(scope="session")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A browser for pages."""
+    with browser(tmp_path_factory.mktemp("chromium")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
 def vandal_image(services: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image of the vandal, as LXD takes it."""
-    recipe = Recipe(load_service_alone(f"{services}:Vandal"))
-    return package(recipe, tmp_path_factory.mktemp("images"), report=lambda _: None)
+    return image_of(f"{services}:Vandal", tmp_path_factory.mktemp("images"))
 
 
 @pytest.fixture(scope="session")
@@ -68,11 +74,7 @@ def docker_host(
         async with led(credentials("s1")) as lead:
             runtime = DockerRuntime(
                 engine,
-                DockerSettings(
-                    tmp_path,
-                    limits=dict.fromkeys(SERVICES, LIMITS),
-                    devices=devices,
-                ),
+                DockerSettings(tmp_path, limits=dict.fromkeys(SERVICES, LIMITS), devices=devices),
                 images or {service: reference_of(service) for service in SERVICES},
                 listen=sockets_in(tmp_path),
                 freezes=freezes,
@@ -90,7 +92,7 @@ def docker_host(
         podman,
         open_site,
         keeps=False,
-        runtime=f'kind = "docker"\nengine.addresses = ["unix://{podman.socket}"]',
+        runtime={"kind": "docker", "engine": {"addresses": [f"unix://{podman.socket}"]}},
         seen_of_a_kill=".*killed by SIGKILL.*",
         writable=3,  # /tmp, /var/tmp and /dev/shm
     )
@@ -112,10 +114,7 @@ def lxd_host(
         async with led(credentials("s1")) as lead:
             runtime = LxdRuntime(
                 engine,
-                LxdSettings(
-                    IPv4Network(SUBNET),
-                    limits=dict.fromkeys(SERVICES, LIMITS),
-                ),
+                LxdSettings(IPv4Network(SUBNET), limits=dict.fromkeys(SERVICES, LIMITS)),
                 freezes=freezes,
                 lead=lead,
                 max_message_bytes=MAX_MESSAGE_BYTES,
@@ -133,7 +132,11 @@ def lxd_host(
         lxd,
         open_site,
         keeps=True,
-        runtime=f'kind = "lxd"\nnetwork.subnet = "{SUBNET}"\nengine.addresses = ["unix:{lxd.socket}"]',
+        runtime={
+            "kind": "lxd",
+            "network": {"subnet": SUBNET},
+            "engine": {"addresses": [f"unix:{lxd.socket}"]},
+        },
         seen_of_a_kill="the container is gone, or cannot be reached",
         writable=2,
     )

@@ -12,17 +12,26 @@ from typing import Any
 from tests.doors import reached
 from tests.engines import OwnEngine
 from tests.podman import OwnPodman
+from tests.system.daemons import config
 
+from upwash.packaging.image import Format
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
 from upwash.real.link.link import GrpcDialer
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 
-MAX_MESSAGE_BYTES = 1_000_000
 MEMORY_BYTES = 2**28
 PROCESSES = 100
 DISK_BYTES = 2**26
 _OF_VANDALS = {"identity", "reach", "eat_memory", "fork_without_end", "fill_disk"}
+
+
+def image_of(program: str, folder: Path, image_format: Format = "lxd") -> Path:
+    """The image of a service, in a folder."""
+    from upwash.missions.bundled import load_service_alone
+    from upwash.packaging.image import Recipe, package
+
+    return package(Recipe(load_service_alone(program), format=image_format), folder, report=lambda _: None)
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ class Host:
     engine: OwnPodman | OwnEngine
     open_site: Callable[..., AbstractAsyncContextManager[Site]]
     keeps: bool  # what was made, to use it again
-    runtime: str  # the table of that name for a daemon's configuration
+    runtime: dict[str, Any]  # the table of that name for a daemon's configuration
     seen_of_a_kill: str  # what is said of a container that is killed from outside: a pattern
     writable: int  # folders of a container, each of which takes so many bytes
 
@@ -80,23 +89,17 @@ class Host:
 
         asyncio.run(run())
 
-    def configured(self, folder: Path, keys: Path, runtime: str = "") -> Path:
-        """The configuration of a daemon that soon finds containers idle, with more for its runtime."""
-        config = folder / "server.toml"
-        config.write_text(
-            f"""
-            listen = "127.0.0.1:0"
-            lease_s = 2.0
-            idle_stop_s = 0.5
-            keys = {{ authority = "{keys}/authority.pem", certificate = "{keys}/s1.pem", key = "{keys}/s1.key" }}
-            service = [{{ name = "workbench" }}, {{ name = "vandal" }}]
-            server = [{{ name = "s1" }}, {{ name = "s2", images = ["workbench"] }}]
-            [runtime]
-            {self.runtime}
-            memory_bytes = {MEMORY_BYTES}
-            processes = {PROCESSES}
-            disk_bytes = {DISK_BYTES}
-            {runtime}
-            """
-        )
-        return config
+    def configured(self, folder: Path, keys: Path | None, idle: str | None = None, **tables: Any) -> Path:
+        """The configuration of a daemon that soon finds containers idle; a table changes or adds to what there is."""
+        limits = {"memory_bytes": MEMORY_BYTES, "processes": PROCESSES, "disk_bytes": DISK_BYTES}
+        of_processes = {"sandbox": None, "sandbox_as_root": None}
+        fixed = {
+            "runtime": {**self.runtime, **limits, **of_processes, "idle": idle},
+            "lease_s": 2.0,
+            "idle_stop_s": 0.5,
+            "service": [{"name": "workbench"}, {"name": "vandal"}],
+            "server": [{"name": "s1"}, {"name": "s2", "images": ["workbench"]}],
+        }
+        file = folder / "server.toml"
+        file.write_text(config(keys, **fixed | tables))
+        return file

@@ -13,12 +13,15 @@ from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+import grpc
 import msgspec
-from tests.children import is_alive
+import tomli_w
+from tests.children import children, is_alive
 from tests.waiting import wait_for
 
 from upwash.real.link.link import GrpcDialer, GrpcLink
-from upwash.real.trust.credentials import Credentials
+from upwash.real.trust.authority import keys_in
+from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.rpc.protocol import (
     AVAILABILITY,
     LEAVE,
@@ -39,47 +42,53 @@ T = TypeVar("T")
 MAX_MESSAGE_BYTES = 1_000_000
 
 ROOT = Path(__file__).parents[2]
-CONFIG = """
-[[service]]
-name = "workbench"
-program = "services_for_tests:Workbench"
-
-[[service]]
-name = "unstartable"
-program = "services_for_tests:Unstartable"
-
-[[service]]
-name = "slowtostart"
-program = "services_for_tests:SlowToStart"
-
-[[server]]
-name = "s1"
-slots = 1
-
-[[server]]
-name = "s2"
-slots = 1
-"""
+SERVICES = [
+    {"name": cls.lower(), "program": f"services_for_tests:{cls}"}
+    for cls in ("Workbench", "Unstartable", "SlowToStart")
+]
+SERVERS = [{"name": "s1", "slots": 1}, {"name": "s2", "slots": 1}]
 
 
-def config(
-    keys: Path | None,
-    listen: str = "127.0.0.1:0",
-    *,
-    sandbox: str = "off",
-    as_root: bool = True,
-    **settings: Any,
-) -> str:
-    """A daemon that is s1 and s2; without a folder of keys it lets anyone of this machine in."""
-    lines = [f'listen = "{listen}"', f'runtime.sandbox = "{sandbox}"']
-    lines += [f"runtime.sandbox_as_root = {str(as_root).lower()}"]
-    lines += [f"{name} = {value}" for name, value in settings.items()]
+def shown(keys: Path, holder: str) -> Credentials:
+    """What the holder of a certificate in the folder shows."""
+    files = keys_in(keys, holder)
+    return read_credentials(files.authority, files.certificate, files.key)
+
+
+def channel(address: str, shows: Credentials, server: str = "s1") -> grpc.Channel:
+    """A connection of its own to the server at the address."""
+    secret = grpc.ssl_channel_credentials(shows.authority, shows.key or None, shows.certificate or None)
+    options = [
+        ("grpc.ssl_target_name_override", server),
+        ("grpc.use_local_subchannel_pool", 1),
+        ("grpc.enable_http_proxy", 0),
+    ]
+    return grpc.secure_channel(address, secret, options)
+
+
+def config(keys: Path | None, /, **tables: Any) -> str:
+    """A daemon that is s1 and s2; without a folder of keys it lets anyone of this machine in.
+
+    A table changes or adds to what there is; a key of None is left out.
+    """
+    document: dict[str, Any] = {
+        "listen": "127.0.0.1:0",
+        "runtime": {"sandbox": "off", "sandbox_as_root": True},
+        "service": SERVICES,
+        "server": SERVERS,
+    }
     if keys is None:
-        lines.append("allow_without_certificates = true")
+        document["allow_without_certificates"] = True
     else:
-        lines += ["[keys]", f'authority = "{keys}/authority.pem"']
-        lines += [f'certificate = "{keys}/s1.pem"', f'key = "{keys}/s1.key"']
-    return "\n".join(lines) + CONFIG
+        document["keys"] = {"authority": f"{keys}/authority.pem"}
+        document["keys"] |= {"certificate": f"{keys}/s1.pem", "key": f"{keys}/s1.key"}
+    for name, table in tables.items():
+        if isinstance(table, dict):
+            changed = {**document.get(name, {}), **table}
+            document[name] = {key: value for key, value in changed.items() if value is not None}
+        else:
+            document[name] = table
+    return tomli_w.dumps(document)
 
 
 def started(folder: Path, text: str, *options: str, path: str = os.environ["PATH"]) -> subprocess.Popen[str]:
@@ -99,14 +108,34 @@ def started(folder: Path, text: str, *options: str, path: str = os.environ["PATH
 class Daemon:
     """A daemon's process that is ready at its address."""
 
-    def __init__(self, process: subprocess.Popen[str], names: str) -> None:
+    def __init__(self, process: subprocess.Popen[str], names: str, folder: Path) -> None:
         assert process.stdout is not None
         self.process = process
+        self._folder = folder
         said, _, self.address = process.stdout.readline().strip().partition(" ready at ")
-        assert said == names
+        assert said == names, self.said()
+
+    @property
+    def port(self) -> int:
+        return int(self.address.rpartition(":")[2])
 
     def instances(self) -> list[int]:
         return children(self.process.pid)
+
+    def said(self) -> str:
+        """Its log."""
+        return (self._folder / "stderr").read_text()
+
+    def has_said(self, pattern: str, *, since: int = 0) -> None:
+        """Returns when that is in its log, after the first so many characters."""
+        wait_for(lambda: re.search(pattern, self.said()[since:]), seen=self.said)
+
+    def reload(self, text: str, awaited: str) -> None:
+        """Has it read another configuration, or the same; returns when it has said that of it."""
+        (self._folder / "server.toml").write_text(text)
+        known = len(self.said())
+        self.process.send_signal(signal.SIGHUP)
+        self.has_said(awaited, since=known)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> int:
         self.process.send_signal(number)
@@ -120,28 +149,15 @@ def daemon(
     """A daemon until the end of the block, by which it and all of its instances must have ended."""
     with started(folder, text, *options, **settings) as process:
         try:
-            running = Daemon(process, names)
+            running = Daemon(process, names, folder)
             yield running
             instances = running.instances()
             if process.poll() is None:
                 assert running.end() == 0
-            assert not re.search("^Traceback", (folder / "stderr").read_text(), re.MULTILINE)
+            assert not re.search("^Traceback", running.said(), re.MULTILINE)
             wait_for(lambda: not any(map(is_alive, instances)))
         finally:
             process.kill()
-
-
-def children(process_id: int) -> list[int]:
-    """The living processes that the process started."""
-    found = []
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, parent = status.read_text().rpartition(")")[2].split()[:2]
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        if int(parent) == process_id and state not in "ZX":
-            found.append(int(status.parent.name))
-    return found
 
 
 def memory_bytes(process_id: int, what: str = "VmRSS") -> int:
@@ -194,14 +210,15 @@ class Guest:
 
 @asynccontextmanager
 async def guests(
-    at: Daemon, services: Path, *who: tuple[str, Credentials | None, str]
+    at: Daemon, services: Path | str, *who: tuple[str, Credentials | None, str]
 ) -> AsyncIterator[list[Guest]]:
-    """Drones, each by its name, what it shows, and the server that it visits."""
+    """Drones, each by its name, what it shows, and its server; they call the workbench or another program."""
+    program = services if isinstance(services, str) else f"{services}:Workbench"
     async with AsyncExitStack() as stack:
         each = []
         for name, shown, server in who:
             dialer = GrpcDialer(name, shown, max_message_bytes=MAX_MESSAGE_BYTES)
-            guest = Guest(dialer, server, at.address, f"{services}:Workbench")
+            guest = Guest(dialer, server, at.address, program)
             stack.push_async_callback(guest.close)
             each.append(guest)
         yield each

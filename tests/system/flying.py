@@ -6,12 +6,11 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.system.daemons import MAX_MESSAGE_BYTES
+from tests.system.daemons import MAX_MESSAGE_BYTES, shown
 
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.real.link.link import GrpcDialer
-from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.service import load_service, spec_of
 
 
@@ -22,7 +21,6 @@ class Flying:
     """
 
     def __init__(self, name: str, address: str, keys: Path, program: str, method: str = "process_id") -> None:
-        shown = read_credentials(keys / "authority.pem", keys / f"{name}.pem", keys / f"{name}.key")
         self.answered: list[int] = []  # what was answered, one after the other
         self._called = asyncio.Event()  # is set, and replaced, at each answer
         spec = spec_of(load_service(program))
@@ -30,7 +28,7 @@ class Flying:
         self._session = ServerSession(
             ServerEndpoint(name="s1", network="", address=address, services=(spec.name,)),
             network=NoNetwork(),
-            dialer=GrpcDialer(name, shown, max_message_bytes=MAX_MESSAGE_BYTES),
+            dialer=GrpcDialer(name, shown(keys, name), max_message_bytes=MAX_MESSAGE_BYTES),
         )
 
     async def called(self) -> None:

@@ -25,10 +25,9 @@ from statistics import median
 
 import grpc
 from bench.results import leave
-from tests.system.daemons import ROOT, Daemon, Guest, config, daemon, guests, memory_bytes
+from tests.system.daemons import ROOT, Daemon, Guest, channel, config, daemon, guests, memory_bytes, shown
 
 from upwash.real.trust.authority import keys_in, make_keys, revoke
-from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.rpc.protocol import AVAILABILITY, service_path
 
 HALF_OPEN = 1000
@@ -50,9 +49,16 @@ class Target:
     instance_port: int
     keys: Path
 
-    def credentials(self, drone: str) -> Credentials:
-        files = keys_in(self.keys, drone)
-        return read_credentials(files.authority, files.certificate, files.key)
+    def spoken_to(
+        self, drone: str, *, instance: bool = False
+    ) -> contextlib.AbstractContextManager[ssl.SSLSocket]:
+        """A connection that has shown the drone's certificate to the daemon, or to the instance."""
+        return spoken_to(self.instance_port if instance else self.daemon_port, self.keys, drone)
+
+    def channel(self, drone: str, *, instance: bool = False) -> grpc.Channel:
+        """The same, for gRPC."""
+        port = self.instance_port if instance else self.daemon_port
+        return channel(f"127.0.0.1:{port}", shown(self.keys, drone))
 
 
 Attack = Callable[[Target], contextlib.AbstractContextManager[None]]
@@ -107,14 +113,14 @@ def endless_handshakes(at: Target) -> Iterator[None]:
 @contextlib.contextmanager
 def declared_lengths(at: Target) -> Iterator[None]:
     """A body of 2^62 bytes, a message and values in it of 2^32 - 1: declared, and not sent."""
-    with _spoken_to(at, at.daemon_port, "stork") as connection:
+    with at.spoken_to("stork") as connection:
         connection.sendall(head(AVAILABILITY, length=LONGEST))
         connection.sendall(frame(0, 0, b"\0\xff\xff\xff\xff"))
         connection.settimeout(5.0)
         with contextlib.suppress(OSError):
             while connection.recv(4096):
                 pass
-    with _channel(at, at.daemon_port, "stork") as channel:
+    with at.channel("stork") as channel:
         for value in (b"\xdd", b"\xdf", b"\xdb", b"\xc6"):  # a list, a map, a text, bytes
             body = b"\x82\xa6server\xa2s1\xa8services" + value + b"\xff\xff\xff\xff"
             with contextlib.suppress(grpc.RpcError):
@@ -125,13 +131,9 @@ def declared_lengths(at: Target) -> Iterator[None]:
 @contextlib.contextmanager
 def slow_reader(at: Target) -> Iterator[None]:
     """Reads a long reply at one byte a second."""
-    with _spoken_to(at, at.instance_port, "heron") as connection:
-        message = b"\x81\xa4data\xc5\xea\x60" + bytes(60_000)
-        connection.sendall(head(ECHO))
-        body = b"\0" + len(message).to_bytes(4) + message
-        pieces = [body[start : start + 16_000] for start in range(0, len(body), 16_000)]
-        for piece in pieces:
-            connection.sendall(frame(0, 1 if piece is pieces[-1] else 0, piece))
+    with at.spoken_to("heron", instance=True) as connection:
+        for each in call_of_echo(bytes(60_000)):
+            connection.sendall(each)
         over = threading.Event()
         reading = threading.Thread(target=_read_slowly, args=(connection.fileno(), over))
         reading.start()
@@ -151,7 +153,7 @@ def unfinished_requests(at: Target) -> Iterator[None]:
         over.wait()
         yield from ()
 
-    with _channel(at, at.instance_port, "stork") as stork, _channel(at, at.instance_port, "heron") as heron:
+    with at.channel("stork", instance=True) as stork, at.channel("heron", instance=True) as heron:
         grpc.channel_ready_future(heron).result(timeout=10.0)
         heron.stream_unary(ECHO).future(nothing(), timeout=60.0)
         refused = [stork.stream_unary(ECHO).future(nothing(), timeout=60.0) for _ in range(UNFINISHED)]
@@ -174,7 +176,7 @@ def stream_with_certificate(at: Target) -> Iterator[None]:
                 return
             yield bytes(GARBAGE_BYTES)
 
-    with _channel(at, at.daemon_port, "stork") as one, _channel(at, at.instance_port, "heron") as other:
+    with at.channel("stork") as one, at.channel("heron", instance=True) as other:
         calls = [
             channel.stream_unary(path).future(megabytes(), timeout=30.0)
             for channel, path in ((one, AVAILABILITY), (other, ECHO))
@@ -193,24 +195,21 @@ def idle_callers(at: Target) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         for drone in FLOCK:
             for _ in range(CALLERS // len(FLOCK)):
-                stack.enter_context(_spoken_to(at, at.daemon_port, drone))
+                stack.enter_context(at.spoken_to(drone))
         yield
 
 
 @contextlib.contextmanager
 def readers_of_nothing(at: Target) -> Iterator[None]:
     """As many connections as one drone may have, each of which asks for much and reads none of it."""
-    message = b"\x81\xa4data\xc6" + len(PHOTO).to_bytes(4) + PHOTO
-    body = b"\0" + len(message).to_bytes(4) + message
-    pieces = [body[start : start + 16_000] for start in range(0, len(body), 16_000)]
     with contextlib.ExitStack() as stack:
         for _ in range(CALLERS // len(FLOCK)):
-            connection = stack.enter_context(_spoken_to(at, at.instance_port, "heron"))
+            connection = stack.enter_context(at.spoken_to("heron", instance=True))
             connection.settimeout(1.0)
             with contextlib.suppress(OSError):
-                connection.sendall(frame(8, 0, (2**30).to_bytes(4), stream=0) + head(ECHO))
-                for piece in pieces:
-                    connection.sendall(frame(0, 1 if piece is pieces[-1] else 0, piece))
+                connection.sendall(frame(8, 0, (2**30).to_bytes(4), stream=0))
+                for each in call_of_echo(PHOTO):
+                    connection.sendall(each)
         yield
 
 
@@ -223,7 +222,7 @@ def flood(kind: int, payload: bytes, *, stream: int = 0) -> Attack:
         with contextlib.ExitStack() as stack:
             for _ in range(8):
                 with contextlib.suppress(OSError):
-                    connection = stack.enter_context(_spoken_to(at, at.daemon_port, "stork"))
+                    connection = stack.enter_context(at.spoken_to("stork"))
                     connection.settimeout(1.0)
                     connection.sendall(frame(1, 0, b"\x83") if stream else b"")  # a head that goes on
                     for _ in range(125_000 * len(frame(kind, 0, payload)) // len(many)):
@@ -238,7 +237,7 @@ def inflating_request(at: Target) -> Iterator[None]:
     """512 MB of zeros in 0.5 MB."""
     small = gzip.compress(bytes(2**29))
     body = b"\1" + len(small).to_bytes(4) + small
-    with _spoken_to(at, at.daemon_port, "stork") as connection:
+    with at.spoken_to("stork") as connection:
         connection.settimeout(5.0)
         with contextlib.suppress(OSError):  # it is not received
             connection.sendall(head(AVAILABILITY, encoding="gzip"))
@@ -251,23 +250,14 @@ def inflating_request(at: Target) -> Iterator[None]:
 
 
 def program(name: str, drone: str, *, at_instance: bool = False) -> Attack:
-    """The program of that name in tests/system/attacks, with the keys of that drone."""
+    """The attack of that name in attacks/endless.py, with the keys of that drone."""
 
     @contextlib.contextmanager
     def attack(at: Target) -> Iterator[None]:
         port = at.instance_port if at_instance else at.daemon_port
         # What it takes of this machine itself is not what it does to the daemon.
-        command = [
-            "nice",
-            "-n",
-            "19",
-            sys.executable,
-            "-m",
-            f"tests.system.attacks.{name}",
-            str(port),
-            str(at.keys),
-            drone,
-        ]
+        command = ["nice", "-n", "19", sys.executable, "-m", "tests.system.attacks.endless"]
+        command += [name, str(port), str(at.keys), drone]
         with subprocess.Popen(
             command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         ) as process:
@@ -312,7 +302,7 @@ def attacked_site(folder: Path) -> tuple[str, Path]:
     keys = folder / "keys"
     make_keys(keys, servers=[["s1", "s2"]], drones=["heron", "stork", "vulture", *FLOCK])
     listed = revoke(keys, ["vulture"])
-    return config(keys).replace("[keys]", f'[keys]\nrevoked = "{listed}"'), keys
+    return config(keys, keys={"revoked": str(listed)}), keys
 
 
 # --- HTTP/2 as nobody sends it ------------------------------------------------------------------------------
@@ -323,9 +313,9 @@ def connected(port: int, *, source: tuple[str, int] | None = None) -> socket.soc
 
 
 @contextlib.contextmanager
-def _spoken_to(at: Target, port: int, drone: str) -> Iterator[ssl.SSLSocket]:
+def spoken_to(port: int, keys: Path, drone: str) -> Iterator[ssl.SSLSocket]:
     """A connection that has shown the drone's certificate and begun to speak HTTP/2."""
-    files = keys_in(at.keys, drone)
+    files = keys_in(keys, drone)
     context = ssl.create_default_context(cafile=str(files.authority))
     context.load_cert_chain(files.certificate, files.key)
     context.set_alpn_protocols(["h2"])
@@ -364,17 +354,13 @@ def _read_slowly(descriptor: int, over: threading.Event) -> None:
             pass
 
 
-def _channel(at: Target, port: int, drone: str) -> grpc.Channel:
-    shown = at.credentials(drone)
-    return grpc.secure_channel(
-        f"127.0.0.1:{port}",
-        grpc.ssl_channel_credentials(shown.authority, shown.key, shown.certificate),
-        [
-            ("grpc.ssl_target_name_override", "s1"),
-            ("grpc.use_local_subchannel_pool", 1),
-            ("grpc.enable_http_proxy", 0),
-        ],
-    )
+def call_of_echo(data: bytes) -> Iterator[bytes]:
+    """The frames of a call that sends these bytes and gets them back."""
+    message = b"\x81\xa4data\xc6" + len(data).to_bytes(4) + data
+    body = b"\0" + len(message).to_bytes(4) + message
+    yield head(ECHO)
+    for start in range(0, len(body), 16_000):
+        yield frame(0, 1 if start + 16_000 >= len(body) else 0, body[start : start + 16_000])
 
 
 # --- what comes of it ---------------------------------------------------------------------------------------
@@ -406,10 +392,10 @@ class Peak:
 
 async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, calls: int) -> Outcome:
     """Has an honest drone call before and during the attack; raises where a call is not answered."""
-    believed = Target(0, 0, keys).credentials("heron")
+    believed = shown(keys, "heron")
     async with guests(at, services, ("heron", believed, "s1")) as (heron,):
         endpoint = (await heron.start()).endpoint
-        target = Target(_port(at.address), _port(endpoint), keys)
+        target = Target(at.port, int(endpoint.rpartition(":")[2]), keys)
         await _served(heron, endpoint, 10 * calls)  # what is allocated once
         peak = Peak([at.process.pid, *at.instances()])
         usual_s = await _served(heron, endpoint, 2 * calls)
@@ -437,10 +423,6 @@ async def _served(drone: Guest, endpoint: str, calls: int) -> list[float]:
         assert await drone.call(endpoint, "echo", PHOTO) == PHOTO
         delays_s.append(time.perf_counter() - began_s)
     return delays_s
-
-
-def _port(address: str) -> int:
-    return int(address.rpartition(":")[2])
 
 
 @dataclass(frozen=True)

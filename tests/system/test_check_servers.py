@@ -12,9 +12,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.programs import write_drone
 from tests.system.daemons import config, daemon
 
-from upwash.config import DroneConfig, drone_config
+from upwash.config import DroneConfig, read_drone_config
 from upwash.launch.survey import survey_servers
 from upwash.real.network import SurveyFinding
 
@@ -51,24 +52,24 @@ async def forwarded(address: str, at: int = 0) -> AsyncIterator[str]:
 
 
 def drone(folder: Path, keys: Path, program: str, address: str, **tables: Any) -> DroneConfig:
-    (folder / "photos").mkdir(exist_ok=True)
-    (folder / "photos" / "1.jpg").write_bytes(JPEG)
-    document = {
-        "name": "heron",
-        "mission": {"waypoints_m": [[0, 0]]},
-        "camera": {"folder": "photos"},
-        "keys": {
-            "authority": f"{keys}/authority.pem",
-            "certificate": f"{keys}/heron.pem",
-            "key": f"{keys}/heron.key",
-        },
-        "service": [{"name": program.rpartition(":")[2].lower(), "program": program, "local_call_s": 10.0}],
-        "server": [
-            {"name": "s1", "range_m": 50, "east_m": 0, "north_m": 0, "address": address, "remote_call_s": 1.0}
-        ],
-        **tables,
+    own = {"authority": "authority.pem", "certificate": "heron.pem", "key": "heron.key"}
+    service = {"name": program.rpartition(":")[2].lower(), "program": program, "local_call_s": 10.0}
+    server = {
+        "name": "s1",
+        "range_m": 50,
+        "east_m": 0,
+        "north_m": 0,
+        "address": address,
+        "remote_call_s": 1.0,
     }
-    return drone_config(document, folder / "drone.toml")
+    fixed = {
+        "keys": {name: f"{keys}/{file}" for name, file in own.items()},
+        "service": [service],
+        "server": [server],
+    }
+    file = write_drone(folder, **fixed | tables)
+    (folder / "photos" / "1.jpg").write_bytes(JPEG)
+    return read_drone_config(file)
 
 
 @pytest.fixture
@@ -108,12 +109,10 @@ class Late:
 
 
 def served(keys: Path, programs: str, **settings: Any) -> str:
-    services = "".join(
-        f'[[service]]\nname = "{cls.lower()}"\nprogram = "{programs}:{cls}"\n'
-        for cls in ("Finder", "Failing", "Mute", "Late")
-    )
-    text = config(keys, "127.0.0.2:0", **settings)
-    return text[: text.index("\n[[service]]")] + f'\n{services}[[server]]\nname = "s1"\n'
+    services = [
+        {"name": cls.lower(), "program": f"{programs}:{cls}"} for cls in ("Finder", "Failing", "Mute", "Late")
+    ]
+    return config(keys, listen="127.0.0.2:0", service=services, server=[{"name": "s1"}], **settings)
 
 
 def found(

@@ -13,6 +13,7 @@ import pytest
 from tests.doors import led, reached
 from tests.engines import Kind, OwnEngine
 from tests.system.cluster import OwnCluster, own_cluster
+from tests.system.daemons import MAX_MESSAGE_BYTES, shown
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
@@ -22,7 +23,7 @@ from upwash.real.instances.lxd.instance import LxdInstance
 from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.authority import make_keys
-from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
+from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 
@@ -31,7 +32,6 @@ pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.timeout(300)]
 _log = logging.getLogger(__name__)
 
 SERVERS = ("s1", "s2", "s3")
-MAX_MESSAGE_BYTES = 1_000_000
 
 
 def of(kind: Kind) -> object:
@@ -53,13 +53,9 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
 ) -> None:
     make_keys(tmp_path, servers=[SERVERS], drones=["heron"])
 
-    def shown(holder: str) -> Credentials:
-        return read_credentials(
-            tmp_path / "authority.pem", tmp_path / f"{holder}.pem", tmp_path / f"{holder}.key"
-        )
-
-    heron = frozenset({fingerprint(shown("heron").certificate)})
-    dialer = GrpcDialer("heron", shown("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+    known = shown(tmp_path, "heron")
+    heron = frozenset({fingerprint(known.certificate)})
+    dialer = GrpcDialer("heron", known, max_message_bytes=MAX_MESSAGE_BYTES)
     echo = spec_of(load_service(f"{services}:Workbench")).methods["echo"]
 
     async def call(instance: LxdInstance, server: str) -> object:
@@ -114,7 +110,7 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
         for instance in (again, *(instance for instance, _ in started.values())):
             await instance.stop()
 
-    asyncio.run(with_runtime(cluster, shown("s1"), workbench_image, use))
+    asyncio.run(with_runtime(cluster, shown(tmp_path, "s1"), workbench_image, use))
 
 
 async def with_runtime(

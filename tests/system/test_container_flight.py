@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import uuid
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.children import children
 from tests.engines import Kind, OwnEngine
-from tests.system.test_demonstration import MARK, Demonstration
+from tests.programs import printed
+from tests.system.test_demonstration import Demonstration, started
 from tests.waiting import wait_for
 
 
@@ -45,38 +44,17 @@ def test_a_mission_survives_the_kill_of_a_container_and_of_a_daemon_in_mid_call(
     runtime = RUNTIME.format(subnet=SUBNET[kind], socket=engine.socket)
     (tmp_path / "runtime.toml").write_text(runtime)
     (tmp_path / "daemon.toml").write_text(DAEMON + runtime)
-    upwash("package", "detector", "--output", tmp_path, "--config", tmp_path / "daemon.toml", "--import")
-    assert "detector" in upwash("images", "--config", tmp_path / "daemon.toml")
+    of_daemon = ("--config", str(tmp_path / "daemon.toml"))
+    printed("upwash", "package", "detector", "--output", str(tmp_path), *of_daemon, "--import")
+    assert "detector" in printed("upwash", "images", *of_daemon)
 
-    mark = uuid.uuid4().hex
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "upwash",
-            "demo",
-            "--folder",
-            tmp_path / "run",
-            "--runtime",
-            tmp_path / "runtime.toml",
-        ],
-        env={**os.environ, MARK: mark},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
-    flight = Demonstration(tmp_path / "run", mark, process)
-    try:
+    with started(tmp_path, "--runtime", str(tmp_path / "runtime.toml")) as flight:
         hung = next_call_hangs(flight, engine, "s1")
         os.kill(hung, signal.SIGKILL)
         next_call_hangs(flight, engine, "s2")
         (daemon,) = [each for each in flight.daemons() if each.command.rstrip().endswith("s2.toml")]
         os.kill(daemon.pid, signal.SIGKILL)
         result = flight.finish()
-    finally:
-        process.kill()
-        process.wait()
     failed = [event["server"] for event in flight.events() if event["event"] == "remote_failed"]
     assert {"s1", "s2"} <= set(failed), "each call in progress was cut"
     assert (
@@ -94,7 +72,8 @@ def next_call_hangs(flight: Demonstration, engine: OwnEngine, server: str) -> in
     flight.wait_for(lambda event: event["event"] == "call" and event["place"] == server)
     (container,) = [name for name in engine.running() if f"-{server}-" in name]
     init = engine.process_1(container)
-    os.kill(child_of(init), signal.SIGSTOP)
+    (service,) = children(init)
+    os.kill(service, signal.SIGSTOP)
     seen = len(flight.events())
     flight.wait_for(lambda event: is_sent_to(server, event), since=seen)
     return init
@@ -102,13 +81,3 @@ def next_call_hangs(flight: Demonstration, engine: OwnEngine, server: str) -> in
 
 def is_sent_to(server: str, event: dict[str, Any]) -> bool:
     return (event["event"], event.get("decision"), event.get("server")) == ("decided", "remote", server)
-
-
-def child_of(process_id: int) -> int:
-    (child,) = Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split()
-    return int(child)
-
-
-def upwash(*arguments: str | Path) -> str:
-    command = [sys.executable, "-m", "upwash", *map(str, arguments)]
-    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=200.0).stdout

@@ -7,10 +7,10 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from tests.programs import UPWASH
 from tests.system.container_site import DISK_BYTES, PROCESSES, Host, Site
 from tests.system.daemons import Guest
 from tests.waiting import wait_for
@@ -114,7 +114,7 @@ def test_a_frozen_instance_thaws_as_it_was_and_forgets_whom_it_admitted(host: Ho
 def test_what_a_killed_daemon_left_ends_by_itself_or_at_the_next_start(
     host: Host, tmp_path: Path, keys: Path, services: Path
 ) -> None:
-    config = str(host.configured(tmp_path, keys, 'idle = "freeze"'))
+    config = str(host.configured(tmp_path, keys, "freeze"))
 
     async def use(site: Site) -> None:
         async def visit(server: str, *, leave: bool) -> None:
@@ -125,7 +125,7 @@ def test_what_a_killed_daemon_left_ends_by_itself_or_at_the_next_start(
                 await guest.leave()
             await guest.close()
 
-        serve = (sys.executable, "-m", "upwash", "serve", "--config", config)
+        serve = (*UPWASH, "serve", "--config", config)
         with (tmp_path / "stderr").open("w") as stderr:
             process = await asyncio.create_subprocess_exec(*serve, stdout=subprocess.PIPE, stderr=stderr)
         try:

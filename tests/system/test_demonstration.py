@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,8 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
+from tests.children import Process, is_alive, processes
+from tests.events import read
+from tests.programs import UPWASH
 from tests.system.thresholds import waits_at_their_threshold
 from tests.waiting import wait_for
 
@@ -29,28 +30,6 @@ WAYPOINTS = 12
 MARK = "UPWASH_TEST_MARK"
 
 
-@dataclass(frozen=True)
-class Process:
-    pid: int
-    parent: int
-    command: str
-
-
-def running() -> Iterator[tuple[Process, bytes]]:
-    """Every process of this machine, and its environment."""
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            environment = (entry / "environ").read_bytes()
-            command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-        except OSError:
-            continue
-        if state != "Z":
-            yield Process(int(entry.name), int(parent), command), environment
-
-
 @dataclass
 class Demonstration:
     """`upwash demo` as a process, and everything that descends from it."""
@@ -61,8 +40,7 @@ class Demonstration:
     seen: set[int] = field(default_factory=set)  # instances
 
     def events(self, log: str = "events.jsonl") -> list[dict[str, Any]]:
-        file = self.folder / log
-        return [msgspec.json.decode(line) for line in file.read_bytes().splitlines()] if file.exists() else []
+        return read(self.folder / log)
 
     def wait_for(
         self, wanted: Callable[[dict[str, Any]], bool], *, since: int = 0, log: str = "events.jsonl"
@@ -72,20 +50,14 @@ class Demonstration:
 
     def processes(self) -> list[Process]:
         """What runs of the demonstration, known by a mark in its environment, but for what is in a sandbox."""
-        mark = f"{MARK}={self.mark}".encode()
-        return [process for process, environment in running() if mark in environment]
+        return list(processes(mark=f"{MARK}={self.mark}"))
 
     def daemons(self) -> list[Process]:
         return [process for process in self.processes() if " serve " in process.command]
 
-    def instances(self, *, of: list[Process]) -> list[Process]:
+    def instances(self, *of: int) -> list[Process]:
         """Their children that are instances; one in a sandbox has nothing of the environment."""
-        parents = {process.pid for process in of}
-        found = [
-            process
-            for process, _ in running()
-            if "upwash.real.instances.instance" in process.command and process.parent in parents
-        ]
+        found = [each for each in processes() if each.is_instance and each.parent in of]
         self.seen.update(process.pid for process in found)
         return found
 
@@ -100,7 +72,7 @@ class Demonstration:
         assert self.process.returncode == code, output
         assert "Traceback" not in output
         assert self.processes() == []
-        assert not self.seen & {process.pid for process, _ in running()}
+        assert not any(map(is_alive, self.seen))
         return output
 
     def flown(self, log: str = "events.jsonl") -> RunResult:
@@ -124,25 +96,19 @@ def demonstration(tmp_path: Path) -> Iterator[Demonstration]:
 
 
 @contextmanager
-def started(tmp_path: Path, *options: str) -> Iterator[Demonstration]:
+def started(folder: Path, *options: str) -> Iterator[Demonstration]:
     mark = uuid.uuid4().hex
     process = subprocess.Popen(
-        [sys.executable, "-m", "upwash", "demo", "--folder", str(tmp_path / "run"), *options],
-        env={**os.environ, MARK: mark},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
-    running = Demonstration(tmp_path / "run", mark, process)
-    try:
-        yield running
-    finally:
-        for each in running.processes():
-            os.kill(each.pid, signal.SIGKILL)
-        process.wait()
-        assert process.stdout is not None
-        process.stdout.close()
+        [*UPWASH, "demo", "--folder", str(folder / "run"), *options], env={**os.environ, MARK: mark},
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+    )  # fmt: skip
+    running = Demonstration(folder / "run", mark, process)
+    with process:
+        try:
+            yield running
+        finally:
+            for each in running.processes():
+                os.kill(each.pid, signal.SIGKILL)
 
 
 def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration) -> None:
@@ -213,14 +179,12 @@ def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstrat
 
 def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration) -> None:
     demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 2)
-    servers_instances = demonstration.instances(of=demonstration.daemons())
+    servers_instances = demonstration.instances(*(each.pid for each in demonstration.daemons()))
     assert servers_instances, "s1 runs its detector by now"
     for instance in servers_instances:
         os.kill(instance.pid, signal.SIGKILL)
     demonstration.wait_for(lambda event: event["event"] == "leg" and event["waypoint"] == 5)
-    (onboard,) = demonstration.instances(
-        of=[each for each in demonstration.processes() if each.pid == demonstration.process.pid]
-    )
+    (onboard,) = demonstration.instances(demonstration.process.pid)
     os.kill(onboard.pid, signal.SIGKILL)
     result = demonstration.finish()
     assert (

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from tests.podman import OwnPodman
-from tests.system.container_site import MAX_MESSAGE_BYTES, Host, Site
-from tests.system.daemons import Guest
+from tests.programs import ROOT, running
+from tests.system.container_site import Host, Site
+from tests.system.daemons import MAX_MESSAGE_BYTES, Guest
 
 from upwash.cli.main import main
 from upwash.errors import EngineError, InstanceError, UsageError
@@ -48,16 +46,12 @@ def test_a_device_is_there_where_it_was_given(docker_host: Host, podman: OwnPodm
 
 
 def test_a_program_in_cpp_answers_in_a_container_without_certificates(
-    docker_host: Host, podman: OwnPodman, detail: Path, tmp_path: Path, keys: Path
+    docker_host: Host, podman: OwnPodman, detail: Path, tmp_path: Path
 ) -> None:
-    example = Path(__file__).parents[2] / "examples" / "other-languages"
-    shutil.copy(example / "detail.py", tmp_path)
+    shutil.copy(ROOT / "examples" / "other-languages" / "detail.py", tmp_path)
     shutil.copy(detail, tmp_path / "detail")
-    config = docker_host.configured(tmp_path, keys)
-    service = '[{ name = "detail", program = "detail.py:Detail", command = ["detail"] }]'
-    written = re.sub(r"service = .*", f"service = {service}", config.read_text())
-    written = re.sub(r"server = .*", 'server = [{ name = "s1" }]', written)
-    config.write_text(re.sub(r"keys = .*", "allow_without_certificates = true", written))
+    service = {"name": "detail", "program": "detail.py:Detail", "command": ["detail"]}
+    config = docker_host.configured(tmp_path, None, service=[service], server=[{"name": "s1"}])
     made = ["package", "detail", "--config", str(config), "--output", str(tmp_path / "images"), "--import"]
     assert main(made) == 0
 
@@ -69,15 +63,11 @@ def test_a_program_in_cpp_answers_in_a_container_without_certificates(
         await guest.leave()
         await guest.close()
 
-    with subprocess.Popen(
-        [sys.executable, "-m", "upwash", "serve", "--config", str(config)], stdout=subprocess.PIPE, text=True
-    ) as daemon:
+    with running("serve", "--config", config, stderr=None) as daemon:
         assert daemon.stdout is not None
-        try:
-            asyncio.run(visit(daemon.stdout.readline().split()[-1]))
-        finally:
-            daemon.terminate()
-    assert daemon.returncode == 0
+        asyncio.run(visit(daemon.stdout.readline().split()[-1]))
+        daemon.terminate()
+        assert daemon.wait(30.0) == 0
     assert podman.there() == []
 
 
@@ -153,9 +143,9 @@ def test_without_an_engine_the_daemon_does_not_start_and_says_what_to_do() -> No
 def test_what_a_daemon_can_run_is_listed_and_an_image_is_packaged_into_its_engine(
     docker_host: Host, tmp_path: Path, keys: Path, services: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = docker_host.configured(tmp_path, keys)
-    written = config.read_text().replace('"vandal"', '"vandal", image = "nowhere:1"', 1)
-    config.write_text(written.replace('"workbench"', f'"workbench", program = "{services}:Workbench"', 1))
+    workbench = {"name": "workbench", "program": f"{services}:Workbench"}
+    vandal = {"name": "vandal", "image": "nowhere:1"}
+    config = docker_host.configured(tmp_path, keys, service=[workbench, vandal])
     made = ["package", "workbench", "--config", str(config), "--output", str(tmp_path / "images"), "--import"]
     assert main(made) == 0
     assert capsys.readouterr().out.strip().endswith(".tar")

@@ -7,15 +7,16 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
+from tests.children import processes
+from tests.events import read
+from tests.programs import UPWASH, ended, stand_in, upwash
 from tests.system.faults.lateness import noting_lateness, noting_waits, read_lateness
 from tests.system.ns3 import require_ns3
 from tests.system.thresholds import waits_at_their_threshold
@@ -74,33 +75,19 @@ class Emulation:
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.folder = folder
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "upwash", "emulate", "--folder", str(folder), *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            text=True,
-        )
+            [*UPWASH, "emulate", "--folder", str(folder), *arguments], stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True, text=True,
+        )  # fmt: skip
 
     def processes(self) -> dict[int, str]:
         """Commands by process, of all that belong to it but the command itself."""
-        found = {}
-        mark = f"UPWASH_EMULATION={self.process.pid}:".encode()
-        for entry in Path("/proc").iterdir():
-            try:
-                if entry.name.isdecimal() and mark in (entry / "environ").read_bytes():
-                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-            except OSError:
-                continue
-        return found
+        mark = f"UPWASH_EMULATION={self.process.pid}:"
+        return {each.pid: each.command for each in processes(mark=mark)}
 
     def in_calls(self) -> list[int]:
         """The processes that a call waits for: the drone's and the servers'."""
-        return [
-            pid
-            for pid, command in self.processes().items()
-            if "upwash fly" in command or "upwash serve" in command
-        ]
+        mine = self.processes().items()
+        return [pid for pid, command in mine if "upwash fly" in command or "upwash serve" in command]
 
     def groups(self) -> list[Path]:
         """The control groups of its containers."""
@@ -112,8 +99,11 @@ class Emulation:
         ]
 
     def events(self, drone: str = "drone") -> list[dict[str, Any]]:
-        log = self.folder / f"{drone}.jsonl"
-        return [msgspec.json.decode(line) for line in log.read_bytes().splitlines()] if log.exists() else []
+        return read(self.folder / f"{drone}.jsonl")
+
+    def wait_for(self, kind: str, drone: str = "drone") -> None:
+        """Waits until its log has such an event."""
+        self.wait_until(lambda: bool(read(self.folder / f"{drone}.jsonl", kind)))
 
     def wait_until(self, is_so: Callable[[], bool]) -> None:
         wait_for(is_so, within_s=240.0, process=self.process, seen=self.printed)
@@ -159,14 +149,9 @@ def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulation]]:
 def seen_outside() -> list[str]:
     """What of an emulation's namespaces, devices and addresses is the machine's own; other tests may have others."""
     commands = (["ip", "netns"], ["ip", "-brief", "address"], ["ip", "rule"], ["ip", "route"])
-    lines = [
-        line
-        for each in commands
-        for line in subprocess.run(each, capture_output=True, text=True, check=True).stdout.splitlines()
-    ]
-    return [
-        line for line in lines if line.startswith(("drone-", "server-", "to0@", "air")) or "10.83." in line
-    ]
+    ours = ("drone-", "server-", "to0@", "air")
+    lines = [line for each in commands for line in ended(each).stdout.splitlines()]
+    return [line for line in lines if line.startswith(ours) or "10.83." in line]
 
 
 def test_links_are_as_fast_as_the_settings_say_and_end_at_their_range(radio: str, tmp_path: Path) -> None:
@@ -270,29 +255,21 @@ def test_several_drones_fly_at_once_and_share_the_servers(emulate: Callable[...,
 
 
 @pytest.mark.flight
-def test_a_vehicle_of_the_machine_itself_is_flown_from_inside(emulate: Callable[..., Emulation]) -> None:
-    vehicle = subprocess.Popen(
-        [sys.executable, "-m", "upwash", "vehicle", "--listen", "tcp:127.0.0.1:0", "--armable-after", "1"],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert vehicle.stdout is not None
-        address = vehicle.stdout.readline().split()[-1]
+def test_a_vehicle_of_the_machine_itself_is_flown_from_inside(
+    emulate: Callable[..., Emulation], tmp_path: Path
+) -> None:
+    with stand_in(tmp_path, "--armable-after", "1", listen="tcp:127.0.0.1:0") as address:
         emulation = emulate(str(EMULATED / "leaving.toml"), "--autopilot", address)
         emulation.finish()
         assert read_result(read_log(emulation.folder / "drone.jsonl")).completed
         assert not (emulation.folder / "drone-vehicle.log").exists()
-    finally:
-        with vehicle:
-            vehicle.terminate()
 
 
 def test_ctrl_c_lands_the_drones_and_leaves_nothing(
     computers: str, emulate: Callable[..., Emulation]
 ) -> None:
     emulation = emulate(str(DEMONSTRATION), "--in", computers)
-    emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events()))
+    emulation.wait_for("took_off")
     os.killpg(emulation.process.pid, signal.SIGINT)
     output = emulation.finish()
     assert emulation.process.returncode == 130, output
@@ -315,7 +292,7 @@ VICTIMS = {
 @pytest.mark.parametrize("victim", VICTIMS)
 def test_whatever_is_killed_in_flight_nothing_is_left(victim: str, emulate: Callable[..., Emulation]) -> None:
     emulation = emulate(str(DEMONSTRATION), "--drones", "2")
-    emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events("drone-1")))
+    emulation.wait_for("took_off", "drone-1")
     kill(emulation, VICTIMS[victim])
     if victim in ("a daemon", "the vehicle", "the drone", "an instance"):  # the others go on without it
         time.sleep(1.0)
@@ -345,7 +322,7 @@ def test_whatever_of_a_field_of_containers_is_killed_nothing_is_left(
         emulation.wait_until(lambda: bool(emulation.groups()))
         emulation.process.kill()
     else:
-        emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events()))
+        emulation.wait_for("took_off")
         kill(emulation, "lxd --group root")
     emulation.process.wait()
     expect_clean(emulation)
@@ -359,11 +336,8 @@ def kill(emulation: Emulation, victim: str) -> None:
 
 def expect_clean(emulation: Emulation) -> None:
     """All of it dies with what was killed, so that `--clean` finds nothing of it."""
-    deadline_s = time.monotonic() + DIES_WITHIN_S
-    while emulation.processes() and time.monotonic() < deadline_s:
-        time.sleep(0.05)
-    assert emulation.processes() == {}
-    subprocess.run([sys.executable, "-m", "upwash", "emulate", "--clean"], capture_output=True, check=True)
+    wait_for(lambda: not emulation.processes(), within_s=DIES_WITHIN_S, seen=emulation.processes)
+    assert upwash("emulate", "--clean").returncode == 0
     assert emulation.groups() == [] and seen_outside() == []
 
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
+from tests.events import read
+from tests.programs import UPWASH, write_drone
+from tests.system.daemons import config
 from tests.system.radios import Field
 from tests.waiting import wait_for
 
+from upwash.launch.processes import ready_program
 from upwash.real.trust.authority import make_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.root]
@@ -36,53 +37,14 @@ def fly(drone):
     bench.pause({CALL_S})
 """
 
-DRONE = """
-name = "heron"
-[mission]
-program = "mission.py:fly"
-home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }
-waypoints_m = [[0, 0]]
-[autopilot]
-connection = "AUTOPILOT"
-[network]
-kind = "networkmanager"
-interfaces = ["radio1", "radio2"]
-[keys]
-authority = "keys/authority.pem"
-certificate = "keys/heron.pem"
-key = "keys/heron.key"
-[camera]
-folder = "photos"
-[[service]]
-name = "workbench"
-program = "services_for_tests.py:Workbench"
-local_call_s = { light = 20.0, heavy = 20.0, pause = 20.0 }
-"""
+WORKBENCH = {"name": "workbench", "program": "services_for_tests.py:Workbench"}
+MODES = ("light", "heavy", "pause")
 
-SERVER = """
-[[server]]
-name = "NAME"
-network = "NAME-net"
-address = "10.91.1.1:7070"
-east_m = 0.0
-north_m = 0.0
-range_m = 1000.0
-remote_call_s = { light = CALL_S, heavy = CALL_S, pause = CALL_S }
-"""
 
-DAEMON = """
-listen = "10.91.1.1:7070"
-runtime = { sandbox_as_root = true }
-[keys]
-authority = "keys/authority.pem"
-certificate = "keys/s1.pem"
-key = "keys/s1.key"
-[[service]]
-name = "workbench"
-program = "services_for_tests.py:Workbench"
-[[server]]
-name = "s1"
-"""
+def server(name: str, call_s: float) -> dict[str, Any]:
+    """A server at the drone's home, in range all the time."""
+    place = {"east_m": 0.0, "north_m": 0.0, "range_m": 1000.0, "address": "10.91.1.1:7070"}
+    return {"name": name, "network": f"{name}-net", "remote_call_s": dict.fromkeys(MODES, call_s), **place}
 
 
 @dataclass
@@ -90,18 +52,8 @@ class Flight:
     folder: Path
     process: subprocess.Popen[bytes]
 
-    def events(self, name: str = "") -> list[dict[str, Any]]:
-        log = self.folder / "events.jsonl"
-        events = (
-            [
-                msgspec.json.decode(line)
-                for line in log.read_bytes().splitlines(keepends=True)
-                if line.endswith(b"\n")
-            ]
-            if log.exists()
-            else []
-        )
-        return [event for event in events if name in ("", event["event"])]
+    def events(self, *names: str) -> list[dict[str, Any]]:
+        return read(self.folder / "events.jsonl", *names)
 
     def wait_for(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         found = wait_for(
@@ -113,42 +65,33 @@ class Flight:
         return found[0]
 
 
-@contextlib.contextmanager
-def ready(command: list[str], folder: Path, name: str) -> Iterator[str]:
-    """Runs an upwash command until the end of the block; yields its address."""
-    with (folder / f"{name}.log").open("wb") as log:
-        process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=log, text=True)
-    assert process.stdout is not None
-    try:
-        said = process.stdout.readline()
-        assert " ready at " in said, (folder / f"{name}.log").read_text()
-        yield said.strip().partition(" ready at ")[2]
-    finally:
-        process.terminate()
-        process.wait()
-        process.stdout.close()
-
-
 @pytest.fixture
 def flight(field: Field, services: Path) -> Iterator[Flight]:
     """A drone among s3, which it has no profile for, s2, where nothing gives it an address, and s1, which is well."""
     folder = field.folder
     field.stop_dhcp(2)
     make_keys(folder / "keys", servers=[["s1"]], drones=["heron"])
-    (folder / "photos").mkdir()
-    (folder / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
     (folder / "services_for_tests.py").write_text(services.read_text())
-    (folder / "mission.py").write_text(MISSION)
-    (folder / "daemon.toml").write_text(DAEMON)
-    upwash = [sys.executable, "-m", "upwash"]
-    vehicle = field.entered(*upwash, "vehicle", "--listen", "tcp:127.0.0.1:0", "--armable-after", "0")
-    daemon = field.entered(*upwash, "serve", "--config", "daemon.toml", among="s1")
-    with ready(daemon, folder, "daemon"), ready(vehicle, folder, "vehicle") as autopilot:
-        servers = [("s3", 0.1), ("s2", 0.2), ("s1", CALL_S)]
-        text = DRONE.replace("AUTOPILOT", autopilot)
-        text += "".join(SERVER.replace("NAME", name).replace("CALL_S", str(s)) for name, s in servers)
-        (folder / "drone.toml").write_text(text)
-        fly = field.entered(*upwash, "fly", "--config", "drone.toml", "--log", "events.jsonl")
+    text = config(Path("keys"), listen="10.91.1.1:7070", service=[WORKBENCH], server=[{"name": "s1"}])
+    (folder / "daemon.toml").write_text(text)
+    serve = ("daemon", folder, "serve", "--config", "daemon.toml")
+    vehicle = ("vehicle", folder, "vehicle", "--listen", "tcp:127.0.0.1:0", "--armable-after", "0")
+    with (
+        ready_program(*serve, through=field.entered(among="s1")),
+        ready_program(*vehicle, through=field.entered()) as autopilot,
+    ):
+        local = WORKBENCH | {"local_call_s": dict.fromkeys(MODES, 20.0)}
+        own = {"authority": "authority.pem", "certificate": "heron.pem", "key": "heron.key"}
+        write_drone(
+            folder,
+            MISSION,
+            autopilot={"connection": autopilot},
+            network={"kind": "networkmanager", "interfaces": ["radio1", "radio2"]},
+            keys={name: f"keys/{file}" for name, file in own.items()},
+            service=[local],
+            server=[server("s3", 0.1), server("s2", 0.2), server("s1", CALL_S)],
+        )
+        fly = field.entered(*UPWASH, "fly", "--config", "drone.toml", "--log", "events.jsonl")
         with (folder / "fly.log").open("wb") as log:
             process = subprocess.Popen(fly, cwd=folder, stdout=log, stderr=log)
         try:

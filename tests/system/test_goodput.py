@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from tests.programs import printed
 from tests.system.ns3 import require_ns3
 
 from upwash.sim.radio import read_goodput
@@ -20,11 +19,7 @@ def test_the_tables_that_come_with_upwash_can_be_computed_again(
 ) -> None:
     require_ns3()
     file = tmp_path / "radio.csv"
-    subprocess.run(
-        [sys.executable, "-m", "upwash", "goodput", radio, "--seeds", "2", "--out", str(file)],
-        check=True,
-        capture_output=True,
-    )
+    printed("upwash", "goodput", radio, "--seeds", "2", "--out", file)
     ours, shipped = read_goodput(str(file)), read_goodput(radio)
     assert ours is not None and shipped is not None
     for distance_m in range(0, 101, 5):

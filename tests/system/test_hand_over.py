@@ -6,7 +6,6 @@ import asyncio
 import os
 import re
 import signal
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -31,16 +30,10 @@ def own_keys(tmp_path: Path) -> Path:
     return folder
 
 
-def main_process(said: Path) -> int | None:
-    """Which process has taken the daemon's place, as it has logged."""
-    found = re.search(r"process (\d+) has taken this daemon's place", said.read_text())
-    return int(found[1]) if found else None
-
-
 def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
     tmp_path: Path, services: Path, own_keys: Path
 ) -> None:
-    text = config(own_keys, lease_s=LEASE_S).replace("slots = 1", "slots = 20")
+    text = config(own_keys, lease_s=LEASE_S, server=[{"name": name, "slots": 20} for name in ("s1", "s2")])
 
     async def visit(at: Daemon) -> list[Flying]:
         drones = [Flying(name, at.address, own_keys, f"{services}:Workbench") for name in DRONES]
@@ -74,8 +67,7 @@ def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
 
     with daemon(tmp_path, text) as at:
         drones = asyncio.run(visit(at))
-        new = main_process(tmp_path / "stderr")
-        assert new is not None
+        new = int(re.findall(r"process (\d+) has taken this daemon's place", at.said())[0])
         try:
             assert at.process.wait() == 0
             for drone in drones:
@@ -91,33 +83,29 @@ def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
 def test_a_program_that_does_not_come_up_leaves_the_daemon_as_it_is(
     tmp_path: Path, services: Path, own_keys: Path
 ) -> None:
-    async def visit(at: Daemon, spoil: Callable[[], object]) -> Mapping[int, int]:
+    async def visit(at: Daemon) -> set[int]:
         drone = Flying(DRONES[0], at.address, own_keys, f"{services}:Workbench")
         enough, here = asyncio.Event(), asyncio.Event()
         async with asyncio.TaskGroup() as flights:
             flights.create_task(drone.fly(enough, here.set))
             await here.wait()
-            spoil()
+            (tmp_path / "server.toml").write_text("listen = 3")
             at.process.send_signal(signal.SIGUSR2)
-            await asyncio.to_thread(
-                wait_for,
-                lambda: "this daemon stays: the new daemon ended" in (tmp_path / "stderr").read_text(),
-            )
+            await asyncio.to_thread(at.has_said, "this daemon stays: the new daemon ended")
             count = len(drone.answered)
             async with asyncio.timeout(30.0):
                 while len(drone.answered) < count + 10:
                     await drone.called()
             enough.set()
-        return dict.fromkeys(drone.answered, 0)
+        return set(drone.answered)
 
     with daemon(tmp_path, config(own_keys)) as at:
-        answered = asyncio.run(visit(at, lambda: (tmp_path / "server.toml").write_text("listen = 3")))
-        assert len(answered) == 1
+        assert len(asyncio.run(visit(at))) == 1
         assert at.process.poll() is None
 
 
 def test_a_daemon_without_certificates_says_that_it_stays(tmp_path: Path) -> None:
     with daemon(tmp_path, config(None)) as at:
         at.process.send_signal(signal.SIGUSR2)
-        wait_for(lambda: "no other daemon can take this one's place" in (tmp_path / "stderr").read_text())
+        at.has_said("no other daemon can take this one's place")
         assert at.process.poll() is None

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import re
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
 import grpc
 import pytest
-from tests.system.daemons import config, daemon
+from tests.system.daemons import channel, config, daemon, shown
 from tests.system.hostile import ATTACKS, attacked, attacked_site
-from tests.waiting import wait_for
 
 from upwash.real.trust import authority as module
 from upwash.real.trust.authority import keys_in, make_keys
@@ -41,11 +39,7 @@ def test_an_honest_drone_is_served_during(name: str, tmp_path: Path, services: P
         most_bytes = MOST_GROWN_BY_ALL_BYTES if "16 drones" in name else MOST_GROWN_BYTES
         assert outcome.grown_bytes <= most_bytes
         if name in REFUSALS:
-            wait_for(lambda: re.search(REFUSALS[name], said(tmp_path)) is not None)
-
-
-def said(folder: Path) -> str:
-    return (folder / "stderr").read_text()
+            at.has_said(REFUSALS[name])
 
 
 # --- certificates -------------------------------------------------------------------------------------------
@@ -55,15 +49,14 @@ def expired(keys: Path, monkeypatch: pytest.MonkeyPatch) -> Credentials:
     monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=10))
     monkeypatch.setattr(module, "_CERTIFICATE_LASTS", timedelta(days=-3))
     make_keys(keys, drones=["expired"])
-    files = keys_in(keys, "expired")
+    files = keys_in(keys, "expired")  # which read_credentials refuses
     return Credentials(*(file.read_bytes() for file in (files.authority, files.certificate, files.key)))
 
 
 def of_another_authority(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
     make_keys(keys / "other", drones=["heron"])
-    files = keys_in(keys / "other", "heron")
-    authority = keys / "authority.pem"
-    return Credentials(*(file.read_bytes() for file in (authority, files.certificate, files.key)))
+    theirs = shown(keys / "other", "heron")
+    return Credentials((keys / "authority.pem").read_bytes(), theirs.certificate, theirs.key)
 
 
 def none(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
@@ -86,14 +79,9 @@ def test_a_certificate_that_is_not_a_drones_is_refused_and_the_log_says_why(
 ) -> None:
     keys = tmp_path / "keys"
     make_keys(keys, servers=[["s1", "s2"]])
-    shown = who(keys, monkeypatch)
+    shows = who(keys, monkeypatch)
     with daemon(tmp_path, config(keys)) as at:
-        client = grpc.ssl_channel_credentials(shown.authority, shown.key or None, shown.certificate or None)
-        options = [("grpc.ssl_target_name_override", "s1"), ("grpc.enable_http_proxy", 0)]
-        with (
-            grpc.secure_channel(at.address, client, options) as channel,
-            pytest.raises(grpc.RpcError) as refusal,
-        ):
-            channel.unary_unary(AVAILABILITY)(b"", timeout=10.0)
+        with channel(at.address, shows) as opened, pytest.raises(grpc.RpcError) as refusal:
+            opened.unary_unary(AVAILABILITY)(b"", timeout=10.0)
         assert refusal.value.code() is grpc.StatusCode.UNAVAILABLE
-        wait_for(lambda: re.search(f"refused 127.0.0.1: {reason}", said(tmp_path)) is not None)
+        at.has_said(f"refused 127.0.0.1: {reason}")

@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pytest
 from tests.children import is_alive
+from tests.programs import ended
+from tests.system.daemons import shown
 from tests.system.flying import Flying
 from tests.waiting import wait_for
 
@@ -25,7 +27,6 @@ from upwash.config import read_daemon_config
 from upwash.errors import Unreachable
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.authority import make_keys
-from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.protocol import AVAILABILITY
 
 pytestmark = pytest.mark.system
@@ -34,13 +35,8 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "operators.md").read_text()
 UNIT = ROOT / "deploy" / "upwash.service"
 NOT_HERE = (
-    "apt-get",
-    "python3 -m venv",
-    "/opt/upwash/bin/pip",
-    "useradd",
-    "systemctl daemon-reload",
-    "journalctl",
-    "podman",
+    *("apt-get", "python3 -m venv", "/opt/upwash/bin/pip", "useradd", "systemctl daemon-reload"),
+    *("journalctl", "podman"),
 )
 
 
@@ -224,8 +220,8 @@ class Day:
     async def is_refused(self, name: str) -> bool:
         """Whether the drone gets no answer at all."""
         keys = self.machine.folder / "keys"
-        shown = read_credentials(keys / "authority.pem", keys / f"{name}.pem", keys / f"{name}.key")
-        link = GrpcDialer(name, shown, max_message_bytes=10_000).dial(self.machine.address, server="s1")
+        dialer = GrpcDialer(name, shown(keys, name), max_message_bytes=10_000)
+        link = dialer.dial(self.machine.address, server="s1")
         try:
             await link.request(AVAILABILITY, b"", timeout_s=10.0)
         except Unreachable:
@@ -278,42 +274,25 @@ def can_sandbox() -> bool:
     return subprocess.run(probe, capture_output=True, check=False).returncode == 0
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
-@pytest.mark.parametrize("drop_in", ["", "upwash-gpu.conf"])
-def test_the_unit_is_understood_by_systemd(tmp_path: Path, drop_in: str) -> None:
-    unit = tmp_path / "upwash.service"
-    unit.write_text(UNIT.read_text().replace("/opt/upwash/bin/upwash", "/bin/true"))
-    if drop_in:
-        added = tmp_path / "upwash.service.d" / "gpu.conf"
-        added.parent.mkdir()
-        added.write_text((ROOT / "deploy" / drop_in).read_text())
-    done = subprocess.run(
-        ["systemd-analyze", "verify", str(unit)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, "SYSTEMD_LOG_LEVEL": "warning"},
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 DRONE_UNIT = ROOT / "deploy" / "upwash-drone.service"
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
-def test_the_drones_unit_is_understood_by_systemd(tmp_path: Path) -> None:
-    unit = tmp_path / "upwash-drone.service"
-    there = re.sub(r"/home/pilot/upwash/bin/upwash", "/bin/true", DRONE_UNIT.read_text())
-    unit.write_text(there.replace("User=pilot", "User=root"))
-    done = subprocess.run(
-        ["systemd-analyze", "verify", str(unit)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, "SYSTEMD_LOG_LEVEL": "warning"},
-        check=False,
-    )
+@pytest.mark.parametrize(
+    ("unit", "drop_in"), [(UNIT, ""), (UNIT, "upwash-gpu.conf"), (DRONE_UNIT, "")], ids=["", "gpu", "drone"]
+)
+def test_a_unit_is_understood_by_systemd(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit: Path, drop_in: str
+) -> None:
+    installed = tmp_path / unit.name
+    there = re.sub(r"/\S+/bin/upwash", "/bin/true", unit.read_text())
+    installed.write_text(there.replace("User=pilot", "User=root"))
+    if drop_in:
+        added = tmp_path / f"{unit.name}.d" / "gpu.conf"
+        added.parent.mkdir()
+        added.write_text((ROOT / "deploy" / drop_in).read_text())
+    monkeypatch.setenv("SYSTEMD_LOG_LEVEL", "warning")
+    done = ended(["systemd-analyze", "verify", installed])
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -340,19 +319,11 @@ def install(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     for name, does in STUBS.items():
         (stubs / name).write_text(f"#!/bin/sh\n{does}\n")
         (stubs / name).chmod(0o755)
+    path = f"{stubs}:{os.environ['PATH']}"
     return subprocess.run(
-        [ROOT / "deploy" / "install.sh", *arguments],
-        cwd=folder,
-        env={
-            "PATH": f"{stubs}:{os.environ['PATH']}",
-            "DESTDIR": str(folder / "root"),
-            "TOLD": str(folder / "told"),
-        },
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+        [ROOT / "deploy" / "install.sh", *arguments], cwd=folder, capture_output=True, text=True, timeout=60,
+        check=False, env={"PATH": path, "DESTDIR": str(folder / "root"), "TOLD": str(folder / "told")},
+    )  # fmt: skip
 
 
 def test_the_script_installs_a_server_that_can_be_configured_and_changes_nothing_of_that_again(
@@ -365,12 +336,7 @@ def test_the_script_installs_a_server_that_can_be_configured_and_changes_nothing
     config = read_daemon_config(root / "etc/upwash/server.toml")
     assert [each.name for each in config.identities] == ["s9"]
     keys = root / "etc/upwash/keys"
-    assert sorted(file.name for file in keys.iterdir()) == [
-        "authority.pem",
-        "revoked.txt",
-        "s9.key",
-        "s9.pem",
-    ]
+    assert {file.name for file in keys.iterdir()} == {"authority.pem", "revoked.txt", "s9.key", "s9.pem"}
     assert (keys / "s9.key").stat().st_mode & 0o777 == 0o640
     assert (root / "etc/systemd/system/upwash.service").read_text() == UNIT.read_text()
     told = (tmp_path / "told").read_text()

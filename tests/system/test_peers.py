@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
 import pytest
-from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, config, daemon, eventually, guests
+from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, config, daemon, eventually, guests, shown
 
 from upwash.real.link.link import GrpcDialer
-from upwash.real.trust.authority import keys_in, make_keys
-from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import (
     AVAILABILITY,
     HOLD,
@@ -40,22 +40,15 @@ NOWHERE = "127.0.0.1:9"  # of a peer that is never asked
 @contextmanager
 def two_daemons(folder: Path, keys: Path | None) -> Iterator[tuple[Daemon, Daemon]]:
     """s1, which can have s2 prepared, and s2."""
-    for name in ("s1", "s2"):
+
+    def started(name: str, peer: str, address: str) -> AbstractContextManager[Daemon]:
         (folder / name).mkdir()
-    with (
-        daemon(folder / "s2", _config("s2", keys, peer="s1", address=NOWHERE), names="s2") as s2,
-        daemon(folder / "s1", _config("s1", keys, peer="s2", address=s2.address), names="s1") as s1,
-    ):
+        peers = [{"name": peer, "address": address}]
+        text = config(keys, server=[{"name": name, "slots": 1}], peer=peers)
+        return daemon(folder / name, text.replace("/s1.", f"/{name}."), names=name)
+
+    with started("s2", "s1", NOWHERE) as s2, started("s1", "s2", s2.address) as s1:
         yield s1, s2
-
-
-def _config(name: str, keys: Path | None, *, peer: str, address: str) -> str:
-    text = config(keys).replace("/s1.", f"/{name}.")
-    other = {"s1": "s2", "s2": "s1"}[name]
-    return text.replace(
-        f'[[server]]\nname = "{other}"\nslots = 1\n',
-        f'[[peer]]\nname = "{peer}"\naddress = "{address}"\n',
-    )
 
 
 @pytest.fixture
@@ -63,15 +56,6 @@ def keys(tmp_path: Path) -> Path:
     """An authority, a daemon for each of s1, s2 and s3, and the drones heron and stork."""
     make_keys(tmp_path / "keys", servers=[["s1"], ["s2"], ["s3"]], drones=["heron", "stork"])
     return tmp_path / "keys"
-
-
-def shown(keys: Path, name: str) -> Credentials:
-    files = keys_in(keys, name)
-    return read_credentials(files.authority, files.certificate, files.key)
-
-
-def said(folder: Path, name: str) -> str:
-    return (folder / name / "stderr").read_text()
 
 
 async def ask(
@@ -107,7 +91,7 @@ def test_the_service_runs_and_a_slot_is_held_when_the_drone_arrives(
 
     with two_daemons(tmp_path, keys if certified else None) as (s1, s2):
         asyncio.run(visit(s1, s2))
-        assert "a slot is held for heron, as s1 asked" in said(tmp_path, "s2")
+        assert "a slot is held for heron, as s1 asked" in s2.said()
 
 
 def test_who_is_no_peer_holds_nothing(tmp_path: Path, keys: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,8 +12,8 @@ import msgspec
 import pytest
 from bench.peers.order import SCENARIOS, Comparison
 from bench.results import Result
+from tests.programs import printed
 
-ROOT = Path(__file__).parents[2]
 PEERS = ("`requests`, time-out 2 s", "upwash, defaults")
 CALLS = 5
 
@@ -33,10 +32,8 @@ pytestmark = [
 
 def test_every_trial_is_made_and_no_failure_of_a_server_reaches_the_mission(tmp_path: Path) -> None:
     out = tmp_path / "peers.json"
-    command = [sys.executable, "-m", "bench.peers", "--python", sys.executable, "--peers", "http", "upwash"]
-    command += ["--calls", str(CALLS), "--fault-s", "3", "--local", "1", "--at-once", "10", "--out", str(out)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    command = ["bench.peers", "--python", sys.executable, "--peers", "http", "upwash", "--calls", str(CALLS)]
+    table = printed(*command, "--fault-s", "3", "--local", "1", "--at-once", "10", "--out", out)
     result = msgspec.json.decode(out.read_bytes(), type=Result)
     comparison = msgspec.convert(result.figures, Comparison)
     assert {"requests", "upwash"} <= comparison.versions.keys()
@@ -51,8 +48,6 @@ def test_every_trial_is_made_and_no_failure_of_a_server_reaches_the_mission(tmp_
             assert (each.by_server, each.server_computed, each.back_s) == (CALLS, CALLS, None)
         elif scenario in ("black-out", "killed"):
             assert each.by_drone > 0
-    rows = [
-        line for line in done.stdout.splitlines() if line.startswith(tuple(f"| {peer}" for peer in PEERS))
-    ]
+    rows = [line for line in table.splitlines() if line.startswith(tuple(f"| {peer}" for peer in PEERS))]
     assert len(rows) == 2 * len(PEERS)  # in a table of what the mission saw, and in one of what was computed
     assert all(row.count("|") == len(SCENARIOS) + 2 for row in rows)

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-import os
 import struct
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from tests.system.browser import why_not
+from tests.programs import ROOT, ended
+from tests.system.browser import NEEDED
 
-ROOT = Path(__file__).parents[2]
-pytestmark = [
-    pytest.mark.root,
-    pytest.mark.xdist_group("browser"),
-    pytest.mark.skipif(why_not() != "", reason=why_not()),
-]
+pytestmark = NEEDED
 
 
 @pytest.mark.parametrize(
     ("name", "size"),
     [("alarm-phone-dark", (390, 844)), ("fleet-zoomed-light", (1400, 900)), ("many-report-1400-light", None)],
 )
-def test_a_picture_is_taken_of_each_page(tmp_path: Path, name: str, size: tuple[int, int] | None) -> None:
-    taken = subprocess.run(
-        [sys.executable, str(ROOT / "site" / "screenshots.py"), str(tmp_path), "--only", name],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
+def test_a_picture_is_taken_of_each_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, size: tuple[int, int] | None
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    taken = ended(
+        [sys.executable, ROOT / "site" / "screenshots.py", tmp_path, "--only", name], timeout_s=None
     )
     assert taken.returncode == 0, taken.stdout + taken.stderr
     picture = (tmp_path / f"{name}.png").read_bytes()

@@ -24,17 +24,8 @@ def test_a_service_is_measured_here_and_the_result_is_a_configuration(
     services: Path, photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "service.toml"
-    arguments = [
-        "profile",
-        f"{services}:Workbench",
-        "--photos",
-        str(photos),
-        "--calls",
-        "3",
-        "--out",
-        str(out),
-    ]
-    assert main(arguments) == 0
+    arguments = [f"{services}:Workbench", "--photos", str(photos), "--calls", "3"]
+    assert main(["profile", *arguments, "--out", str(out)]) == 0
     (table,) = tomllib.loads(out.read_text())["service"]
     assert table["name"] == "workbench"
     assert table["program"] == f"{services}:Workbench"

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from tests.events import line
-from tests.system.browser import Browser, browser, why_not
+from tests.system.browser import NEEDED, Browser
 
 from upwash.cli.main import main
 
-pytestmark = [
-    pytest.mark.system,
-    pytest.mark.root,
-    pytest.mark.xdist_group("browser"),
-    pytest.mark.skipif(bool(why_not()), reason=why_not()),
-]
+pytestmark = NEEDED
 
 BOX = {
     "left_px": 700.0,
@@ -26,12 +20,6 @@ BOX = {
     "label": "hot-spot",
     "score": 0.9,
 }
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("chromium")) as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -9,25 +9,29 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
-from tests.children import is_alive
+from tests.children import children, is_alive
+from tests.played import played
+from tests.programs import upwash
 from tests.system.daemons import (
     MAX_MESSAGE_BYTES,
+    SERVERS,
+    SERVICES,
     Daemon,
     Guest,
-    children,
+    channel,
     config,
     daemon,
     eventually,
     guests,
+    shown,
     started,
 )
 from tests.waiting import wait_for
@@ -37,172 +41,171 @@ from upwash.launch.status import ask_status
 from upwash.real.instances.sandbox import find_sandbox
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.authority import drop_former_authorities, make_keys, renew_authority, revoke
-from upwash.real.trust.credentials import Credentials, read_credentials
-from upwash.rpc.protocol import (
-    AVAILABILITY,
-    LEAVE,
-    START,
-)
+from upwash.real.trust.credentials import Credentials
+from upwash.rpc.protocol import AVAILABILITY, LEAVE, START
 
 pytestmark = pytest.mark.system
 
-ReadCredentials = Callable[[str], Credentials]
 Visited = Callable[..., None]
+SHUTTING_DOWN = "this edge server is shutting down"
+TWO_SLOTS = [{"name": "s1", "slots": 2}, {"name": "s2", "slots": 1}]
 
 
 @pytest.fixture
-def visited(tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials) -> Visited:
+def visited(tmp_path: Path, services: Path, keys: Path) -> Visited:
     """Plays a scene of a daemon and its guests, each a drone at a server, such as "heron@s1"."""
 
-    def play(scene: Callable[..., Awaitable[None]], *who: str, **settings: Any) -> None:
+    def play(
+        scene: Callable[..., Awaitable[None]], *who: str, certified: Path | None = keys, **settings: Any
+    ) -> None:
         async def live(at: Daemon) -> None:
-            drones = [name.split("@") for name in who]
-            shown = [(drone, credentials(drone), server) for drone, server in drones]
-            async with guests(at, services, *shown) as present:
+            drones = [name.partition("@") for name in who]
+            known = [
+                (name, shown(certified, name) if certified else None, server) for name, _, server in drones
+            ]
+            async with guests(at, services, *known) as present:
                 await scene(at, *present)
 
-        with daemon(tmp_path, config(keys, **settings)) as at:
+        with daemon(tmp_path, config(certified, **settings)) as at:
             asyncio.run(live(at))
 
     return play
 
 
+@pytest.fixture
+def own_keys(tmp_path: Path) -> Path:
+    """Keys that a test may revoke."""
+    folder = tmp_path / "keys"
+    make_keys(folder, servers=[["s1", "s2"]], drones=["heron", "stork"], operators=["alice"])
+    return folder
+
+
+@pytest.fixture
+def own_visited(visited: Visited, own_keys: Path) -> Visited:
+    return partial(visited, certified=own_keys)
+
+
+@pytest.fixture
+def socket_visited(visited: Visited, tmp_path: Path) -> Visited:
+    return partial(visited, certified=None, listen=f"unix:{tmp_path}/socket")
+
+
+async def served(guest: Guest, endpoint: str = "") -> str:
+    """The endpoint that served the guest, started where none was named."""
+    endpoint = endpoint or (await guest.start()).endpoint
+    assert await guest.call(endpoint, "echo", b"photo") == b"photo"
+    return endpoint
+
+
 # --- what drones get ----------------------------------------------------------------------------------------
 
 
-def test_a_drone_asks_has_a_service_started_calls_it_and_leaves(visited: Visited) -> None:
-    async def scene(_: Daemon, heron: Guest) -> None:
-        before = await heron.availability("workbench")
-        assert (before.available, before.endpoints, before.lease_s) == (True, {}, 30.0)
-        endpoint = (await heron.start()).endpoint
-        assert endpoint.startswith(":")
-        assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-        assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
-        await heron.leave()
-        with pytest.raises(Refused, match="heron has no lease"):
-            await heron.call(endpoint, "echo", b"photo")
-        assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
-        assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-
-    visited(scene, "heron@s1")
+@played("visited", "heron@s1")
+async def test_a_drone_asks_has_a_service_started_calls_it_and_leaves(_: Daemon, heron: Guest) -> None:
+    before = await heron.availability("workbench")
+    assert (before.available, before.endpoints, before.lease_s) == (True, {}, 30.0)
+    endpoint = await served(heron)
+    assert endpoint.startswith(":")
+    assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
+    await heron.leave()
+    with pytest.raises(Refused, match="heron has no lease"):
+        await heron.call(endpoint, "echo", b"photo")
+    assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
+    await served(heron, endpoint)
 
 
-def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_own(visited: Visited) -> None:
-    async def scene(at: Daemon, heron1: Guest, heron2: Guest, stork1: Guest, stork2: Guest) -> None:
-        first, second = await heron1.start(), await stork2.start()
-        process_ids = {
-            await heron1.call(first.endpoint, "process_id"),
-            await stork2.call(second.endpoint, "process_id"),
-        }
-        assert process_ids == set(at.instances())
-        assert len(process_ids) == 2
-        for guest in (stork1, heron2):
-            refused = await guest.availability("workbench")
-            assert (refused.available, refused.endpoints) == (False, {})
-            assert "has no free slot: 1 of 1 in use" in refused.reason
-            assert "has no free slot" in (await guest.start()).reason
-        with pytest.raises(Refused):
-            await stork1.call(first.endpoint, "echo", b"photo")
-        await heron1.leave()
-        assert (await stork1.availability("workbench")).endpoints == {"workbench": first.endpoint}
-        assert await stork1.call(first.endpoint, "echo", b"photo") == b"photo"
-        with pytest.raises(Refused):
-            await heron1.call(first.endpoint, "echo", b"photo")
-
-    visited(scene, "heron@s1", "heron@s2", "stork@s1", "stork@s2")
-
-
-def test_a_lease_ends_by_itself_and_asking_keeps_it(visited: Visited) -> None:
-    async def scene(_: Daemon, heron: Guest, stork: Guest) -> None:
-        endpoint = (await heron.start()).endpoint
-        for _again in range(6):  # for longer than a lease
-            await heron.call(endpoint, "pause", 0.5)
-            await heron.availability()
-        assert not (await stork.availability()).available
-        await eventually(stork.availability, lambda answer: answer.available)
-        with pytest.raises(Refused, match="heron has no lease"):
-            await heron.call(endpoint, "echo", b"photo")
-
-    visited(scene, "heron@s1", "stork@s1", lease_s=2.0)
-
-
-def test_starts_at_the_same_time_make_one_instance(visited: Visited) -> None:
-    async def scene(at: Daemon, heron: Guest) -> None:
-        replies = await asyncio.gather(*(heron.start() for _ in range(5)))
-        assert len({reply.endpoint for reply in replies}) == 1
-        assert replies[0].endpoint
-        assert len(at.instances()) == 1
-
-    visited(scene, "heron@s1")
-
-
-def test_a_killed_instance_is_reported_absent_and_started_again_on_request(visited: Visited) -> None:
-    async def scene(_: Daemon, heron: Guest) -> None:
-        endpoint = (await heron.start()).endpoint
-        first = await heron.call(endpoint, "process_id")
-        os.kill(first, signal.SIGKILL)
-        await eventually(lambda: heron.availability("workbench"), lambda answer: not answer.endpoints)
-        endpoint = (await heron.start()).endpoint
-        assert await heron.call(endpoint, "process_id") != first
-
-    visited(scene, "heron@s1")
-
-
-def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(visited: Visited) -> None:
-    async def scene(at: Daemon, heron: Guest) -> None:
-        await heron.start()
-        assert len(at.instances()) == 1
-        await asyncio.to_thread(wait_for, lambda: not at.instances())
-        endpoint = (await heron.start()).endpoint
-        assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-
-    visited(scene, "heron@s1", lease_s=2.0, idle_stop_s=0.3)
-
-
-def test_a_service_that_cannot_start_is_refused_with_its_reason(visited: Visited) -> None:
-    async def scene(at: Daemon, heron: Guest) -> None:
-        for _ in range(2):
-            reply = await heron.start("unstartable")
-            assert (reply.endpoint, "model.onnx is missing" in reply.reason) == ("", True)
-        assert "not ready within" in (await heron.start("slowtostart")).reason
-        assert at.instances() == []
-        assert "s1 has no image of submarine" in (await heron.start("submarine")).reason
-
-    visited(scene, "heron@s1", start_timeout_s=1.5)
-
-
-def test_a_server_that_the_daemon_is_not_is_refused_by_name(tmp_path: Path, services: Path) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", None, "s3")) as (heron,):
-            refused = await heron.availability("workbench")
-            assert (refused.available, refused.reason) == (False, "no server s3 here; this daemon is s1, s2")
-
-    with daemon(tmp_path, config(None)) as at:
-        asyncio.run(visit(at))
-
-
-def test_a_daemon_on_a_unix_socket_needs_no_certificates(tmp_path: Path, services: Path) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", None, "s1")) as (heron,):
-            endpoint = (await heron.start()).endpoint
-            assert endpoint.startswith("unix:")
-            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-
-    with daemon(tmp_path, config(None, listen=f"unix:{tmp_path}/socket")) as at:
-        asyncio.run(visit(at))
-
-
-def test_the_standard_health_service_answers(
-    tmp_path: Path, keys: Path, credentials: ReadCredentials
+@played("visited", "heron@s1", "heron@s2", "stork@s1", "stork@s2")
+async def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_own(
+    at: Daemon, heron1: Guest, heron2: Guest, stork1: Guest, stork2: Guest
 ) -> None:
-    shown = credentials("heron")
-    channel_credentials = grpc.ssl_channel_credentials(shown.authority, shown.key, shown.certificate)
-    options = [("grpc.ssl_target_name_override", "s2"), ("grpc.enable_http_proxy", 0)]
-    with (
-        daemon(tmp_path, config(keys)) as at,
-        grpc.secure_channel(at.address, channel_credentials, options) as channel,
-    ):
-        health = health_pb2_grpc.HealthStub(channel)
+    first, second = await heron1.start(), await stork2.start()
+    process_ids = {
+        await heron1.call(first.endpoint, "process_id"),
+        await stork2.call(second.endpoint, "process_id"),
+    }
+    assert process_ids == set(at.instances())
+    assert len(process_ids) == 2
+    for guest in (stork1, heron2):
+        refused = await guest.availability("workbench")
+        assert (refused.available, refused.endpoints) == (False, {})
+        assert "has no free slot: 1 of 1 in use" in refused.reason
+        assert "has no free slot" in (await guest.start()).reason
+    with pytest.raises(Refused):
+        await stork1.call(first.endpoint, "echo", b"photo")
+    await heron1.leave()
+    assert (await stork1.availability("workbench")).endpoints == {"workbench": first.endpoint}
+    await served(stork1, first.endpoint)
+    with pytest.raises(Refused):
+        await heron1.call(first.endpoint, "echo", b"photo")
+
+
+@played("visited", "heron@s1", "stork@s1", lease_s=2.0)
+async def test_a_lease_ends_by_itself_and_asking_keeps_it(_: Daemon, heron: Guest, stork: Guest) -> None:
+    endpoint = (await heron.start()).endpoint
+    for _again in range(6):  # for longer than a lease
+        await heron.call(endpoint, "pause", 0.5)
+        await heron.availability()
+    assert not (await stork.availability()).available
+    await eventually(stork.availability, lambda answer: answer.available)
+    with pytest.raises(Refused, match="heron has no lease"):
+        await heron.call(endpoint, "echo", b"photo")
+
+
+@played("visited", "heron@s1")
+async def test_starts_at_the_same_time_make_one_instance(at: Daemon, heron: Guest) -> None:
+    replies = await asyncio.gather(*(heron.start() for _ in range(5)))
+    assert len({reply.endpoint for reply in replies}) == 1
+    assert replies[0].endpoint
+    assert len(at.instances()) == 1
+
+
+@played("visited", "heron@s1")
+async def test_a_killed_instance_is_reported_absent_and_started_again_on_request(
+    _: Daemon, heron: Guest
+) -> None:
+    endpoint = (await heron.start()).endpoint
+    first = await heron.call(endpoint, "process_id")
+    os.kill(first, signal.SIGKILL)
+    await eventually(lambda: heron.availability("workbench"), lambda answer: not answer.endpoints)
+    endpoint = (await heron.start()).endpoint
+    assert await heron.call(endpoint, "process_id") != first
+
+
+@played("visited", "heron@s1", lease_s=2.0, idle_stop_s=0.3)
+async def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(
+    at: Daemon, heron: Guest
+) -> None:
+    await heron.start()
+    assert len(at.instances()) == 1
+    await asyncio.to_thread(wait_for, lambda: not at.instances())
+    await served(heron)
+
+
+@played("visited", "heron@s1", start_timeout_s=1.5)
+async def test_a_service_that_cannot_start_is_refused_with_its_reason(at: Daemon, heron: Guest) -> None:
+    for _ in range(2):
+        reply = await heron.start("unstartable")
+        assert (reply.endpoint, "model.onnx is missing" in reply.reason) == ("", True)
+    assert "not ready within" in (await heron.start("slowtostart")).reason
+    assert at.instances() == []
+    assert "s1 has no image of submarine" in (await heron.start("submarine")).reason
+
+
+@played("visited", "heron@s3", certified=None)
+async def test_a_server_that_the_daemon_is_not_is_refused_by_name(_: Daemon, heron: Guest) -> None:
+    refused = await heron.availability("workbench")
+    assert (refused.available, refused.reason) == (False, "no server s3 here; this daemon is s1, s2")
+
+
+@played("socket_visited", "heron@s1")
+async def test_a_daemon_on_a_unix_socket_needs_no_certificates(_: Daemon, heron: Guest) -> None:
+    assert (await served(heron)).startswith("unix:")
+
+
+@played("visited")
+async def test_the_standard_health_service_answers(at: Daemon, *, keys: Path) -> None:
+    with channel(at.address, shown(keys, "heron"), "s2") as heron:
+        health = health_pb2_grpc.HealthStub(heron)
         for name in ("", "s1", "s2"):
             reply = health.Check(health_pb2.HealthCheckRequest(service=name), timeout=5.0)
             assert reply.status == health_pb2.HealthCheckResponse.SERVING
@@ -214,361 +217,267 @@ def test_the_standard_health_service_answers(
 # --- whom it does not serve ---------------------------------------------------------------------------------
 
 
-def test_a_drone_of_another_authority_gets_no_answer(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+@pytest.fixture
+def strangers(keys: Path) -> list[Credentials | None]:
+    """Of another authority; the same, who believes ours; without a certificate."""
+    theirs = shown(keys / "other", "heron")
+    return [theirs, Credentials(shown(keys, "heron").authority, theirs.certificate, theirs.key), None]
+
+
+@played("visited", "heron@s1")
+async def test_a_drone_of_another_authority_gets_no_answer(
+    at: Daemon, heron: Guest, *, services: Path, strangers: list[Credentials | None]
 ) -> None:
-    ours, theirs = credentials("heron"), credentials("other/heron")
-    believing = Credentials(ours.authority, theirs.certificate, theirs.key)
-
-    async def visit(at: Daemon) -> None:
-        who = [("heron", shown, "s1") for shown in (ours, theirs, believing, None)]
-        async with guests(at, services, *who) as (heron, *strangers):
-            endpoint = (await heron.start()).endpoint
-            for stranger in strangers:
-                with pytest.raises(Unreachable):
-                    await stranger.availability("workbench")
-                with pytest.raises(Unreachable):
-                    await stranger.call(endpoint, "echo", b"photo")
-
-    with daemon(tmp_path, config(keys)) as at:
-        asyncio.run(visit(at))
+    endpoint = (await heron.start()).endpoint
+    async with guests(at, services, *(("heron", each, "s1") for each in strangers)) as others:
+        for stranger in others:
+            with pytest.raises(Unreachable):
+                await stranger.availability("workbench")
+            with pytest.raises(Unreachable):
+                await stranger.call(endpoint, "echo", b"photo")
 
 
-def test_garbage_does_not_harm_it(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            for path in (AVAILABILITY, START, LEAVE, "/upwash.Daemon/Nonsense"):
-                for body in (b"", b"\xff" * 100, b"\x81\xa6server\xa2\xff\xfe", b"\x91" * 50_000):
-                    with pytest.raises(Refused) as refusal:
-                        await heron.daemon.request(path, body, timeout_s=5.0)
-                    assert "log says why" not in str(refusal.value)
-            assert (await heron.availability("workbench")).available
-
-    with daemon(tmp_path, config(keys)) as at:
-        host, _, port = at.address.rpartition(":")
-        for garbage in (
-            b"",
-            b"\x00" * 10_000,
-            b"GET / HTTP/1.1\r\n\r\n",
-            b"\x16\x03\x01\xff\xff" + b"x" * 500,
-        ):
-            with socket.create_connection((host, int(port))) as connection:
-                connection.sendall(garbage)
-        asyncio.run(visit(at))
+@played("visited", "heron@s1")
+async def test_garbage_does_not_harm_it(at: Daemon, heron: Guest) -> None:
+    hello = b"\x16\x03\x01\xff\xff" + b"x" * 500
+    for garbage in (b"", b"\x00" * 10_000, b"GET / HTTP/1.1\r\n\r\n", hello):
+        with socket.create_connection(("127.0.0.1", at.port)) as connection:
+            connection.sendall(garbage)
+    for path in (AVAILABILITY, START, LEAVE, "/upwash.Daemon/Nonsense"):
+        for body in (b"", b"\xff" * 100, b"\x81\xa6server\xa2\xff\xfe", b"\x91" * 50_000):
+            with pytest.raises(Refused) as refusal:
+                await heron.daemon.request(path, body, timeout_s=5.0)
+            assert "log says why" not in str(refusal.value)
+    assert (await heron.availability("workbench")).available
 
 
-def test_a_drone_without_a_name_is_refused(tmp_path: Path, services: Path) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("", None, "s1")) as (nobody,):
-            with pytest.raises(Refused, match="names no drone"):
-                await nobody.availability("workbench")
-
-    with daemon(tmp_path, config(None)) as at:
-        asyncio.run(visit(at))
+@played("visited", "@s1", certified=None)
+async def test_a_drone_without_a_name_is_refused(_: Daemon, nobody: Guest) -> None:
+    with pytest.raises(Refused, match="names no drone"):
+        await nobody.availability("workbench")
 
 
 # --- how it ends --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_it_with_a_call_under_way_and_leaves_nothing(
-    visited: Visited, number: signal.Signals
+@played("visited", "heron@s1", drain_s=0.3)
+async def test_a_signal_ends_it_with_a_call_under_way_and_leaves_nothing(
+    at: Daemon, heron: Guest, *, number: signal.Signals
 ) -> None:
-    async def scene(at: Daemon, heron: Guest) -> None:
-        endpoint = (await heron.start()).endpoint
-        child = await heron.call(endpoint, "spawn")
-        calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
-        await asyncio.sleep(0.2)
-        instances = at.instances()
-        assert await asyncio.to_thread(at.end, number) == 0
-        assert not any(map(is_alive, [*instances, child]))
-        with pytest.raises(LinkError):
-            await calling
-
-    visited(scene, "heron@s1", drain_s=0.3)
+    endpoint = (await heron.start()).endpoint
+    child = await heron.call(endpoint, "spawn")
+    calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
+    await asyncio.sleep(0.2)
+    instances = at.instances()
+    assert await asyncio.to_thread(at.end, number) == 0
+    assert not any(map(is_alive, [*instances, child]))
+    with pytest.raises(LinkError):
+        await calling
 
 
-def test_a_call_under_way_ends_before_the_daemon_does_and_new_ones_are_refused_with_the_reason(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+@played("visited", "heron@s1", "stork@s1", server=TWO_SLOTS)
+async def test_a_call_under_way_ends_before_the_daemon_does_and_new_ones_are_refused_with_the_reason(
+    at: Daemon, heron: Guest, stork: Guest
 ) -> None:
-    who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
-
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, *who) as (heron, stork):
-            endpoint = (await heron.start()).endpoint
-            assert (await stork.availability("workbench")).available
-            for guest in (heron, stork):
-                await guest.call(endpoint, "echo", b"photo")
-            running = asyncio.create_task(heron.call(endpoint, "pause", 4.0))
-            await asyncio.sleep(0.3)
-            queued = asyncio.create_task(stork.call(endpoint, "echo", b"photo"))
-            await asyncio.sleep(0.3)
-            at.process.send_signal(signal.SIGTERM)
-            with pytest.raises(Refused, match="this edge server is shutting down"):
-                await queued
-            with pytest.raises(Refused, match="this edge server is shutting down"):
-                await stork.call(endpoint, "echo", b"photo")
-            assert (await stork.availability("workbench")).reason == "this edge server is shutting down"
-            assert not running.done(), "a drone should fall back at once"
-            await running
-            assert await asyncio.to_thread(at.process.wait, 10.0) == 0
-
-    with daemon(tmp_path, config(keys).replace("slots = 1", "slots = 2", 1)) as at:
-        asyncio.run(visit(at))
+    endpoint = (await heron.start()).endpoint
+    assert (await stork.availability("workbench")).available
+    for guest in (heron, stork):
+        await served(guest, endpoint)
+    running = asyncio.create_task(heron.call(endpoint, "pause", 4.0))
+    await asyncio.sleep(0.3)
+    queued = asyncio.create_task(stork.call(endpoint, "echo", b"photo"))
+    await asyncio.sleep(0.3)
+    at.process.send_signal(signal.SIGTERM)
+    with pytest.raises(Refused, match=SHUTTING_DOWN):
+        await queued
+    with pytest.raises(Refused, match=SHUTTING_DOWN):
+        await stork.call(endpoint, "echo", b"photo")
+    assert (await stork.availability("workbench")).reason == SHUTTING_DOWN
+    assert not running.done(), "a drone should fall back at once"
+    await running
+    assert await asyncio.to_thread(at.process.wait, 10.0) == 0
 
 
-def test_a_second_signal_ends_it_at_once(visited: Visited) -> None:
-    async def scene(at: Daemon, heron: Guest) -> None:
-        endpoint = (await heron.start()).endpoint
-        calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
-        await asyncio.sleep(0.2)
-        at.process.send_signal(signal.SIGTERM)
-        await asyncio.sleep(0.7)
-        assert await asyncio.to_thread(at.end) == 130
-        with pytest.raises(LinkError):
-            await calling
-
-    visited(scene, "heron@s1", drain_s=60.0)
+@played("visited", "heron@s1", drain_s=60.0)
+async def test_a_second_signal_ends_it_at_once(at: Daemon, heron: Guest) -> None:
+    endpoint = (await heron.start()).endpoint
+    calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
+    await asyncio.sleep(0.2)
+    at.process.send_signal(signal.SIGTERM)
+    await asyncio.sleep(0.7)
+    assert await asyncio.to_thread(at.end) == 130
+    with pytest.raises(LinkError):
+        await calling
 
 
-def test_a_signal_ends_it_while_a_service_starts(visited: Visited, tmp_path: Path) -> None:
-    async def scene(at: Daemon, heron: Guest) -> None:
-        starting = asyncio.create_task(heron.start("slowtostart"))
-        await asyncio.to_thread(wait_for, (tmp_path / "process_id").exists)
-        instances = at.instances()
-        assert await asyncio.to_thread(at.end) == 0
-        assert not any(map(is_alive, instances))
-        await asyncio.gather(starting, return_exceptions=True)
-
-    visited(scene, "heron@s1")
+@played("visited", "heron@s1")
+async def test_a_signal_ends_it_while_a_service_starts(at: Daemon, heron: Guest, *, tmp_path: Path) -> None:
+    starting = asyncio.create_task(heron.start("slowtostart"))
+    await asyncio.to_thread(wait_for, (tmp_path / "process_id").exists)
+    instances = at.instances()
+    assert await asyncio.to_thread(at.end) == 0
+    assert not any(map(is_alive, instances))
+    await asyncio.gather(starting, return_exceptions=True)
 
 
-def test_its_instances_end_when_it_is_killed(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    async def visit(at: Daemon) -> list[int]:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            endpoint = (await heron.start()).endpoint
-            return [await heron.call(endpoint, "spawn"), *at.instances()]
-
-    with daemon(tmp_path, config(keys)) as at:
-        processes = asyncio.run(visit(at))
-        assert at.end(signal.SIGKILL) == -signal.SIGKILL
-        wait_for(lambda: not any(map(is_alive, processes)))
+@played("visited", "heron@s1")
+async def test_its_instances_end_when_it_is_killed(at: Daemon, heron: Guest) -> None:
+    processes = [await heron.call((await heron.start()).endpoint, "spawn"), *at.instances()]
+    assert at.end(signal.SIGKILL) == -signal.SIGKILL
+    wait_for(lambda: not any(map(is_alive, processes)))
 
 
 # --- what its operator does ---------------------------------------------------------------------------------
 
-
-def reloaded(at: Daemon, folder: Path, text: str, said: str) -> None:
-    """Has the daemon read another configuration, and waits until it has said something of it."""
-    (folder / "server.toml").write_text(text)
-    log = folder / "stderr"
-    known = len(log.read_text())
-    at.process.send_signal(signal.SIGHUP)
-    wait_for(lambda: said in log.read_text()[known:])
-
-
-@pytest.fixture
-def own_keys(tmp_path: Path) -> Path:
-    """Keys that a test may revoke."""
-    folder = tmp_path / "keys"
-    make_keys(folder, servers=[["s1", "s2"]], drones=["heron", "stork"], operators=["alice"])
-    return folder
-
-
-def read_own(folder: Path, holder: str) -> Credentials:
-    return read_credentials(folder / "authority.pem", folder / f"{holder}.pem", folder / f"{holder}.key")
+READ_AGAIN = "the configuration was read again"
 
 
 def test_drones_of_the_former_authority_and_of_the_present_one_are_served(
-    tmp_path: Path, services: Path, own_keys: Path
+    own_visited: Visited, own_keys: Path
 ) -> None:
     renew_authority(own_keys)
     make_keys(own_keys, drones=["egret"])
 
-    async def visit(at: Daemon) -> None:
-        former, present = read_own(own_keys, "heron"), read_own(own_keys, "egret")
-        async with guests(at, services, ("heron", former, "s1"), ("egret", present, "s2")) as both:
-            for each in both:
-                assert await each.call((await each.start()).endpoint, "echo", b"photo") == b"photo"
+    async def scene(_: Daemon, *drones: Guest) -> None:
+        for drone in drones:
+            await served(drone)
 
-    with daemon(tmp_path, config(own_keys)) as at:
-        asyncio.run(visit(at))
+    own_visited(scene, "heron@s1", "egret@s2")
 
 
-def test_an_authority_is_changed_without_a_restart_and_without_a_call_that_fails(
-    tmp_path: Path, services: Path, own_keys: Path
+@played("own_visited", "stork@s1")
+async def test_an_authority_is_changed_without_a_restart_and_without_a_call_that_fails(
+    at: Daemon, stork: Guest, *, services: Path, own_keys: Path
 ) -> None:
-    text, read_again = config(own_keys), "the configuration was read again"
+    text = config(own_keys)
+    endpoint = (await stork.start()).endpoint
+    renew_authority(own_keys)
+    at.reload(text, READ_AGAIN)
+    await served(stork, endpoint)
+    made_anew(own_keys, "s1", servers=[["s1", "s2"]])
+    made_anew(own_keys, "heron", drones=["heron"])
+    at.reload(text, READ_AGAIN)
+    await served(stork, endpoint)  # on a connection of before
+    await stork.leave()
+    of_the_former = shown(own_keys, "stork")  # which believes both by now
+    async with guests(at, services, ("stork", of_the_former, "s1")) as (again,):
+        assert (await again.availability()).available
+        await again.leave()
+        drop_former_authorities(own_keys)
+        at.reload(text, READ_AGAIN)
+        for _ in range(2):
+            with pytest.raises(Unreachable):
+                await again.availability()
+    async with guests(at, services, ("heron", shown(own_keys, "heron"), "s1")) as (heron,):
+        await served(heron)
 
-    def make_anew(names: dict[str, dict[str, Any]]) -> None:
-        for name, wanted in names.items():
-            for ending in ("pem", "key"):
-                (own_keys / f"{name}.{ending}").unlink()
-            make_keys(own_keys, **wanted)
 
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("stork", read_own(own_keys, "stork"), "s1")) as (stork,):
-            endpoint = (await stork.start()).endpoint
-            renew_authority(own_keys)
-            await asyncio.to_thread(reloaded, at, tmp_path, text, read_again)
-            assert await stork.call(endpoint, "echo", b"photo") == b"photo"
-            make_anew({"s1": {"servers": [["s1", "s2"]]}, "heron": {"drones": ["heron"]}})
-            await asyncio.to_thread(reloaded, at, tmp_path, text, read_again)
-            assert await stork.call(endpoint, "echo", b"photo") == b"photo"  # on a connection of before
-            await stork.leave()
-        of_the_former = read_own(own_keys, "stork")  # which believes both by now
-        async with guests(at, services, ("stork", of_the_former, "s1")) as (stork,):
-            assert (await stork.availability()).available
-            await stork.leave()
-            drop_former_authorities(own_keys)
-            await asyncio.to_thread(reloaded, at, tmp_path, text, read_again)
-            for _ in range(2):
-                with pytest.raises(Unreachable):
-                    await stork.availability()
-        async with guests(at, services, ("heron", read_own(own_keys, "heron"), "s1")) as (heron,):
-            assert await heron.call((await heron.start()).endpoint, "echo", b"photo") == b"photo"
-
-    with daemon(tmp_path, text) as at:
-        asyncio.run(visit(at))
+def made_anew(keys: Path, name: str, **wanted: Any) -> None:
+    """Another key and certificate in the place of those of that name."""
+    for ending in ("pem", "key"):
+        (keys / f"{name}.{ending}").unlink()
+    make_keys(keys, **wanted)
 
 
 def test_a_daemon_that_reads_no_list_of_revoked_certificates_says_so(tmp_path: Path, own_keys: Path) -> None:
     (own_keys / "revoked.txt").unlink()
-    with daemon(tmp_path, config(own_keys)):
-        wait_for(
-            lambda: (
-                f"revoked.txt of `upwash keys DIR --revoke NAME` beside {own_keys}/authority.pem"
-                in (tmp_path / "stderr").read_text()
-            )
-        )
-
-
-@pytest.mark.parametrize("named", ["", 'revoked = "{}/revoked.txt"'])
-def test_a_revoked_drone_is_refused_by_the_daemon_and_by_what_runs_until_it_shows_another_certificate(
-    tmp_path: Path, services: Path, own_keys: Path, named: str
-) -> None:
-    text = config(own_keys).replace("[keys]", f"[keys]\n{named.format(own_keys)}")
-    stolen = read_own(own_keys, "heron")
-
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", stolen, "s1")) as (thief,):
-            endpoint = (await thief.start()).endpoint
-            assert await thief.call(endpoint, "echo", b"photo") == b"photo"
-            revoke(own_keys, ["heron"])
-            await asyncio.to_thread(reloaded, at, tmp_path, text, "1 certificates are revoked")
-            for _ in range(2):  # the first on connections that were there
-                with pytest.raises(Unreachable):
-                    await thief.call(endpoint, "echo", b"photo")
-                with pytest.raises(Unreachable):
-                    await thief.availability()
-            for ending in ("pem", "key"):
-                (own_keys / f"heron.{ending}").unlink()
-            make_keys(own_keys, drones=["heron"])
-            async with guests(at, services, ("heron", read_own(own_keys, "heron"), "s1")) as (heron,):
-                assert (await heron.start()).endpoint == endpoint
-                assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-                with pytest.raises(Unreachable, match="it hung up;"):
-                    await thief.call(endpoint, "echo", b"photo")
-
-    with daemon(tmp_path, text) as at:
-        asyncio.run(visit(at))
-
-
-def test_images_and_slots_follow_the_configuration_and_a_bad_one_changes_nothing(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
-) -> None:
-    who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
-    text = config(keys)
-    more = text.replace('name = "s1"\nslots = 1', 'name = "s1"\nslots = 2\nimages = ["unstartable"]')
-
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, *who) as (heron, stork):
-            endpoint = (await heron.start()).endpoint
-            for bad, why in (
-                ("listen = ", "not valid TOML"),
-                (text.replace("Workbench", "NoSuchClass"), "there is no NoSuchClass"),
-                (text.replace('name = "s2"', 'name = "s3"'), "restart it"),
-                (text.replace("[keys]", "lease_s = 3.0\n[keys]"), "lease_s cannot change"),
-            ):
-                await asyncio.to_thread(reloaded, at, tmp_path, bad, "the old configuration stays: ")
-                assert why in (tmp_path / "stderr").read_text().splitlines()[-1]
-            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-            assert not (await stork.availability()).available
-            await asyncio.to_thread(reloaded, at, tmp_path, more, "was read again")
-            assert (await stork.availability()).available
-            assert "s1 has no image of workbench" in (await stork.start()).reason
-            with pytest.raises(LinkError):
-                await heron.call(endpoint, "echo", b"photo")
-            await asyncio.to_thread(wait_for, lambda: at.instances() == [])
-
-    with daemon(tmp_path, text) as at:
-        asyncio.run(visit(at))
-
-
-def status(at: Daemon, keys: Path, operator: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "upwash", "status", at.address, "--server", "s1", "--keys", str(keys)]
-    return subprocess.run(
-        [*command, "--operator", operator], capture_output=True, text=True, timeout=30, check=False
-    )
-
-
-def test_its_status_shows_an_operator_leases_instances_refusals_and_certificates(
-    tmp_path: Path, services: Path, own_keys: Path
-) -> None:
-    async def visit(at: Daemon) -> None:
-        who = [(name, read_own(own_keys, name), "s1") for name in ("heron", "stork")]
-        async with guests(at, services, *who) as (heron, stork):
-            await heron.start()
-            await stork.availability()
-            seen = await asyncio.to_thread(status, at, own_keys, "alice")
-            assert (seen.returncode, seen.stderr) == (0, "")
-            for expected in (
-                r"s1: 1 of 1 slots in use, 1 drone waits\n  1 slot, as configured; a turn lasts 30 s\n",
-                r"heron: has a slot for \d+ s, counts as having had \d+ s; lease ends in \d+ s, certificate \w{16}",
-                r"stork: waits for \d+ s, counts as having had \d+ s",
-                r"workbench +running +:\d+",
-                r"unstartable +absent",
-                r"1 +s1 +stork +s1 has no free slot: 1 of 1 in use",
-                r"certificate of s1: valid until 20\d\d-\d\d-\d\d, 7\d\d days",
-            ):
-                assert re.search(expected, seen.stdout), seen.stdout
-            refused = await asyncio.to_thread(status, at, own_keys, "heron")
-            assert (refused.returncode, refused.stdout) == (1, "")
-            assert "heron is no operator" in refused.stderr
-
     with daemon(tmp_path, config(own_keys)) as at:
-        asyncio.run(visit(at))
+        at.has_said(f"revoked.txt of `upwash keys DIR --revoke NAME` beside {own_keys}/authority.pem")
 
 
-def test_prometheus_finds_what_drones_hold_and_what_runs(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+@pytest.mark.parametrize("named", [True, False])
+def test_a_revoked_drone_is_refused_by_the_daemon_and_by_what_runs_until_it_shows_another_certificate(
+    own_visited: Visited, services: Path, own_keys: Path, *, named: bool
 ) -> None:
-    async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            await heron.call((await heron.start()).endpoint, "echo", b"photo")
+    keys = {"revoked": f"{own_keys}/revoked.txt"} if named else {}
 
-    with daemon(tmp_path, config(keys, metrics='"127.0.0.1:0"')) as at:
-        asyncio.run(visit(at))
-        (address,) = re.findall(r"metrics at http://(\S+)/metrics", (tmp_path / "stderr").read_text())
+    async def scene(at: Daemon, thief: Guest) -> None:
+        endpoint = await served(thief)
+        revoke(own_keys, ["heron"])
+        at.reload(config(own_keys, keys=keys), "1 certificates are revoked")
+        for _ in range(2):  # the first on connections that were there
+            with pytest.raises(Unreachable):
+                await thief.call(endpoint, "echo", b"photo")
+            with pytest.raises(Unreachable):
+                await thief.availability()
+        made_anew(own_keys, "heron", drones=["heron"])
+        async with guests(at, services, ("heron", shown(own_keys, "heron"), "s1")) as (heron,):
+            assert (await heron.start()).endpoint == endpoint
+            await served(heron, endpoint)
+            with pytest.raises(Unreachable, match="it hung up;"):
+                await thief.call(endpoint, "echo", b"photo")
 
-        def told_now() -> list[str]:
-            connection = http.client.HTTPConnection(address, timeout=10.0)
-            connection.request("GET", "/metrics")
-            return connection.getresponse().read().decode().splitlines()
+    own_visited(scene, "heron@s1", keys=keys)
 
-        # The instance tells the daemon of a call after the drone has its reply.
-        counted = 'upwash_service_seconds_count{method="echo",server="s1",service="workbench"} 1.0'
-        wait_for(lambda: counted in told_now(), within_s=10.0)
-        told = told_now()
+
+@played("visited", "heron@s1", "stork@s1")
+async def test_images_and_slots_follow_the_configuration_and_a_bad_one_changes_nothing(
+    at: Daemon, heron: Guest, stork: Guest, *, keys: Path
+) -> None:
+    endpoint = (await heron.start()).endpoint
+    text = config(keys)
+    for bad, why in (
+        ("listen = ", "not valid TOML"),
+        (text.replace("Workbench", "NoSuchClass"), "there is no NoSuchClass"),
+        (text.replace('name = "s2"', 'name = "s3"'), "restart it"),
+        (config(keys, lease_s=3.0), "lease_s cannot change"),
+    ):
+        at.reload(bad, "the old configuration stays: ")
+        assert why in at.said().splitlines()[-1]
+    await served(heron, endpoint)
+    assert not (await stork.availability()).available
+    other = {"name": "s1", "slots": 2, "images": ["unstartable"]}
+    at.reload(config(keys, server=[other, SERVERS[1]]), "was read again")
+    assert (await stork.availability()).available
+    assert "s1 has no image of workbench" in (await stork.start()).reason
+    with pytest.raises(LinkError):
+        await heron.call(endpoint, "echo", b"photo")
+    wait_for(lambda: at.instances() == [])
+
+
+@played("own_visited", "heron@s1", "stork@s1")
+async def test_its_status_shows_an_operator_leases_instances_refusals_and_certificates(
+    at: Daemon, heron: Guest, stork: Guest, *, own_keys: Path
+) -> None:
+    await heron.start()
+    await stork.availability()
+    status = ("status", at.address, "--server", "s1", "--keys", own_keys, "--operator")
+    seen = await asyncio.to_thread(upwash, *status, "alice")
+    assert (seen.returncode, seen.stderr) == (0, "")
+    for expected in (
+        r"s1: 1 of 1 slots in use, 1 drone waits\n  1 slot, as configured; a turn lasts 30 s\n",
+        r"heron: has a slot for \d+ s, counts as having had \d+ s; lease ends in \d+ s, certificate \w{16}",
+        r"stork: waits for \d+ s, counts as having had \d+ s",
+        r"workbench +running +:\d+",
+        r"unstartable +absent",
+        r"1 +s1 +stork +s1 has no free slot: 1 of 1 in use",
+        r"certificate of s1: valid until 20\d\d-\d\d-\d\d, 7\d\d days",
+    ):
+        assert re.search(expected, seen.stdout), seen.stdout
+    refused = await asyncio.to_thread(upwash, *status, "heron")
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "heron is no operator" in refused.stderr
+
+
+@played("visited", "heron@s1", metrics="127.0.0.1:0")
+async def test_prometheus_finds_what_drones_hold_and_what_runs(at: Daemon, heron: Guest) -> None:
+    await served(heron)
+    (address,) = re.findall(r"metrics at http://(\S+)/metrics", at.said())
+
+    def told_now() -> list[str]:
+        connection = http.client.HTTPConnection(address, timeout=10.0)
+        connection.request("GET", "/metrics")
+        return connection.getresponse().read().decode().splitlines()
+
+    # The instance tells the daemon of a call after the drone has its reply.
+    counted = 'upwash_service_seconds_count{method="echo",server="s1",service="workbench"} 1.0'
+    wait_for(lambda: counted in told_now(), within_s=10.0)
+    told = told_now()
     assert 'upwash_leases{server="s1"} 1.0' in told
     assert 'upwash_leases{server="s2"} 0.0' in told
     assert 'upwash_instances{server="s1",service="workbench",state="running"} 1.0' in told
     assert 'upwash_requests_total{outcome="answered",request="start"} 1.0' in told
-    assert counted in told
 
 
 def test_a_service_manager_is_told_when_it_is_ready_reloads_and_stops(
@@ -596,23 +505,18 @@ def verbosity(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_its_log_can_be_json_lines_and_tells_of_a_refused_certificate(
-    verbosity: str, tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+    verbosity: str, tmp_path: Path, services: Path, keys: Path, strangers: list[Credentials | None]
 ) -> None:
-    ours, theirs = credentials("heron"), credentials("other/heron")
-    believing = Credentials(ours.authority, theirs.certificate, theirs.key)
-
     async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", believing, "s1")) as (stranger,):
+        async with guests(at, services, ("heron", strangers[1], "s1")) as (stranger,):
             with pytest.raises(Unreachable):
                 await stranger.availability("workbench")
-        await asyncio.to_thread(
-            wait_for, lambda: "CERTIFICATE_VERIFY_FAILED" in (tmp_path / "stderr").read_text()
-        )
 
     with daemon(tmp_path, config(keys), "--log-format", "json") as at:
         asyncio.run(visit(at))
+        at.has_said("CERTIFICATE_VERIFY_FAILED")
         at.end()
-    lines = [json.loads(line) for line in (tmp_path / "stderr").read_text().splitlines()]
+        lines = [json.loads(line) for line in at.said().splitlines()]
     assert all({"time", "level", "logger", "message"} <= line.keys() for line in lines)
     assert any("CERTIFICATE_VERIFY_FAILED" in line["message"] for line in lines)
     assert any(line["logger"] == "upwash.foreign" for line in lines) == bool(verbosity)
@@ -637,23 +541,17 @@ def descendants(process_id: int) -> list[int]:
 @pytest.mark.sandbox
 @pytest.mark.usefixtures("_sandbox")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_drone_calls_into_a_sandbox_which_ends_with_the_daemon(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials, number: signal.Signals
+@played("visited", "heron@s1", runtime={"sandbox": "required"})
+async def test_a_drone_calls_into_a_sandbox_which_ends_with_the_daemon(
+    at: Daemon, heron: Guest, *, number: signal.Signals
 ) -> None:
-    async def visit(at: Daemon) -> list[int]:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            endpoint = (await heron.start()).endpoint
-            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-            assert await heron.call(endpoint, "process_id") < 10, "it has a numbering of processes of its own"
-            await heron.call(endpoint, "spawn")
-            inside = descendants(at.process.pid)
-            assert len(inside) >= 3
-            return inside
-
-    with daemon(tmp_path, config(keys, sandbox="required")) as at:
-        inside = asyncio.run(visit(at))
-        at.end(number)
-        wait_for(lambda: not any(map(is_alive, inside)))
+    endpoint = await served(heron)
+    assert await heron.call(endpoint, "process_id") < 10, "it has a numbering of processes of its own"
+    await heron.call(endpoint, "spawn")
+    inside = descendants(at.process.pid)
+    assert len(inside) >= 3
+    at.end(number)
+    wait_for(lambda: not any(map(is_alive, inside)))
 
 
 EATERS = """
@@ -692,24 +590,14 @@ class Greedy(Eater):
 
 @pytest.mark.sandbox
 @pytest.mark.usefixtures("_sandbox")
-def test_limits_of_one_service_hold_and_are_not_anothers(tmp_path: Path, own_keys: Path) -> None:
+def test_limits_of_one_service_hold_and_are_not_anothers(
+    tmp_path: Path, own_keys: Path, own_visited: Visited
+) -> None:
     program = tmp_path / "eaters.py"
     program.write_text(EATERS)
-    of_services = f"""
-[[service]]
-name = "modest"
-program = "{program}:Modest"
-memory_bytes = {2**28}
-cpus = 1
 
-[[service]]
-name = "greedy"
-program = "{program}:Greedy"
-"""
-    text = config(own_keys, sandbox="required").replace("[[server]]", f"{of_services}\n[[server]]", 1)
-
-    async def visit(at: Daemon) -> None:
-        dialer = GrpcDialer("heron", read_own(own_keys, "heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+    async def scene(at: Daemon) -> None:
+        dialer = GrpcDialer("heron", shown(own_keys, "heron"), max_message_bytes=MAX_MESSAGE_BYTES)
         said = []
         for name in ("Modest", "Greedy"):
             guest = Guest(dialer, "s1", at.address, f"{program}:{name}")
@@ -723,13 +611,14 @@ program = "{program}:Greedy"
         assert (reply.limits["modest"].memory_bytes, reply.limits["modest"].cpus) == (2**28, 1)
         assert (reply.limits["greedy"].memory_bytes, reply.limits["greedy"].cpus) == (2**31, None)
 
-    with daemon(tmp_path, text) as at:
-        asyncio.run(visit(at))
+    modest = {"name": "modest", "program": f"{program}:Modest", "memory_bytes": 2**28, "cpus": 1}
+    greedy = {"name": "greedy", "program": f"{program}:Greedy"}
+    own_visited(scene, runtime={"sandbox": "required"}, service=[*SERVICES, modest, greedy])
 
 
 def test_a_limit_that_would_not_hold_ends_the_start_with_its_name(tmp_path: Path, keys: Path) -> None:
-    text = config(keys).replace('name = "workbench"', f'name = "workbench"\nmemory_bytes = {2**28}')
-    said = refused(tmp_path, text)
+    limited = SERVICES[0] | {"memory_bytes": 2**28}
+    said = refused(tmp_path, config(keys, service=[limited, *SERVICES[1:]]))
     assert 'memory_bytes of service "workbench" would have no effect' in said
     assert 'runtime.sandbox is "off"' in said
 
@@ -737,22 +626,23 @@ def test_a_limit_that_would_not_hold_ends_the_start_with_its_name(tmp_path: Path
 @pytest.mark.skipif(os.geteuid() != 0, reason="of root alone")
 @pytest.mark.parametrize("sandbox", ["auto", "required"])
 def test_root_makes_no_sandbox_unless_it_is_told_to(tmp_path: Path, keys: Path, sandbox: str) -> None:
-    said = refused(tmp_path, config(keys, sandbox=sandbox, as_root=False))
+    said = refused(tmp_path, config(keys, runtime={"sandbox": sandbox, "sandbox_as_root": False}))
     assert "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true" in said
 
 
 def test_without_bubblewrap_it_serves_and_says_so_unless_a_sandbox_is_required(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+    tmp_path: Path, services: Path, keys: Path
 ) -> None:
     async def visit(at: Daemon) -> None:
-        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            assert await heron.call((await heron.start()).endpoint, "echo", b"photo") == b"photo"
+        async with guests(at, services, ("heron", shown(keys, "heron"), "s1")) as (heron,):
+            await served(heron)
 
-    with daemon(tmp_path, config(keys, sandbox="auto"), path=str(tmp_path)) as at:
+    with daemon(tmp_path, config(keys, runtime={"sandbox": "auto"}), path=str(tmp_path)) as at:
         asyncio.run(visit(at))
-        said = (tmp_path / "stderr").read_text()
+        said = at.said()
         assert "services run without a sandbox: bubblewrap is not installed: `apt install bubblewrap`" in said
-    assert "apt install bubblewrap" in refused(tmp_path, config(keys, sandbox="required"), path=str(tmp_path))
+    required = config(keys, runtime={"sandbox": "required"})
+    assert "apt install bubblewrap" in refused(tmp_path, required, path=str(tmp_path))
 
 
 # --- when it cannot start -----------------------------------------------------------------------------------
@@ -788,13 +678,12 @@ def test_certificates_are_left_out_on_purpose_only(tmp_path: Path) -> None:
 
 
 def test_a_certificate_for_another_server_is_refused(tmp_path: Path, keys: Path) -> None:
-    said = refused(tmp_path, config(keys) + '\n[[server]]\nname = "s3"\n')
+    said = refused(tmp_path, config(keys, server=[*SERVERS, {"name": "s3"}]))
     assert "the certificate is for s1, s2, but this daemon acts as s3" in said
 
 
 def test_a_drones_certificate_is_refused(tmp_path: Path, keys: Path) -> None:
-    text, _, _ = config(keys).replace(f"{keys}/s1.", f"{keys}/heron.").partition("[[server]]")
-    text += '[[server]]\nname = "heron"\n'
+    text = config(keys, server=[{"name": "heron"}]).replace(f"{keys}/s1.", f"{keys}/heron.")
     assert "heron.pem: not a certificate for a daemon" in refused(tmp_path, text)
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import functools
-import json
 import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -17,8 +14,10 @@ from pathlib import Path
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
+from tests.events import line
+from tests.programs import UPWASH, upwash
 from tests.scenarios import scenario
-from tests.system.browser import Browser, browser, why_not
+from tests.system.browser import NEEDED, Browser, view_of
 from tests.waiting import wait_for
 
 from upwash import read_log, read_result
@@ -26,37 +25,25 @@ from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.reasons import explained_calls
 from upwash.lab.run import simulate
-from upwash.launch.processes import ready_program
 from upwash.report.record import Record, read_records
 
-pytestmark = [
-    pytest.mark.system,
-    pytest.mark.root,
-    pytest.mark.xdist_group("browser"),
-    pytest.mark.skipif(bool(why_not()), reason=why_not()),
-]
+pytestmark = NEEDED
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HOSTILE = "</title><img src=x onerror=alert(1)><script>alert(1)</script>"
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("chromium")) as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
 def one(logs: tuple[Path, Path]) -> Iterator[str]:
     """The address of a page about one flight."""
-    with ready_program("one", logs[0].parent, "view", str(logs[0]), "--port", "0") as address:
+    with view_of(logs[0]) as address:
         yield address
 
 
 @pytest.fixture(scope="module")
 def two(logs: tuple[Path, Path]) -> Iterator[str]:
     """The address of a page about two flights."""
-    with ready_program("two", logs[0].parent, "view", *map(str, logs), "--port", "0") as address:
+    with view_of(*logs) as address:
         yield address
 
 
@@ -64,28 +51,7 @@ def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "lig
     """Opens the page, and waits until all of the flights is there."""
     page.open(address, width=width, scheme=scheme)
     page.wait_until(lambda: page.text(".summary"))
-    drawn(page)
-
-
-def drawn(page: Browser) -> None:
-    """Waits until the page has drawn what it knows, which it does at its next frame."""
-    page.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-
-
-def seek(page: Browser, at_s: float) -> None:
-    """Moves the slider."""
-    page.run(
-        "const slider = document.getElementById('time'); slider.value = arguments[0];"
-        "slider.dispatchEvent(new Event('input'));",
-        at_s,
-    )
-    page.wait_until(lambda: moment(page) == at_s)
-    drawn(page)
-
-
-def moment(page: Browser) -> float:
-    """The second of the mission that is shown."""
-    return float(page.run("return document.getElementById('time').value"))
+    page.drawn()
 
 
 def calls_until(record: Record, at_s: float) -> int:
@@ -99,16 +65,6 @@ def shown_calls(page: Browser) -> int:
     return int(counted[1]) if counted else 0
 
 
-def rows(page: Browser, selector: str) -> list[list[str]]:
-    return list(
-        page.run(
-            "return [...document.querySelectorAll(arguments[0])]"
-            ".map((row) => [...row.cells].map((cell) => cell.textContent.trim()))",
-            f"{selector} tbody tr",
-        )
-    )
-
-
 # --- played back ----------------------------------------------------------------------------------------------
 
 
@@ -119,13 +75,13 @@ def test_any_moment_of_a_flight_is_shown_as_the_log_has_it(
     opened(page, one)
     page.click(".delays summary")
     for at_s in (900.0, 100.0, 1300.0, 0.0, record.result.mission_time_s):
-        seek(page, round(at_s, 1))
+        page.seek(round(at_s, 1))
         calls = calls_until(record, round(at_s, 1))
-        table = rows(page, ".delays")
+        table = page.rows(".delays")
         assert [row[4] for row in table] == [f"{call.result.delay_s:.2f} s" for call in record.calls[:calls]]
         label = page.find(".chart canvas").get_attribute("aria-label") or ""
         assert f"{calls} calls" in label
-        for server, state, *_ in rows(page, ".servers"):
+        for server, state, *_ in page.rows(".servers"):
             (now,) = [
                 stretch.state for stretch in record.stretches[server]
                 if stretch.from_s <= round(at_s, 1) + 1e-6 and (
@@ -143,15 +99,15 @@ def test_a_drone_that_turns_back_for_an_answer_is_shown_to(page: Browser, tmp_pa
     turned_s = next(event.t for event in run.events if event.kind == "turned_back")
     log = tmp_path / "going.jsonl"
     log.write_bytes(run.log())
-    with ready_program("going", tmp_path, "view", str(log), "--port", "0") as address:
+    with view_of(log) as address:
         opened(page, address)
         page.click(".delays summary")
-        seek(page, round(turned_s + 1.0, 1))
+        page.seek(round(turned_s + 1.0, 1))
         assert page.text(".doing") == "flying back to waypoint 2"
         assert "gone on before 3 answers, turned back for 1, " in page.text(".totals")
         assert page.text(".now h3").endswith("at waypoint 2")
-        assert [row[0] for row in rows(page, ".delays")] == ["0", "1", "2"]
-        seek(page, round(turned_s + 11.0, 1))
+        assert [row[0] for row in page.rows(".delays")] == ["0", "1", "2"]
+        page.seek(round(turned_s + 11.0, 1))
         assert "at waypoint 2," in page.text(".photos")  # the photo that the user is told of
         assert page.errors() == []
 
@@ -164,7 +120,7 @@ def test_a_flight_plays_on_its_own_from_the_beginning_to_the_end(
     opened(page, one)
     page.find("#speed").send_keys("100")
     page.click("#play")
-    page.wait_until(lambda: 0 < moment(page) < 1400)
+    page.wait_until(lambda: 0 < page.moment() < 1400)
     assert page.text("#play") == "Pause"
     page.wait_until(lambda: page.text("#play") == "Play")
     assert page.text("#clock") == f"{minutes}:{seconds:02} / {minutes}:{seconds:02}"
@@ -175,13 +131,13 @@ def test_the_buttons_go_from_call_to_call(page: Browser, one: str, logs: tuple[P
     (record,) = read_records(logs[:1])
     ends = [call.result.at_s + call.result.delay_s for call in record.calls]
     opened(page, one)
-    seek(page, 0.0)
+    page.seek(0.0)
     for end in ends[:3]:
         page.click("#next")
-        page.wait_until(lambda: moment(page) == round(end, 1))  # noqa: B023 - it is called before the next
+        page.wait_for_moment(round(end, 1))
     assert f"waypoint {record.calls[2].result.waypoint}" in page.text(".now h3")
     page.click("#previous")
-    page.wait_until(lambda: moment(page) == round(ends[1], 1))
+    page.wait_for_moment(round(ends[1], 1))
 
 
 def test_the_estimates_and_the_decision_are_told_in_words(
@@ -190,11 +146,11 @@ def test_the_estimates_and_the_decision_are_told_in_words(
     (record,) = read_records(logs[:1])
     waited = next(call for call in record.calls if call.wait)
     opened(page, one)
-    seek(page, round(waited.result.at_s + waited.result.waited_s / 2, 1))
+    page.seek(round(waited.result.at_s + waited.result.waited_s / 2, 1))
     assert "Call under way" in page.text(".now h3")
     assert "expected: " in page.text(".reasons")
     assert "decided: wait for" in page.text(".reasons")
-    seek(page, round(waited.result.at_s + waited.result.delay_s + 0.1, 1))
+    page.seek(round(waited.result.at_s + waited.result.delay_s + 0.1, 1))
     _, *reasons = explained_calls(record.events)[record.calls.index(waited)]
     assert all(reason in page.text(".reasons") for reason in reasons)
 
@@ -204,7 +160,7 @@ def test_two_flights_are_shown_at_the_same_second_side_by_side(
 ) -> None:
     records = read_records(logs)
     opened(page, two)
-    seek(page, 1000.0)
+    page.seek(1000.0)
     heads = [each.text for each in page.all(".totals")]
     assert [f"{calls_until(record, 1000.0)} calls" in head for record, head in zip(records, heads, strict=True)] == [
         True, True,
@@ -213,7 +169,7 @@ def test_two_flights_are_shown_at_the_same_second_side_by_side(
     assert left.rect["x"] + left.rect["width"] <= right.rect["x"]
     assert left.rect["y"] == right.rect["y"]
     assert page.errors() == []
-    seek(page, 2000.0)
+    page.seek(2000.0)
     assert "mission completed" in page.text(".doing"), "the shorter one is over"
 
 
@@ -236,17 +192,8 @@ def stuck(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("stuck")
     (folder / "stuck.toml").write_text((SCENARIOS / "demonstration.toml").read_text() + STUCK)
     log = folder / "stuck.jsonl"
-    simulate_stuck = [
-        sys.executable,
-        "-m",
-        "upwash",
-        "simulate",
-        str(folder / "stuck.toml"),
-        "--log",
-        str(log),
-    ]
-    assert subprocess.run(simulate_stuck, capture_output=True, check=False).returncode == 1
-    with ready_program("stuck", folder, "view", str(log), "--port", "0") as address:
+    assert upwash("simulate", folder / "stuck.toml", "--log", log).returncode == 1
+    with view_of(log) as address:
         yield address
 
 
@@ -260,9 +207,9 @@ def test_an_alarm_stands_above_everything_from_its_moment_on(page: Browser, stuc
     assert page.find("#alarms").get_attribute("role") == "alert"
     assert page.violations() == []
     page.run("window.scrollTo(0, document.body.scrollHeight)")
-    drawn(page)
+    page.drawn()
     assert page.run("return document.getElementById('alarms').getBoundingClientRect().top") >= 0
-    seek(page, 60.0)
+    page.seek(60.0)
     assert not page.find("#alarms").is_displayed(), "nothing was wrong then"
     assert page.driver.title == "upwash: stuck"
 
@@ -270,19 +217,16 @@ def test_an_alarm_stands_above_everything_from_its_moment_on(page: Browser, stuc
 def test_the_result_is_not_told_before_the_end(page: Browser, one: str) -> None:
     opened(page, one)
     assert page.find(".summary").is_displayed()
-    seek(page, 700.0)
+    page.seek(700.0)
     assert not page.find(".summary").is_displayed()
 
 
 def test_the_strip_tells_how_far_the_flight_is(page: Browser, one: str, logs: tuple[Path, Path]) -> None:
     opened(page, one)
     (record,) = read_records([logs[0]])
-    seek(page, 700.0)
+    page.seek(700.0)
     strip = dict(
-        page.run(
-            "return [...document.querySelectorAll('.strip > div')].map((cell) => "
-            "[cell.querySelector('dt').textContent, cell.querySelector('dd').textContent])"
-        )
+        page.each(".strip > div", "['dt', 'dd'].map((part) => each.querySelector(part).textContent)")
     )
     reached = int(strip["progress"].split(" of ")[0])
     assert strip["progress"] == f"{reached} of 121"
@@ -292,7 +236,7 @@ def test_the_strip_tells_how_far_the_flight_is(page: Browser, one: str, logs: tu
     minutes, seconds = re.match(r"(\d+):(\d\d), ", strip["expected end"]).groups()  # type: ignore[union-attr]
     expected_s = 60 * int(minutes) + int(seconds)
     assert expected_s == pytest.approx(record.result.mission_time_s, rel=0.05)
-    seek(page, 0.0)
+    page.seek(0.0)
     assert page.text(".strip dd") == "0 of 121"
 
 
@@ -304,28 +248,23 @@ def test_the_strip_tells_how_late_the_flight_is_and_why(
     scenario_file, log = tmp_path / "late.toml", tmp_path / "late.jsonl"
     off = '\n[[fault]]\ntarget = "s2"\nkind = "off"\n'
     scenario_file.write_text((SCENARIOS / "thesis.toml").read_text() + off)
-    simulated = [sys.executable, "-m", "upwash", "simulate", str(scenario_file), "--log", str(log)]
-    subprocess.run(simulated, capture_output=True, check=True)
+    assert upwash("simulate", scenario_file, "--log", log).returncode == 0
     (record,) = read_records([log])
     late_s = record.result.mission_time_s - forecast.as_asked_s
-    with ready_program("late", tmp_path, "view", str(log), "--port", "0") as address:
+    with view_of(log) as address:
         opened(page, address)
         assert f"{int(late_s) // 60}:{int(late_s) % 60:02d} late: s2 failed" in page.text(".strip")
-        seek(page, 20.0)
+        page.seek(20.0)
         assert "as forecast" in page.text(".strip")
-
-
-def _is_at(page: Browser, at_s: float) -> bool:
-    return moment(page) == at_s
 
 
 def test_keys_play_and_move_anywhere_on_the_page(page: Browser, one: str) -> None:
     opened(page, one)
     body = page.find("body")
-    seek(page, 100.0)
+    page.seek(100.0)
     for key, at_s in ((Keys.ARROW_LEFT, 95.0), (Keys.ARROW_RIGHT, 100.0), (Keys.HOME, 0.0)):
         body.send_keys(key)
-        page.wait_until(functools.partial(_is_at, page, at_s))
+        page.wait_for_moment(at_s)
     body.send_keys(Keys.SPACE)
     page.wait_until(lambda: page.text("#play") == "Pause")
     body.send_keys(Keys.SPACE)
@@ -334,10 +273,8 @@ def test_keys_play_and_move_anywhere_on_the_page(page: Browser, one: str) -> Non
 
 def test_on_a_phone_the_controls_are_one_row_that_fingers_hit(page: Browser, one: str) -> None:
     opened(page, one, width=390)
-    heights = page.run(
-        "return ['#controls', '#controls button', '#controls select', 'summary', '.leaflet-bar a']"
-        ".map((each) => document.querySelector(each).getBoundingClientRect().height)"
-    )
+    controls = ["#controls", "#controls button", "#controls select", "summary", ".leaflet-bar a"]
+    heights = [page.find(each).rect["height"] for each in controls]
     assert heights[0] <= 64
     assert min(heights[1:]) >= 44
 
@@ -348,17 +285,12 @@ def test_on_a_phone_the_controls_are_one_row_that_fingers_hit(page: Browser, one
 @pytest.mark.parametrize("width", [390, 800])
 def test_on_a_narrow_screen_nothing_is_cut_off(page: Browser, two: str, width: int) -> None:
     opened(page, two, width=width)
-    assert page.run("return document.documentElement.scrollWidth") <= width
-    wider = page.run(
-        "return [...document.querySelectorAll('main *')].filter((each) => !each.closest('.scroll, .map')"
-        " && each.getBoundingClientRect().right > innerWidth + 0.5).map((each) => each.outerHTML.slice(0, 80))"
+    assert page.width() <= width
+    wider = page.each(
+        "main *", "!each.closest('.scroll, .map') && each.getBoundingClientRect().right > innerWidth + 0.5"
     )
-    assert wider == []
-    small = page.run(
-        "return [...document.querySelectorAll('button, select, summary, input')].filter((each) => each.offsetParent"
-        " && each.getBoundingClientRect().height < 24).map((each) => each.outerHTML.slice(0, 80))"
-    )
-    assert small == [], "fingers are broad"
+    assert not any(wider)
+    assert page.too_small("button, select, summary, input") == [], "fingers are broad"
 
 
 def test_the_colours_follow_the_system_while_the_page_is_open(page: Browser, one: str) -> None:
@@ -394,7 +326,7 @@ def test_axe_finds_nothing_wrong(page: Browser, two: str, width: int, scheme: st
     opened(page, two, width=width, scheme=scheme)
     page.click("summary")
     for at_s in (1000.0, 2800.0):
-        seek(page, at_s)
+        page.seek(at_s)
         assert page.violations() == []
 
 
@@ -413,9 +345,9 @@ def test_the_keyboard_reaches_and_moves_everything(page: Browser, one: str) -> N
     regions = {"leaflet-control-zoom-in", "fit leaflet-control", "summary", "scroll", "scroll lines"}
     assert controls | regions <= reached
     assert any("leaflet-container" in each for each in reached)
-    seek(page, 100.0)
+    page.seek(100.0)
     page.find("#time").send_keys(Keys.ARROW_LEFT)
-    page.wait_until(lambda: moment(page) == 95.0)
+    page.wait_for_moment(95.0)
     page.find("#play").send_keys(Keys.SPACE)
     page.wait_until(lambda: page.text("#play") == "Pause")
 
@@ -424,21 +356,17 @@ def test_what_a_log_says_is_never_markup(page: Browser, tmp_path: Path) -> None:
     here = {"east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0}
     box = {"left_px": 1.0, "top_px": 1.0, "width_px": 9.0, "height_px": 9.0, "label": HOSTILE, "score": 0.5}
     ranges = {HOSTILE: {"centre": here, "radius_m": 5}}
-    events: list[dict[str, object]] = [
-        {"event": "planned", "home": None, "waypoints_m": [[0, 0]], "ranges": ranges},
-        {"event": "mission_started", "policy": HOSTILE, "waypoints": 1},
-        {"event": "selected", "server": HOSTILE, "before": "AVL", "after": "CHECK", "why": HOSTILE},
-        {"event": "photo", "source": HOSTILE, "bytes": 1, "age_s": 0.0, "position": here},
-        {"event": "call", "operation": HOSTILE, "place": HOSTILE, "decision": HOSTILE, "at_s": 1.0,
-         "delay_s": 1.0, "waited_s": 0.0, "onboard_s": 0.0, "wait": "", "fell_back": False},
-        {"event": "notified", "message": [box], "at": here},
-        {"event": "mission_ended", "why": HOSTILE},
-    ]  # fmt: skip
     log = tmp_path / "hostile.jsonl"
-    log.write_text(
-        "".join(json.dumps({"t": float(at_s), **event}) + "\n" for at_s, event in enumerate(events))
+    log.write_bytes(
+        line("planned", 0.0, waypoints_m=[[0, 0]], ranges=ranges)
+        + line("mission_started", 1.0, policy=HOSTILE, waypoints=1)
+        + line("selected", 2.0, server=HOSTILE, before="AVL", after="CHECK", why=HOSTILE)
+        + line("photo", 3.0, source=HOSTILE, position=here)
+        + line("call", 4.0, operation=HOSTILE, place=HOSTILE, decision=HOSTILE, at_s=1.0, delay_s=1.0)
+        + line("notified", 5.0, message=[box], at=here)
+        + line("mission_ended", 6.0, why=HOSTILE)
     )
-    with ready_program("hostile", tmp_path, "view", str(log), "--port", "0") as address:
+    with view_of(log) as address:
         opened(page, address)
         page.click(".delays summary")
         assert HOSTILE in page.text(".servers")
@@ -487,8 +415,7 @@ def test_map_tiles_are_loaded_where_they_are_asked_for(
     page: Browser, logs: tuple[Path, Path], tiles: TileServer
 ) -> None:
     url = f"http://127.0.0.1:{tiles.server_port}/{{z}}/{{x}}/{{y}}.svg"
-    command = ["view", str(logs[0]), "--port", "0", "--tiles", url, "--credit", "Maps: the test"]
-    with ready_program("tiles", logs[0].parent, *command) as address:
+    with view_of(logs[0], "--tiles", url, "--credit", "Maps: the test") as address:
         opened(page, address)
         page.wait_until(lambda: page.all(".leaflet-tile-loaded"))
         assert page.text(".readout") == "Maps: the test"
@@ -510,7 +437,7 @@ def test_map_tiles_are_loaded_where_they_are_asked_for(
 def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) -> None:
     log = tmp_path / "run" / "events.jsonl"
     demonstration = subprocess.Popen(
-        [sys.executable, "-m", "upwash", "demo", "--live", "0", "--folder", str(log.parent)],
+        [*UPWASH, "demo", "--live", "0", "--folder", str(log.parent)],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
     )  # fmt: skip
     assert demonstration.stdout is not None
@@ -521,7 +448,7 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         page.wait_until(lambda: page.text("#mode") == "live")
         first = page.wait_until(lambda: page.text(".where"))
         page.wait_until(lambda: page.text(".where") != first)
-        page.wait_until(lambda: any(not row[1].startswith("AVL ") for row in rows(page, ".servers")))
+        page.wait_until(lambda: any(not row[1].startswith("AVL ") for row in page.rows(".servers")))
         page.wait_until(lambda: page.run("return document.querySelector('.photo img').naturalWidth") == 1440)
         page.wait_until(lambda: page.all(".boxes .found"), within_s=100)
         assert page.all(".boxes .truth")
@@ -538,10 +465,10 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         page.wait_until(lambda: "has ended" in page.text("#connection"))
         page.click(".delays summary")
         page.wait_until(
-            lambda: rows(page, ".delays")
+            lambda: page.rows(".delays")
         )  # the browser tells the page of the click when it gets to it
         result = read_result(read_log(log))
-        assert [row[4] for row in rows(page, ".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
+        assert [row[4] for row in page.rows(".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
         assert f"the mission took {result.mission_time_s:.1f} s" in page.text(".summary")
         assert page.errors() == []
         assert page.elsewhere(address) == []

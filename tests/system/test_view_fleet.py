@@ -9,23 +9,16 @@ import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from tests.events import line
-from tests.system.browser import Browser, browser, why_not
+from tests.system.browser import NEEDED, Browser, view_of
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.launch.processes import ready_program
 
-pytestmark = [
-    pytest.mark.system,
-    pytest.mark.root,
-    pytest.mark.xdist_group("browser"),
-    pytest.mark.skipif(bool(why_not()), reason=why_not()),
-]
+pytestmark = NEEDED
 
 APART_S = 4  # the mission of each drone begins so long after that of the one before
 BEGAN_S = 2.0  # of each log
 WAYPOINTS = 5
 HOME = GeoPosition(39.3666, 22.9507)
-SUMMARIES = "return [...document.querySelectorAll('.summary')].map((each) => each.textContent)"
 NORTH_M = 100.0  # of the others' home the third drone has its own
 OPERATION = "detector.count"
 
@@ -68,19 +61,13 @@ def flight(number: int, *, day: int = 1) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("chromium")) as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a page about three drones."""
     folder = tmp_path_factory.mktemp("logs")
     logs = [folder / f"drone-{number}.jsonl" for number in (1, 2, 3)]
     for number, log in enumerate(logs, start=1):
         log.write_bytes(flight(number))
-    with ready_program("fleet", folder, "view", *map(str, logs), "--port", "0") as address:
+    with view_of(*logs) as address:
         yield address
 
 
@@ -88,25 +75,9 @@ def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "lig
     """Opens the page, and waits until all of the flights is there, and drawn."""
     page.open(address, width=width, scheme=scheme)
     page.wait_until(
-        lambda: sum(map(bool, page.run(SUMMARIES))) == 3 and not page.text("#clock").endswith("0:00")
-    )
-
-
-def seek(page: Browser, at_s: float) -> None:
-    """Moves the slider."""
-    page.run(
-        "const slider = document.getElementById('time'); slider.value = arguments[0];"
-        "slider.dispatchEvent(new Event('input'));"
-        "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))",
-        at_s,
-    )
-
-
-def rows(page: Browser) -> list[list[str]]:
-    return list(
-        page.run(
-            "return [...document.querySelectorAll('.drones tbody tr')]"
-            ".map((row) => [...row.cells].map((cell) => cell.textContent.trim()))"
+        lambda: (
+            sum(map(bool, page.each(".summary", "each.textContent"))) == 3
+            and not page.text("#clock").endswith("0:00")
         )
     )
 
@@ -119,25 +90,22 @@ def in_focus(page: Browser) -> str:
 
 def on_the_map(page: Browser) -> list[tuple[float, float]]:
     """Where each drone's mark is in the window, all at one time."""
-    places = page.run(
-        "return [1, 2, 3].map((number) => document.querySelector(`.drone.drone-${number}`).getBoundingClientRect())"
-        ".map((box) => [box.x + box.width / 2, box.y + box.height / 2])"
-    )
-    return [(float(x), float(y)) for x, y in places]
+    middle = "((box) => [box.x + box.width / 2, box.y + box.height / 2])(each.getBoundingClientRect())"
+    return [(x, y) for number in (1, 2, 3) for x, y in page.each(f".drone.drone-{number}", middle)]
 
 
 def test_every_drone_is_listed_at_the_same_moment_of_one_clock(page: Browser, fleet: str) -> None:
     opened(page, fleet)
     assert page.text("#clock").endswith(" / 0:31"), "to the end of the last mission"
-    seek(page, 6.8)
-    assert rows(page) == [
+    page.seek(6.8)
+    assert page.rows(".drones") == [
         ["1 drone-1", "at waypoint 1", "2 of 5", "s1 READY", "2, 1 on servers", "1.5 s", "88 %"],
         ["2 drone-2", "at waypoint 0", "1 of 5", "s1 CHECK", "1, 0 on servers", "0.0 s", "88 %"],
         ["3 drone-3", "starting the services of the drone", "0 of 5", "none", "0, 0 on servers", "", ""],
     ]
     assert [each.text for each in page.all(".users .badge")] == ["1", "2"], "who uses s1"
     assert "checking" in (page.all(".users .badge")[1].get_attribute("class") or "")
-    seek(page, 31.0)
+    page.seek(31.0)
     assert (
         page.text(".list [role=status]")
         == "3 of 3 missions were completed: in 0:22 on average, 0:23 at most."
@@ -150,7 +118,7 @@ def test_drones_that_have_homes_of_their_own_are_at_their_places_on_one_map(
     page: Browser, fleet: str
 ) -> None:
     opened(page, fleet)
-    seek(page, 31.0)
+    page.seek(31.0)
     (x1, y1), (x2, y2), (x3, y3) = on_the_map(page)
     assert x1 == pytest.approx(x2, abs=2) and x2 == pytest.approx(x3, abs=2)
     assert y1 - y2 == pytest.approx(y2 - y3, abs=2), "10 m each, although the third one counts from elsewhere"
@@ -159,7 +127,7 @@ def test_drones_that_have_homes_of_their_own_are_at_their_places_on_one_map(
 
 def test_a_drone_is_looked_at_by_click_by_number_and_on_the_map(page: Browser, fleet: str) -> None:
     opened(page, fleet)
-    seek(page, 20.0)
+    page.seek(20.0)
     assert in_focus(page) == "drone-1"
     page.all(".drones button")[1].click()
     page.wait_until(lambda: in_focus(page) == "drone-2")
@@ -183,13 +151,13 @@ def test_a_drone_is_looked_at_by_click_by_number_and_on_the_map(page: Browser, f
 def test_the_buttons_go_through_the_calls_of_the_drone_in_focus(page: Browser, fleet: str) -> None:
     opened(page, fleet)
     ActionChains(page.driver).send_keys("2").perform()
-    seek(page, 0.0)
+    page.seek(0.0)
     ends = []
     for _ in range(3):
         before = page.text("#clock")
         page.click("#next")
         page.wait_until(lambda: page.text("#clock") != before)  # noqa: B023 - it is called before the next
-        ends.append(float(page.run("return document.getElementById('time').value")))
+        ends.append(page.moment())
     assert ends == [APART_S + 2.0, APART_S + 4.5, APART_S + 8.5]
 
 
@@ -200,14 +168,10 @@ def test_nothing_is_cut_off_and_axe_finds_nothing_wrong(
 ) -> None:
     opened(page, fleet, width=width, scheme=scheme)
     for at_s in (7.0, 31.0):
-        seek(page, at_s)
+        page.seek(at_s)
         assert page.violations() == []
-        assert page.run("return document.documentElement.scrollWidth") <= width
-    small = page.run(
-        "return [...document.querySelectorAll('button')].filter((each) => each.offsetParent"
-        " && each.getBoundingClientRect().height < 24).map((each) => each.outerHTML.slice(0, 80))"
-    )
-    assert small == [], "fingers are broad"
+        assert page.width() <= width
+    assert page.too_small("button") == [], "fingers are broad"
 
 
 def test_the_keyboard_reaches_every_drone(page: Browser, fleet: str) -> None:
@@ -223,26 +187,26 @@ def test_flights_of_different_days_begin_at_the_same_moment(page: Browser, tmp_p
     logs = [tmp_path / f"drone-{number}.jsonl" for number in (1, 2, 3)]
     for number, log in enumerate(logs, start=1):
         log.write_bytes(flight(number, day=number))
-    with ready_program("days", tmp_path, "view", *map(str, logs), "--port", "0") as address:
+    with view_of(*logs) as address:
         opened(page, address)
         assert page.text("#clock").endswith(" / 0:23")
-        seek(page, 1.0)
-        assert [row[1] for row in rows(page)] == ["at waypoint 0"] * 3
+        page.seek(1.0)
+        assert [row[1] for row in page.rows(".drones")] == ["at waypoint 0"] * 3
 
 
 def test_flights_that_have_yet_to_begin_are_shown_as_they_go_on(page: Browser, tmp_path: Path) -> None:
     logs = [tmp_path / f"drone-{number}.jsonl" for number in (1, 2)]
     for log in logs:
         log.touch()
-    with ready_program("live", tmp_path, "view", *map(str, logs), "--port", "0") as address:
+    with view_of(*logs) as address:
         page.open(address)
-        page.wait_until(lambda: len(rows(page)) == 2)
+        page.wait_until(lambda: len(page.rows(".drones")) == 2)
         first = flight(1)
         logs[0].write_bytes(first[: first.index(b'{"event":"landed"')])
-        page.wait_until(lambda: rows(page)[0][2] == "5 of 5")
-        assert rows(page)[1][1] == "waiting for the log to begin"
+        page.wait_until(lambda: page.rows(".drones")[0][2] == "5 of 5")
+        assert page.rows(".drones")[1][1] == "waiting for the log to begin"
         assert page.text("#mode") not in {"", "playback"}, "the first goes on"
         logs[1].write_bytes(flight(2))
-        page.wait_until(lambda: rows(page)[1][2] == "5 of 5")
+        page.wait_until(lambda: page.rows(".drones")[1][2] == "5 of 5")
         assert page.text("#clock").endswith(" / 0:26")
         assert page.errors() == []

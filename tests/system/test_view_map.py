@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from tests.events import line
-from tests.system.browser import Browser, browser, why_not
+from tests.system.browser import NEEDED, Browser, view_of
 
-from upwash.launch.processes import ready_program
-
-pytestmark = [
-    pytest.mark.system,
-    pytest.mark.root,
-    pytest.mark.xdist_group("browser"),
-    pytest.mark.skipif(bool(why_not()), reason=why_not()),
-]
+pytestmark = NEEDED
 
 WAYPOINTS = [(0.0, 0.0), (40.0, 0.0), (80.0, 0.0), (84.0, 0.0), (120.0, 0.0)]
 WIDTH_PX, HEIGHT_PX = 800, 600
@@ -69,12 +63,6 @@ def flight() -> bytes:
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("chromium")) as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
 def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a page about the flight, with its photos."""
     cv2, np = pytest.importorskip("cv2"), pytest.importorskip("numpy")
@@ -83,40 +71,21 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     jpeg = cv2.imencode(".jpg", np.full((HEIGHT_PX, WIDTH_PX, 3), 90, np.uint8))[1].tobytes()
     for waypoint in range(len(WAYPOINTS)):
         (folder / f"{waypoint}.jpg").write_bytes(jpeg)
-    command = ["view", str(folder / "flight.jsonl"), "--photos", str(folder), "--port", "0"]
-    with ready_program("map", folder, *command) as address:
+    with view_of(folder / "flight.jsonl", "--photos", folder) as address:
         yield address
 
 
-def opened(page: Browser, address: str, at_s: float, *, width: int = 1400, scheme: str = "light") -> None:
+def opened(page: Browser, address: str, at_s: float, *, width: int = 1400, **window: Any) -> None:
     """Opens the page at that second of the mission."""
-    page.open(address, width=width, scheme=scheme)
+    page.open(address, width=width, **window)
     page.wait_until(lambda: page.text("#clock").endswith(" / 0:50"))
-    seek(page, at_s)
-
-
-def seek(page: Browser, at_s: float) -> None:
-    page.run(
-        "const slider = document.getElementById('time'); slider.value = arguments[0];"
-        "slider.dispatchEvent(new Event('input'));",
-        at_s,
-    )
-    drawn(page)
-
-
-def drawn(page: Browser) -> None:
-    """Waits until the page has drawn what it knows, which it does at its next frame."""
-    page.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.seek(at_s)
 
 
 def boxes(page: Browser, selector: str) -> list[tuple[float, float, float, float]]:
     """Where the elements are in the window: left, top, right and bottom of each."""
-    found = page.run(
-        "return [...document.querySelectorAll(arguments[0])].map((each) => each.getBoundingClientRect())"
-        ".map((box) => [box.left, box.top, box.right, box.bottom])",
-        selector,
-    )
-    return [(left, top, right, bottom) for left, top, right, bottom in found]
+    sides = "((box) => [box.left, box.top, box.right, box.bottom])(each.getBoundingClientRect())"
+    return [(left, top, right, bottom) for left, top, right, bottom in page.each(selector, sides)]
 
 
 def overlap(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> bool:
@@ -130,9 +99,7 @@ def overlap(one: tuple[float, float, float, float], other: tuple[float, float, f
 def test_the_map_and_the_photo_are_side_by_side_in_the_first_view(
     page: Browser, one: str, width: int, height: int
 ) -> None:
-    page.open(one, width=width, height=height)
-    page.wait_until(lambda: page.text("#clock").endswith(" / 0:50"))
-    seek(page, 34.0)
+    opened(page, one, 34.0, width=width, height=height)
     (map_box,), (photo,) = boxes(page, ".map"), boxes(page, ".photo")
     assert map_box[2] <= photo[0]
     (controls,) = boxes(page, "#controls")
@@ -144,7 +111,7 @@ def test_on_a_phone_the_parts_follow_each_other(page: Browser, one: str) -> None
     parts = [".head", ".map-frame", ".photos", ".servers", ".delays", ".findings", ".journal"]
     tops = [boxes(page, part)[0][1] for part in parts]
     assert tops == sorted(tops)
-    assert page.run("return document.documentElement.scrollWidth") <= 390
+    assert page.width() <= 390
 
 
 # --- the photo and the findings -----------------------------------------------------------------------------------
@@ -164,19 +131,10 @@ def test_the_labels_of_boxes_stay_within_the_photo_and_cover_no_other(
     assert {each.text.split()[0] for each in page.all(".boxes text")} == {"2"}, "as in the list"
 
 
-def findings(page: Browser) -> list[list[str]]:
-    return list(
-        page.run(
-            "return [...document.querySelectorAll('.findings tbody tr')]"
-            ".map((row) => [...row.cells].map((cell) => cell.textContent.trim()))"
-        )
-    )
-
-
 def test_everything_that_the_user_was_told_is_listed_and_leads_to_its_moment(page: Browser, one: str) -> None:
     opened(page, one, 0.0)
     label = "hot-spot with quite a long name"
-    assert findings(page) == [
+    assert page.rows(".findings") == [
         ["2", "3", f"{label} {', '.join(['87 %'] * len(AT_THE_BORDERS))}", "33.0 s"],
         ["1", "1", f"{label} 87 %", "13.0 s"],
     ]
@@ -184,20 +142,20 @@ def test_everything_that_the_user_was_told_is_listed_and_leads_to_its_moment(pag
     second, first = page.all(".findings tbody button")
     first.click()
     page.wait_until(lambda: page.text("#clock").startswith("0:13"))
-    drawn(page)
+    page.drawn()
     assert page.text(".photos p").startswith("Photo 2, at waypoint 1, ")
     assert "Finding 1: 1 x hot-spot" in page.text(".photos p")
     assert page.find(".findings tr[aria-current]").text.startswith("1 ")
     second.send_keys("\n")
     page.wait_until(lambda: page.text("#clock").startswith("0:33"))
-    drawn(page)
+    page.drawn()
     assert page.text(".photos p").startswith("Photo 4, at waypoint 3, ")
 
 
 def test_where_something_was_found_has_a_mark_on_the_map(page: Browser, one: str) -> None:
     opened(page, one, 12.9)
     before = inked(page)
-    seek(page, 13.1)
+    page.seek(13.1)
     assert inked(page) > before + 30, "a star"
 
 
@@ -206,7 +164,7 @@ def test_where_something_was_found_has_a_mark_on_the_map(page: Browser, one: str
 
 def inked(page: Browser) -> int:
     """How many pixels of the map's marks are drawn."""
-    drawn(page)
+    page.drawn()
     return int(
         page.run(
             "const canvas = document.querySelector('.leaflet-marks-pane canvas');"
@@ -233,7 +191,7 @@ def test_waypoints_have_numbers_where_there_is_room_for_them(page: Browser, one:
 def test_the_labels_of_close_servers_cover_neither_each_other_nor_the_drone(page: Browser, one: str) -> None:
     opened(page, one, 0.0)
     for at_s in (0.0, 12.0, 15.0, 17.0, 35.0, 50.0):
-        seek(page, at_s)
+        page.seek(at_s)
         labels, (drone,) = boxes(page, ".chip"), boxes(page, ".drone")
         assert len(labels) == 3
         for number, label in enumerate(labels):
@@ -248,9 +206,9 @@ def test_servers_that_nobody_uses_are_pale(page: Browser, one: str) -> None:
 
     opened(page, one, 10.0)
     assert strong() == []
-    seek(page, 15.5)
+    page.seek(15.5)
     assert strong() == ["s3"], "it is being checked"
-    seek(page, 30.0)
+    page.seek(30.0)
     assert strong() == ["s3"]
 
 
@@ -345,11 +303,11 @@ def test_a_figure_is_the_same_whichever_way_its_moment_was_reached(page: Browser
         )
 
     opened(page, one, 0.0)
-    seek(page, 31.5)
+    page.seek(31.5)
     kept()
-    seek(page, END_S)
+    page.seek(END_S)
     assert differing() > 100
-    seek(page, 31.5)
+    page.seek(31.5)
     assert differing() == 0
 
 

@@ -162,9 +162,7 @@ async def flown(attack: Attack | None, *, key: bytes | None = None) -> Outcome:
     port = free_port()
     loop = asyncio.get_running_loop()
     faults: list[str] = []
-    loop.set_exception_handler(
-        lambda _, context: faults.append(str(context.get("exception") or context["message"]))
-    )
+    loop.set_exception_handler(lambda _, told: faults.append(str(told.get("exception") or told["message"])))
     vehicle = await serve_vehicle(f"tcp:{LOCAL}:0", AGILE, signing=Signing(key) if key else None)
     transport, stranger = await loop.create_datagram_endpoint(Stranger, remote_addr=(LOCAL, port))
     attacking: asyncio.Task[None] | None = None
@@ -226,17 +224,3 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
         reserved.bind((LOCAL, 0))
         return int(reserved.getsockname()[1])
-
-
-def main(*attacks: Attack, key: bytes | None = None) -> None:
-    """Prints what comes of a flight without an attack, and of one with each; with a key, also of signed ones."""
-    for signed in (None, key) if key else (None,):
-        for attack in (None, *attacks):
-            outcome = asyncio.run(flown(attack, key=signed))
-            print(
-                f"{attack.__name__ if attack else 'nobody'}{', signed' if signed else ''}: {outcome.ended}; "
-                f"{outcome.astray} datagrams of the drone's went to the stranger; "
-                f"{outcome.off_m:.1f} m off at a waypoint"
-            )
-            for fault in outcome.faults:
-                print(f"  fault: {fault}")

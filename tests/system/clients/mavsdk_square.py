@@ -1,4 +1,4 @@
-"""Flies a square with MAVSDK: python mavsdk_square.py CONNECTION. Prints the corners as it reached them."""
+"""Flies a square with MAVSDK, at the connection of its argument; prints the corners."""
 
 from __future__ import annotations
 
