@@ -10,7 +10,6 @@ from contextlib import ExitStack, suppress
 
 import pytest
 from prometheus_client import CollectorRegistry, Gauge
-from tests.played import in_real_time
 
 from upwash.metrics.exposition import exposed
 
@@ -44,7 +43,6 @@ def threads() -> int:
     return sum(not thread.name.startswith("asyncio") for thread in threading.enumerate())
 
 
-@in_real_time
 async def test_the_slow_hold_no_thread_and_nobody_up() -> None:
     registry = CollectorRegistry()
     gauge = Gauge("upwash_attacked", "For this attack", ["number"], registry=registry)

@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from tests.played import in_real_time
 from tests.system.daemons import MAX_MESSAGE_BYTES, config, daemon, shown
 
 from upwash.drone.networks import NoNetwork
@@ -40,7 +39,6 @@ async def session_of(keys: Path, *services: str) -> AsyncIterator[ServerSession]
         await session.end(in_range=True)
 
 
-@in_real_time
 async def test_what_is_announced_is_found_until_it_is_announced_no_more() -> None:
     async with announcing(["s1", "s2"], HERE, 7070):
         assert await look("s1") == "127.0.0.1:7070"
@@ -49,15 +47,13 @@ async def test_what_is_announced_is_found_until_it_is_announced_no_more() -> Non
         await find("s1", within_s=1.0, interface=HERE)
 
 
-@in_real_time
 async def test_a_server_at_an_ipv6_address_is_announced_and_found() -> None:
     async with announcing(["s6"], "[::1]", 7070):
         assert await find("s6", within_s=5.0) == "[::1]:7070"
 
 
-@in_real_time
 async def test_a_drone_finds_a_daemon_and_its_services_by_the_servers_name(
-    *, tmp_path: Path, keys: Path
+    tmp_path: Path, keys: Path
 ) -> None:
     with daemon(tmp_path, config(keys, announce=True)):
         async with session_of(keys, "workbench") as session:
@@ -66,9 +62,8 @@ async def test_a_drone_finds_a_daemon_and_its_services_by_the_servers_name(
             assert await session.call("workbench", "process_id", b"\x80", deadline_s=10.0)
 
 
-@in_real_time
 async def test_who_announces_a_server_without_its_certificate_is_not_believed(
-    *, tmp_path: Path, keys: Path
+    tmp_path: Path, keys: Path
 ) -> None:
     make_keys(tmp_path / "stranger", servers=[["s1", "s2"]])
     with daemon(tmp_path, config(tmp_path / "stranger", announce=True)):

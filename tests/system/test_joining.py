@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 from dbus_fast import Variant
 from tests.events import written
-from tests.played import in_real_time
 from tests.system.fake_networkmanager import (
     ETHERNET,
     EVERYTHING,
@@ -87,8 +86,7 @@ async def stage(
         (99, r"NetworkManager gave the reasons 99 \(device\) and 3 \(connection\)"),
     ],
 )
-@in_real_time
-async def test_why_a_network_cannot_be_joined(*, reason: int, why: str) -> None:
+async def test_why_a_network_cannot_be_joined(reason: int, why: str) -> None:
     async with stage(profile("s1-net", fails=reason), profile("s2-net")) as on:
         with pytest.raises(NetworkError, match=f"s1-net cannot be joined: {why}"):
             await on.network.join("s1-net", timeout_s=LOOK_S)
@@ -97,7 +95,6 @@ async def test_why_a_network_cannot_be_joined(*, reason: int, why: str) -> None:
         assert on.manager.active == ["s2-net"]
 
 
-@in_real_time
 async def test_a_secret_that_was_right_is_not_blamed_when_the_access_point_goes() -> None:
     gone = profile("s1-net")
     async with stage(gone) as on:
@@ -109,15 +106,13 @@ async def test_a_secret_that_was_right_is_not_blamed_when_the_access_point_goes(
 
 
 @pytest.mark.parametrize("trouble", [{"is_stuck": True}, {"lacks_address": True}])
-@in_real_time
-async def test_what_takes_too_long_is_given_up_and_does_not_go_on(*, trouble: dict[str, bool]) -> None:
+async def test_what_takes_too_long_is_given_up_and_does_not_go_on(trouble: dict[str, bool]) -> None:
     async with stage(profile("s1-net", **trouble)) as on:
         with pytest.raises(NetworkError, match=r"s1-net was not joined within 0\.1 s: it had no address yet"):
             await on.network.join("s1-net", timeout_s=0.1)
         assert on.manager.active == []
 
 
-@in_real_time
 async def test_a_join_that_is_cancelled_does_not_go_on() -> None:
     async with stage(profile("s1-net", is_stuck=True)) as on:
         joining = asyncio.create_task(on.network.join("s1-net", timeout_s=LOOK_S))
@@ -127,7 +122,6 @@ async def test_a_join_that_is_cancelled_does_not_go_on() -> None:
         assert on.manager.active == []
 
 
-@in_real_time
 async def test_a_carrier_that_is_gone_is_a_lost_network_though_the_manager_still_holds_on_to_it() -> None:
     async with stage(profile("s1-net")) as on:
         await on.network.join("s1-net", timeout_s=LOOK_S)
@@ -138,7 +132,6 @@ async def test_a_carrier_that_is_gone_is_a_lost_network_though_the_manager_still
         assert on.manager.active == []
 
 
-@in_real_time
 async def test_a_connection_that_is_ended_by_someone_else_is_lost_with_the_reason() -> None:
     async with stage(profile("s1-net")) as on:
         await on.network.join("s1-net", timeout_s=LOOK_S)
@@ -150,7 +143,6 @@ async def test_a_connection_that_is_ended_by_someone_else_is_lost_with_the_reaso
 # --- profiles and interfaces --------------------------------------------------------------------------------
 
 
-@in_real_time
 async def test_a_network_without_a_profile_is_said_to_have_none() -> None:
     async with stage(profile("s1-net")) as on:
         with pytest.raises(NetworkError, match="no connection profile s9-net is on this drone"):
@@ -158,7 +150,6 @@ async def test_a_network_without_a_profile_is_said_to_have_none() -> None:
         await on.network.join("s1-net", timeout_s=LOOK_S)
 
 
-@in_real_time
 async def test_profiles_are_known_by_their_uuid_too_which_alone_tells_namesakes_apart() -> None:
     async with stage(FakeProfile("s1-net", "one"), FakeProfile("s1-net", "two")) as on:
         with pytest.raises(NetworkError, match=r"2 connection profiles are called s1-net: .*one, two"):
@@ -166,7 +157,6 @@ async def test_profiles_are_known_by_their_uuid_too_which_alone_tells_namesakes_
         await on.network.join("two", timeout_s=LOOK_S)
 
 
-@in_real_time
 async def test_a_profile_for_an_interface_that_is_not_upwashs_is_not_activated() -> None:
     section = {"connection": {"interface-name": Variant("s", "wlan0")}}
     async with stage(profile("s1-net", settings=section)) as on:
@@ -175,14 +165,12 @@ async def test_a_profile_for_an_interface_that_is_not_upwashs_is_not_activated()
         assert "ActivateConnection" not in on.manager.calls
 
 
-@in_real_time
 async def test_a_wired_profile_is_not_activated_on_a_radio() -> None:
     async with stage(profile("s1-net", kind="802-3-ethernet")) as on:
         with pytest.raises(NetworkError, match="needs an interface that is not there: 802-3-ethernet"):
             await on.network.join("s1-net", timeout_s=LOOK_S)
 
 
-@in_real_time
 async def test_a_vpn_needs_no_interface_and_has_reasons_of_its_own() -> None:
     refused = profile("s2-net", kind="vpn", fails_itself=10)
     async with stage(profile("s1-net", kind="vpn"), refused) as on:
@@ -194,7 +182,6 @@ async def test_a_vpn_needs_no_interface_and_has_reasons_of_its_own() -> None:
             await on.network.join("s2-net", timeout_s=LOOK_S)
 
 
-@in_real_time
 async def test_a_user_without_the_right_is_told_of_the_rule() -> None:
     async with stage(profile("s1-net")) as on:
         on.manager.refusal = (f"{NAME}.PermissionDenied", "Not authorized to control networking.")
@@ -202,7 +189,6 @@ async def test_a_user_without_the_right_is_told_of_the_rule() -> None:
             await on.network.join("s1-net", timeout_s=LOOK_S)
 
 
-@in_real_time
 async def test_idle_radios_look_for_networks_and_others_do_not() -> None:
     async with stage(profile("s1-net")) as on:
         await on.manager.until(lambda: "RequestScan" in on.manager.calls)
@@ -212,7 +198,6 @@ async def test_idle_radios_look_for_networks_and_others_do_not() -> None:
 # --- before the flight --------------------------------------------------------------------------------------
 
 
-@in_real_time
 async def test_what_an_earlier_flight_left_joined_is_left_and_nothing_else() -> None:
     def prepare(manager: FakeManager) -> None:
         manager.activate(1, device=1)
@@ -235,16 +220,14 @@ async def test_what_an_earlier_flight_left_joined_is_left_and_nothing_else() -> 
         (FakeDevice("wlan1", state=20), "its radio is switched off"),
     ],
 )
-@in_real_time
 async def test_an_interface_that_cannot_be_used_is_told_before_the_flight(
-    *, device: FakeDevice, trouble: str
+    device: FakeDevice, trouble: str
 ) -> None:
     with pytest.raises(UsageError, match=rf"network\.interfaces: wlan1: {trouble}"):
         async with stage(profile("s1-net"), devices=(device,)):
             pass
 
 
-@in_real_time
 async def test_an_interface_with_another_network_is_not_taken_over() -> None:
     def prepare(manager: FakeManager) -> None:
         manager.activate(1, device=1)
@@ -258,10 +241,7 @@ async def test_an_interface_with_another_network_is_not_taken_over() -> None:
 
 
 @pytest.mark.parametrize("ignored", [EVERYTHING, frozenset({"ActivateConnection"})])
-@in_real_time
-async def test_a_manager_that_hangs_costs_the_time_allowed_and_is_forgiven(
-    *, ignored: frozenset[str]
-) -> None:
+async def test_a_manager_that_hangs_costs_the_time_allowed_and_is_forgiven(ignored: frozenset[str]) -> None:
     async with stage(profile("s1-net")) as on:
         on.manager.ignored = ignored
         with pytest.raises(NetworkError, match=r"s1-net was not joined within 0\.2 s"):
@@ -270,7 +250,6 @@ async def test_a_manager_that_hangs_costs_the_time_allowed_and_is_forgiven(
         await on.network.join("s1-net", timeout_s=LOOK_S)
 
 
-@in_real_time
 async def test_a_manager_that_hangs_while_a_network_is_left_is_logged_and_tidied_up_after() -> None:
     async with stage(profile("s1-net"), profile("s2-net")) as on:
         await on.network.join("s1-net", timeout_s=LOOK_S)
@@ -285,7 +264,6 @@ async def test_a_manager_that_hangs_while_a_network_is_left_is_logged_and_tidied
         assert [event["network"] for event in on.events("left_over")] == ["s1-net"]
 
 
-@in_real_time
 async def test_a_restart_of_the_manager_loses_the_network_which_is_left_under_its_new_path() -> None:
     async with stage(profile("s1-net")) as on:
         await on.network.join("s1-net", timeout_s=LOOK_S)
@@ -296,7 +274,6 @@ async def test_a_restart_of_the_manager_loses_the_network_which_is_left_under_it
         await on.network.join("s1-net", timeout_s=LOOK_S)
 
 
-@in_real_time
 async def test_without_a_manager_the_remedy_is_told() -> None:
     async with stage(profile("s1-net")) as on:
         await on.manager.stop()
@@ -306,8 +283,7 @@ async def test_without_a_manager_the_remedy_is_told() -> None:
         await on.network.join("s1-net", timeout_s=LOOK_S)
 
 
-@in_real_time
-async def test_without_a_bus_the_remedy_is_told(*, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_a_bus_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DBUS_SYSTEM_BUS_ADDRESS", "unix:path=/nowhere/bus")
     with pytest.raises(NetworkError, match=r"the system bus cannot be reached \(.*\): is D-Bus installed"):
         await connect_networkmanager(lambda _: None)

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from tests.played import in_real_time, played
+from tests.played import played
 from tests.programs import write_drone
 from tests.system.radios import Field
 
@@ -42,7 +42,6 @@ def play(scene: Callable[[ManagedNetwork, MemoryJournal], Awaitable[None]]) -> l
 
 
 @pytest.mark.usefixtures("field")
-@in_real_time
 async def test_the_manager_sees_the_radios_and_nothing_of_this_machine() -> None:
     manager = await connect_networkmanager(lambda _: None)
     try:
@@ -109,8 +108,7 @@ async def test_a_carrier_that_goes_is_noticed_at_once(network: ManagedNetwork, *
     assert "s1-net" not in field.active()
 
 
-@in_real_time
-async def test_two_radios_are_used_at_once_and_do_not_disturb_each_other(*, field: Field) -> None:
+async def test_two_radios_are_used_at_once_and_do_not_disturb_each_other(field: Field) -> None:
     journal = MemoryJournal()
     journal.begin()
     networks = ["s1-net", "s2-net"]

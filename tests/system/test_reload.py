@@ -6,7 +6,6 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from tests.played import in_real_time
 from tests.system.daemons import config, daemon
 from tests.system.flying import Flying
 
@@ -33,8 +32,7 @@ MORE = """
 """
 
 
-@in_real_time
-async def test_a_service_changes_in_place_and_no_call_fails(*, tmp_path: Path) -> None:
+async def test_a_service_changes_in_place_and_no_call_fails(tmp_path: Path) -> None:
     make_keys(tmp_path / "keys", servers=[["s1"]], drones=["d1"])
 
     def write(**files: str) -> None:
