@@ -262,8 +262,10 @@ TOO_MANY = 256
             (AvailabilityReply, {"lease_s": lease_s})
             for lease_s in (0.0, -1.0, 1e-9, 1.99, 1e300, inf, -inf, nan)
         ),
+        *((AvailabilityReply, {"waiting": waiting}) for waiting in (-1, 65_536)),
         (StartReply, {"endpoint": "x" * 256}),
         (StartReply, {"reason": "x" * 1001}),
+        *((StartReply, {"pause_s": pause_s}) for pause_s in (-1e-9, 86_400.1, inf, nan)),
         (HoldReply, {"held": False, "reason": "x" * 1001}),
         (StatusReply, {"up_s": nan}),
         (StatusReply, {"up_s": 1.0, "servers": [SERVER | {"leases": [LEASE | {"ends_in_s": inf}]}]}),
@@ -276,6 +278,23 @@ def test_a_reply_that_breaks_a_bound_is_none(expected: type[msgspec.Struct], fie
     assert isinstance(decode_reply(msgspec.msgpack.encode(honest), expected, sender="s1"), expected)
     with pytest.raises(GarbledReply, match=r"^s1 sent a reply that cannot be decoded"):
         decode_reply(msgspec.msgpack.encode({**honest, **fields}), expected, sender="s1")
+
+
+@pytest.mark.parametrize(
+    ("expected", "fields"),
+    [
+        *((AvailabilityReply, {"lease_s": lease_s}) for lease_s in (2.0, 86_400.0)),
+        *((AvailabilityReply, {"waiting": waiting}) for waiting in (0, 65_535)),
+        (AvailabilityReply, {"reason": "x" * 1000}),
+        (AvailabilityReply, {"peers": ["x" * 255] * 255}),
+        (AvailabilityReply, {"endpoints": {f"{number:255}": "x" * 255 for number in range(255)}}),
+        *((StartReply, {"pause_s": pause_s}) for pause_s in (0.0, 86_400.0)),
+        (StatusReply, {"up_s": 1e10}),
+    ],
+)
+def test_a_reply_may_reach_its_bounds(expected: type[msgspec.Struct], fields: dict[str, Any]) -> None:
+    reply = decode_reply(msgspec.msgpack.encode(HONEST[expected] | fields), expected, sender="s1")
+    assert {name: getattr(reply, name) for name in fields} == fields
 
 
 def test_no_text_of_a_reply_reaches_anybody_with_control_characters() -> None:
