@@ -1,32 +1,32 @@
-"""Every error that upwash raises.
+"""The errors of upwash.
 
 UpwashError
-├── UsageError                what the user typed, configured or declared cannot work
+├── UsageError                input of the user (command, configuration, declaration) that cannot work
 │   ├── ConfigError             a configuration file: names the file, the key and the remedy
 │   ├── CredentialsError        certificates or keys: missing, unreadable, of another authority
 │   ├── DeclarationError        a service class that cannot be offered
 │   └── ModelError              a detector's network: names the file and the place in it
-├── AutopilotError            the vehicle: names the step and what the vehicle last said
-│   ├── AutopilotRefused        it answered no
-│   │   └── AutopilotOverruled      the pilot or a fail-safe has taken the vehicle over
-│   ├── AutopilotTimeout        it did not get there in time
+├── AutopilotError            the vehicle: names the step and the vehicle's last text
+│   ├── AutopilotRefused        the vehicle refused the command
+│   │   └── AutopilotOverruled      the pilot or a fail-safe has the vehicle
+│   ├── AutopilotTimeout        the vehicle did not complete the step in time
 │   ├── AutopilotLost           its link went silent
-│   └── AutopilotNotHeard       it was never heard: the flight did not begin
-├── CameraError               the camera gave no photo: names the camera and what is wrong with it
+│   └── AutopilotNotHeard       no message ever came: the flight did not begin
+├── CameraError               the camera gave no photo: names the camera and its fault
 ├── NetworkError              a server's network could not be joined
-├── LinkError                 a request got no answer
-│   ├── Unreachable             nobody there, or the connection broke
+├── LinkError                 a request got no usable answer
+│   ├── Unreachable             no program at the address, or the connection broke
 │   ├── DeadlineExceeded        no answer in time
-│   ├── Refused                 the other side said no, with its reason
+│   ├── Refused                 the other side refused, with its reason
 │   └── GarbledReply            an answer that cannot be decoded
 ├── InstanceError             a service instance did not start, or crashed
 │   └── EngineError             the container engine refused, failed, or does not answer
 ├── ServiceError              the service's own exception, of a class that is unknown here
-├── NotWritten                a file that was to be left could not be written: says what was kept
-├── NotKept                   what was to be done was done, but not everything of it could be written
+├── NotWritten                a file could not be written: names what was kept
+├── NotKept                   the work was done, but not all of its output could be written
 ├── MissionStopped            the mission is being ended from outside
 │   └── ReserveReached          the battery is down to the reserve
-├── MissionFailed             the mission program has a bug: it raised what is none of these
+├── MissionFailed             the mission program raised an exception that is none of these
 └── TransitionError           a programming error: an event that a server's state does not allow
 """
 
@@ -67,7 +67,7 @@ __all__ = [
 
 
 class UpwashError(Exception):
-    """Anything that upwash itself reports as wrong."""
+    """The base of all errors of upwash."""
 
 
 _LONGEST = (
@@ -77,7 +77,7 @@ _LAST = 600
 
 
 class UsageError(UpwashError):
-    """What the user typed, configured or declared cannot work; nothing was started."""
+    """The user's command, configuration or declaration cannot work; nothing was started."""
 
     def __init__(self, message: str) -> None:
         if len(message) > _LONGEST:
@@ -104,7 +104,7 @@ class DeclarationError(UsageError):
 
 
 class ModelError(UsageError):
-    """A file of a detector's network that cannot be used; `where` says in which line or layer or at which offset."""
+    """A file of a detector's network that cannot be used; `where` names the line, layer or offset."""
 
     def __init__(self, file: Path, where: str, problem: str) -> None:
         self.file = file
@@ -114,7 +114,7 @@ class ModelError(UsageError):
 
 
 class AutopilotError(UpwashError):
-    """The vehicle did not do what it was told."""
+    """The vehicle did not carry out a command; `step` names it."""
 
     def __init__(self, step: str, problem: str, vehicle_said: str = "") -> None:
         self.step = step
@@ -125,15 +125,15 @@ class AutopilotError(UpwashError):
 
 
 class AutopilotRefused(AutopilotError):
-    """The vehicle answered no."""
+    """The vehicle refused the command, or the program did not send it."""
 
 
 class AutopilotOverruled(AutopilotRefused):
-    """The vehicle is not the program's: a pilot or a fail-safe has it, and nothing was sent."""
+    """A pilot, a ground station or a fail-safe has the vehicle; no command was sent."""
 
 
 class AutopilotTimeout(AutopilotError):
-    """The vehicle did not get there in time."""
+    """The vehicle did not complete the step in time."""
 
 
 class AutopilotLost(AutopilotError):
@@ -141,7 +141,7 @@ class AutopilotLost(AutopilotError):
 
 
 class AutopilotNotHeard(AutopilotError):
-    """The vehicle was never heard on its connection, and nothing was sent to it: it may be switched on later."""
+    """No message of the vehicle ever came, and no command was sent; the vehicle may be switched on later."""
 
 
 class CameraError(UpwashError):
@@ -162,26 +162,30 @@ class LinkError(UpwashError):
 
 
 class Unreachable(LinkError):
-    """Nobody answers at the address, or the connection broke."""
+    """No program answers at the address, or the connection broke."""
 
 
 class DeadlineExceeded(LinkError):
     """No answer came in time."""
 
 
-UNREACHED = (NetworkError, Unreachable, DeadlineExceeded)  # errors that say something of the way to a server
+UNREACHED = (
+    NetworkError,
+    Unreachable,
+    DeadlineExceeded,
+)  # errors that show the state of the path to a server
 
 
 class Refused(LinkError):
-    """The other side said no, with its reason."""
+    """The other side refused the request; the message is its reason."""
 
 
 class NoLease(Refused):
-    """An instance serves this drone no more, or not yet: it has to ask for a slot."""
+    """The instance does not serve this drone any more, or not yet: the drone must ask for a slot."""
 
 
 class ServerFull(Refused):
-    """A server serves as many drones as it can; so many wait, with this one, which is to ask again in so long."""
+    """The server is full: `waiting` drones queue, this drone included; retry after `ask_again_s`."""
 
     def __init__(self, why: str, *, waiting: int, ask_again_s: float) -> None:
         super().__init__(why)
@@ -190,7 +194,7 @@ class ServerFull(Refused):
 
 
 class ServicePaused(Refused):
-    """A server leaves a service alone that keeps failing there, for another `pause_s`."""
+    """The server does not start a service that keeps failing, for another `pause_s`."""
 
     def __init__(self, why: str, *, pause_s: float) -> None:
         super().__init__(why)
@@ -220,11 +224,11 @@ class OutcomeUnknown(InstanceError):
 
 
 class EngineError(InstanceError):
-    """The container engine refused what it was asked, failed at it, or does not answer."""
+    """The container engine refused or failed an operation, or does not answer."""
 
 
 class ServiceError(UpwashError):
-    """The service's own exception, of a class that is unknown here."""
+    """An exception of the service whose class is unknown here; `type_name` and `message` describe it."""
 
     def __init__(self, type_name: str, message: str) -> None:
         self.type_name = type_name
@@ -233,7 +237,7 @@ class ServiceError(UpwashError):
 
 
 class NotWritten(UpwashError):
-    """A file that was to be left could not be written; `kept` says what there is of it or instead of it."""
+    """A file could not be written; `kept` describes what exists of it or in its place."""
 
     def __init__(self, file: Path, error: OSError, kept: str) -> None:
         self.file = file
@@ -243,7 +247,7 @@ class NotWritten(UpwashError):
 
 
 class NotKept(UpwashError):
-    """What was to be done was done, but not everything of it could be written."""
+    """The work was done, but not all of its output could be written."""
 
 
 class MissionStopped(UpwashError):
@@ -251,7 +255,7 @@ class MissionStopped(UpwashError):
 
 
 class ReserveReached(MissionStopped):
-    """The mission was ended because the battery had come down to the reserve, or the way home would leave less."""
+    """The mission was ended because the battery is down to the reserve, or the way home would leave less."""
 
 
 class MissionFailed(UpwashError):

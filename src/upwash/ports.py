@@ -1,8 +1,7 @@
-"""What the programs need from the world.
+"""The ports: what the programs need from the world.
 
-`real/` provides each of these with things, `sim/` with models. The programs in `drone.py` and `server.py`
-cannot tell which they got. All verbs are coroutines on the program's event loop and may be cancelled; all
-times are seconds.
+`real/` provides each port with things, `sim/` with models. The programs in `drone/` and `server/` cannot tell which
+they got. All actions are coroutines on the program's event loop and may be cancelled; all times are seconds.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ VehicleNews: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class FenceNames:
-    """What a vehicle calls the parameters of its fence and of its way home."""
+    """The names of a vehicle's parameters for its fence and its way home."""
 
     highest: str = "its ceiling"
     lowest: str = "its floor"
@@ -46,13 +45,12 @@ class FenceNames:
 
 @dataclass(frozen=True, slots=True)
 class VehicleLimits:
-    """Where the vehicle returns to and what its own fence allows, relative to the mission's home.
+    """The vehicle's home and its own fence, relative to the mission's home.
 
-    `home` and `home_above_sea_m` are None while the vehicle does not say. `highest_m` and `lowest_m` are
-    altitudes above home: there its fence is breached. None where its fence has no such border.
-    A vehicle may overshoot by `margin_m`. `returns_at_m` is the altitude above home that its way home has at least.
-    `names` has the vehicle's parameter behind each of these, for messages. `untold` are parameters of its fence
-    that the vehicle did not tell.
+    `home` and `home_above_sea_m` are None while the vehicle does not report them. At the altitudes `highest_m` and
+    `lowest_m`, above home, the fence is breached; None without such a limit. The vehicle may overshoot by `margin_m`.
+    `returns_at_m` is the least altitude of its way home, above home. `names` has the vehicle's parameter for each,
+    for messages. `untold` are parameters of the fence that the vehicle did not report.
     """
 
     home: Position | None = None
@@ -70,32 +68,32 @@ DeadManAction: TypeAlias = Literal["return", "land"]
 
 
 class DeadMan(Protocol):
-    """What brings a vehicle down whose program has fallen silent: it runs in the autopilot.
+    """A switch in the autopilot that returns or lands a vehicle whose program has fallen silent.
 
-    It acts in flight in the program's own mode alone. Each verb raises AutopilotError where it cannot be done.
+    It acts only in flight and in the program's own mode. Each method raises AutopilotError if it fails.
     """
 
     async def missing(self) -> str:
-        """What it lacks to watch, and the remedy; empty where it is ready."""
+        """Why the switch cannot be used, with the remedy; "" if it is ready."""
 
     async def install(self) -> str:
-        """Puts it into the autopilot of a vehicle that is claimed and stands; returns what is left to do by hand."""
+        """Installs the switch in the autopilot of a claimed, standing vehicle; returns what is left to do by hand."""
 
     async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
-        """Has it act after so long a silence of the program; returns once it says that it will.
+        """Arms the switch: it acts after the program is silent for `silence_s`. Returns once the vehicle confirms it.
 
-        The wish stands until `release`, confirmed or not, while the vehicle is the program's.
+        The order holds until `release`, confirmed or not, while the vehicle is the program's.
         """
 
     async def release(self) -> None:
-        """Says goodbye: it is not to miss the program any more. Returns once it says so, or does not answer."""
+        """Releases the switch, so that it ignores silence. Returns once it confirms, or does not answer."""
 
 
 class Autopilot(Protocol):
-    """A vehicle that can be flown. Each verb returns when it is true, and raises AutopilotError otherwise.
+    """A vehicle that can be flown. An action returns when it is complete, or raises AutopilotError.
 
-    No verb sends a command unless the vehicle is the program's, which it is from `claim` on until a report says
-    otherwise (`core.control`); AutopilotOverruled then.
+    No action sends a command unless the program has the vehicle: from `claim` on, until a report shows another owner
+    (`core.vehicle.control`). AutopilotOverruled then.
     """
 
     @property
@@ -104,7 +102,7 @@ class Autopilot(Protocol):
 
     @property
     def earth_position(self) -> EarthPosition | None:
-        """The same on the Earth, above the sea, at the time of its GPS; None where the place is not known."""
+        """The last known place on the Earth, altitude above the sea, and GPS time; None if the place is unknown."""
 
     @property
     def battery_percent(self) -> float | None:
@@ -112,68 +110,68 @@ class Autopilot(Protocol):
 
     @property
     def velocity(self) -> Velocity | None:
-        """How it moves over the ground, as last reported; None where the vehicle does not say."""
+        """The velocity over the ground, as last reported; None if not reported."""
 
     @property
     def stopping_place(self) -> Position:
-        """Where it would come to rest if it braked now."""
+        """The position where the vehicle would come to rest if it braked now."""
 
     @property
     def heading_deg(self) -> float | None:
-        """Where its nose points, clockwise from north, as last reported; None where the vehicle does not say."""
+        """The heading in degrees clockwise from north, as last reported; None if not reported."""
 
     @property
     def telemetry(self) -> Telemetry:
-        """All that a mission may read of its last reports."""
+        """The vehicle's last reports that a mission may read."""
 
     @property
     def wind(self) -> Velocity | None:
-        """How the air moves over the ground, as last reported; None where the vehicle does not say."""
+        """The wind over the ground, as last reported; None if not reported."""
 
     @property
     def energy(self) -> EnergyFacts:
-        """What the vehicle says of its battery's stages and of its way home."""
+        """The battery's low stages and the way home, as the vehicle reports them."""
 
     @property
     def pace(self) -> Pace | None:
-        """How it flies on average, by what it is; None where it does not say."""
+        """How the average vehicle of this kind flies; None if the kind is unknown."""
 
     @property
     def control(self) -> Control:
-        """Who has the vehicle, by its last report."""
+        """The vehicle's owner, by its last report."""
 
     @property
     def dead_man(self) -> DeadMan:
-        """What brings it down when the program falls silent."""
+        """The switch that returns or lands the vehicle when the program falls silent."""
 
     @property
     def armed(self) -> bool:
-        """Whether its motors run, by its last report."""
+        """Whether the motors run, by the last report."""
 
     @property
     def stands(self) -> bool:
-        """Whether it stands on the ground, by its last report."""
+        """Whether the vehicle stands on the ground, by the last report."""
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """Has `hear` called with all news of the vehicle, and first with those since it was connected."""
+        """Calls `hear` with all news of the vehicle, and first with the news since it was connected."""
 
     async def in_the_air(self) -> bool:
         """Whether the vehicle flies."""
 
     async def claim(self, *, resumes: bool) -> None:
-        """Takes the vehicle for the program: one that is disarmed or, where it `resumes`, in the program's own mode.
+        """Claims the vehicle; it must be disarmed or, if the program `resumes`, in the program's own mode.
 
-        AutopilotOverruled for any other, and for one that was lost to somebody since this program began.
+        Raises AutopilotOverruled otherwise, and for a vehicle that this program has lost before.
         """
 
     async def stood(self) -> None:
-        """Returns once the vehicle stands disarmed, whoever flies it; AutopilotLost if it falls silent."""
+        """Waits until the vehicle stands disarmed, with any owner; AutopilotLost if it falls silent."""
 
     async def limits(self) -> VehicleLimits:
-        """What the vehicle says of its home and its fence."""
+        """The vehicle's home and its own fence."""
 
     async def ready(self) -> None:
-        """Returns once the vehicle can be armed; AutopilotRefused has its reasons where that takes too long."""
+        """Waits until the vehicle can be armed; raises AutopilotRefused, with its reasons, if that takes too long."""
 
     async def arm(self) -> None:
         """Starts the motors."""
@@ -188,16 +186,16 @@ class Autopilot(Protocol):
         """Flies to the position; returns on arrival, at rest."""
 
     async def turn_to(self, heading_deg: float) -> None:
-        """Turns its nose there where it hovers, clockwise from north; the next leg has a heading of its own."""
+        """Turns the hovering vehicle's nose to a heading, clockwise from north, until the next leg."""
 
     async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
-        """Sends a MAVLink command of what it carries; returns once it is accepted."""
+        """Sends a MAVLink command to a payload; returns once it is accepted."""
 
     def say(self, severity: int, text: str) -> None:
-        """Sends words to whoever listens to the vehicle, of severity 0 (emergency) to 7 (debug), unconfirmed."""
+        """Sends a text to ground stations, of severity 0 (emergency) to 7 (debug), without a confirmation."""
 
     async def hold(self) -> None:
-        """Stops and hovers where it is."""
+        """Stops the vehicle; returns when it hovers."""
 
     async def return_home_and_land(self) -> None:
         """Flies back to the vehicle's home and lands; returns on touchdown."""
@@ -219,10 +217,10 @@ class Network(Protocol):
     """A radio: one network joined at a time."""
 
     async def join(self, network: str, *, timeout_s: float) -> None:
-        """Joins the pre-loaded network of that name; raises NetworkError, with the reason, by the timeout."""
+        """Joins the network of that name; raises NetworkError with the reason, at the latest after `timeout_s`."""
 
     async def lost(self) -> str:
-        """Returns why, once the network that is joined is no longer connected; it is still to be left."""
+        """Waits until the joined network is no longer connected, and returns why; it must still be left."""
 
     async def leave(self) -> None:
         """Leaves the joined network, if any."""
@@ -233,7 +231,7 @@ class Link(Protocol):
 
     @property
     def is_far(self) -> bool:
-        """Whether connecting may take longer than a call has time for: then a sign of life is waited for first."""
+        """Whether connecting may take longer than a call's deadline; the drone then first waits for an answer."""
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it tells the other side."""
@@ -249,15 +247,15 @@ class Dialer(Protocol):
     """Opens links."""
 
     def dial(self, address: str, *, server: str) -> Link:
-        """A link to the address, where only `server` is believed; connects when first used."""
+        """A link to the address that trusts only `server`; connects when first used."""
 
 
 @dataclass(frozen=True, slots=True)
 class Photo:
-    """One JPEG, and what is known of it.
+    """One photo as a JPEG.
 
-    `captured_s` is by the event loop's clock, `source` says where it came from. Where it was rendered, `truth`
-    holds what is on it, for a log.
+    `captured_s` is its time by the event loop's clock, `source` names its origin. For a rendered photo `truth` lists
+    what it shows, for a log.
     """
 
     jpeg: bytes
@@ -270,14 +268,14 @@ class Camera(Protocol):
     """The drone's camera."""
 
     async def take_photo(self, at: Position) -> Photo:
-        """Shoots and returns one photo; `at` is where the drone is. Raises CameraError."""
+        """Takes and returns one photo; `at` is the drone's position. Raises CameraError."""
 
 
 class Notifier(Protocol):
-    """The way to the drone's user."""
+    """Sends messages to the drone's user."""
 
     async def notify(self, message: object, at: Position) -> None:
-        """Tells the user about something found at a position."""
+        """Sends the user a message about a finding at a position."""
 
 
 class Journal(Protocol):
@@ -291,7 +289,7 @@ class Journal(Protocol):
 class Program:
     """A service class by its import path, and plain values, such as JSON has, for its constructor.
 
-    Where there is a `command`, that program computes the calls, in whatever language it is written.
+    If there is a `command`, that program, in any language, computes the calls.
     """
 
     path: str
@@ -301,7 +299,7 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class InstanceSpec:
-    """What to start: a service's program, for one of a daemon's server identities."""
+    """The instance to start: a service's program, for one server of a daemon."""
 
     server: str
     service: str
@@ -328,19 +326,19 @@ class Instance(Protocol):
         """The address to dial."""
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        """Has only these drones, known by `Client.key`, get an answer; returns when that is so.
+        """Lets the instance answer only these drones, given by `Client.key`; returns when it confirms.
 
-        Those that are `finishing` get one to the calls that have arrived.
+        Of `finishing` drones it answers the calls that have arrived.
         """
 
     async def drain(self, why: str) -> None:
-        """Has every further call refused for that reason; returns when none is under way any more."""
+        """Has every further call refused for that reason; returns when no call is under way."""
 
     async def health(self) -> None:
-        """Returns at its next sign of life; raises InstanceError where there will be none."""
+        """Waits for the instance's next sign of life; raises InstanceError if it is gone."""
 
     async def exited(self) -> str:
-        """Returns how the instance ended, when it does."""
+        """Waits for the end of the instance, and returns how it ended."""
 
     async def stop(self) -> None:
         """Ends the instance and everything it started; returns when it is gone."""
@@ -351,10 +349,9 @@ Outcome: TypeAlias = Literal["value", "raised", "dropped"]
 
 @dataclass(frozen=True, slots=True)
 class AnsweredCall:
-    """A call that an instance has ended, of a drone known by `Client.key`.
+    """A call of the drone with that `Client.key` that an instance has ended.
 
-    It was there as a whole for `queued_s` before its turn came, and from then on took `took_s`. A dropped call
-    has no answer.
+    After its arrival it queued for `queued_s`, and was computed for `took_s`. A dropped call has no answer.
     """
 
     drone: str
@@ -368,7 +365,7 @@ Answered = Callable[[AnsweredCall], None]
 
 
 def ignored(_call: AnsweredCall) -> None:
-    """Nobody wants to know what calls take."""
+    """Does nothing, for callers that need no report of calls."""
 
 
 class Runtime(Protocol):
@@ -379,6 +376,6 @@ class Runtime(Protocol):
     ) -> Instance:
         """Returns when the instance is ready to serve; raises InstanceError.
 
-        `called(drone)` when a call of a drone begins that is admitted, known by `Client.key`, `answered(call)` at the
-        end of each such call. Both are the instance's word, which a service may forge.
+        Calls `called(drone)` when a call of the admitted drone with that `Client.key` begins, and `answered(call)` at
+        its end. Both are reports of the instance, which a service may forge.
         """

@@ -110,12 +110,12 @@ def test_a_waypoint_that_the_drone_only_circles_is_not_done() -> None:
     [
         ([*BEGUN, event("mission_completed")], "was completed: there is nothing to take up"),
         ([OPENED, msgspec.structs.replace(STARTED, drone="heron")], "of the drone heron, not of drone"),
-        ([OPENED, msgspec.structs.replace(STARTED, waypoints=4)], "it had 4 waypoints, this one has 3"),
+        ([OPENED, msgspec.structs.replace(STARTED, waypoints=4)], "it had 4 waypoints, and the plan has 3"),
         (
             [*BEGUN, event("arrived", waypoint=1, east_m=25.0, north_m=0.0)],
             "waypoint 1 was 5.00 m from where it is now",
         ),
-        ([*BEGUN, event("arrived", waypoint=7, east_m=25.0, north_m=0.0)], "this one has no waypoint 7"),
+        ([*BEGUN, event("arrived", waypoint=7, east_m=25.0, north_m=0.0)], "the plan has no waypoint 7"),
     ],
 )
 def test_a_log_of_something_else_is_refused(events: list[Event], why: str) -> None:

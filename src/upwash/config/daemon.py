@@ -40,15 +40,15 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """A service that can be started here."""
 
     name: values.Name
-    """As its class is declared."""
+    """The service's name, as its class declares it."""
     program: values.ImportPath | None = None
-    """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
+    """The service's class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
     command: values.Command = ()
     """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
     settings: values.Settings | None = None
     """What the constructor of its class takes; in a container that of its image counts."""
     image: values.Text | None = None
-    """The image of Docker or Podman that it runs from; default: `upwash-NAME`, which `upwash package` makes."""
+    """The image of Docker or Podman; default: `upwash-NAME`, which `upwash package` makes."""
     pace_s: values.SecondsByKey = {}
     """The least time of a call, in seconds: stands in for a slower computer."""
     start_pace_s: values.NotNegative = 0.0
@@ -70,11 +70,11 @@ class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """A server that the daemon acts as."""
 
     name: values.Name
-    """As in its certificate."""
+    """The server's name, as in its certificate."""
     slots: values.Slots = "auto"
-    """Drones that it serves at a time; `auto`: as many as it measures to be right."""
+    """Drones that the server serves at a time; `auto`: as measured."""
     turn_s: values.TurnSeconds = 30.0
-    """How long a drone keeps its slot at least while others wait, in seconds."""
+    """The shortest time that a drone keeps its slot while others wait, in seconds."""
     images: values.Names
     """The services that it runs; default: all of the file."""
 
@@ -83,7 +83,7 @@ class PeerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A server that another daemon of the operator acts as, which drones go on to from here, or come from."""
 
     name: values.Name
-    """As in its certificate."""
+    """The server's name, as in its certificate."""
     address: values.Text
     """Of its daemon, over a wire."""
 
@@ -109,25 +109,25 @@ class DaemonConfig(
     """The first and the last port at which drones reach services, at least one for each service of each server;
     default: any free ones."""
     outside_ports: PortRange | None = None
-    """The numbers that drones see in place of `instance_ports` where a router or a container maps ports."""
+    """The numbers of `instance_ports` as drones see them behind a router or container that maps ports."""
     max_message_bytes: values.MessageBytes = 16_777_216
     """The largest request and result of a call."""
     lease_s: LeaseSeconds = 30.0
-    """A drone that is silent for so long loses its slot, in seconds."""
+    """The silence after which a drone loses its slot, in seconds."""
     idle_stop_s: values.Positive = 600.0
-    """An instance that nobody called for so long, with no drone on the server, is stopped, in seconds."""
+    """The time without a call and without a drone on the server after which an instance is stopped, in seconds."""
     start_timeout_s: values.Positive = values.START_TIMEOUT_S
-    """An instance that is not ready by then is given up, in seconds."""
+    """The longest start of an instance, in seconds."""
     drain_s: values.Positive = 10.0
-    """Calls under way get so long to end when the daemon or their service stops, in seconds."""
+    """The time for running calls when the daemon or their service stops, in seconds."""
     hold_s: values.Positive = 60.0
-    """A slot that a peer asks for is held for a drone for at most so long, in seconds."""
+    """The longest time that a slot is held for a drone at a peer's request, in seconds."""
     announce: bool = False
     """Drones find the servers by multicast DNS: their configurations say `address = "mdns"`."""
     allow_without_certificates: bool = False
     """For trying things out, on loopback or a unix socket only."""
     metrics: values.Text | None = None
-    """Where Prometheus finds the daemon's numbers, `host:port`: [metrics](metrics.md)."""
+    """The address at which Prometheus reads the metrics of the daemon, `host:port`: [metrics](metrics.md)."""
     metrics_hosts: values.Names = ()
     """Further names of this computer that a Prometheus may use, such as `host.docker.internal`."""
     keys: DaemonKeysConfig | None = None

@@ -30,9 +30,9 @@ class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The place on the Earth where east and north are 0."""
 
     latitude_deg: values.Latitude
-    """North of the equator."""
+    """Degrees north of the equator."""
     longitude_deg: values.Longitude
-    """East of Greenwich."""
+    """Degrees east of Greenwich."""
 
     @property
     def place(self) -> GeoPosition:
@@ -48,9 +48,9 @@ class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     rows: values.GridCount
     """Rows, to the north."""
     spacing_m: values.Positive
-    """Between neighbours, in metres."""
+    """The distance between neighbouring waypoints, in metres."""
     start: Corner = "top-left"
-    """The corner at which the flight begins."""
+    """The corner where the flight begins."""
     rows_alternate: bool = True
     """Whether every second row is flown backwards; false flies all rows in the same direction."""
 
@@ -63,9 +63,9 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     mode: values.Text = "heavy"
     """Passed to a mission that has a parameter of this name; the profile key of the bundled one."""
     altitude_m: values.Positive = 20.0
-    """Above home, in metres."""
+    """The altitude of the take-off above home, in metres."""
     ground_speed_m_s: values.Positive = 4.0
-    """Of legs, in metres per second."""
+    """The ground speed of legs, in metres per second."""
     home: HomeConfig | None = None
     """The place where east and north are 0; needed to fly."""
     grid: GridConfig | None = None
@@ -75,18 +75,18 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     plan: values.PlanPath | None = None
     """The waypoints and the geofence of a [plan](plans.md): QGroundControl's `.plan`, or `QGC WPL 110`."""
     action_s: values.NotNegative = 0.0
-    """How long an action takes that an answer demands at its waypoint, in seconds."""
+    """The duration of an action that an answer demands at its waypoint, in seconds."""
     order: values.FlightOrder = "given"
-    """In which the waypoints are flown: [orders](missions.md#the-order-of-the-waypoints)."""
+    """The order of the waypoints: [orders](missions.md#the-order-of-the-waypoints)."""
     reserve_percent: values.Percent | None = None
     """The mission ends early below this battery level."""
     reserve_s: values.NotNegative | None = None
-    """The mission ends early where the way home would leave fewer seconds of flight: [the
+    """The mission ends early if the way home would leave fewer seconds of flight: [the
     reserve](flight-ends.md#the-reserve)."""
     finish_by_s: values.Positive | None = None
-    """When the mission is to be over, in seconds from arming: [lighter calls](lighter.md)."""
+    """The time by which the mission must end, in seconds from arming: [lighter calls](lighter.md)."""
     lighter: values.KeysByKey = {}
-    """The profile key under which calls run while the mission would be later than `finish_by_s`."""
+    """The lighter profile key of calls while the mission would end after `finish_by_s`."""
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -98,7 +98,7 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     profile: Literal["arducopter", "px4"] | None = None
     """A measured vehicle, in place of the next three."""
     acceleration_m_s2: values.Positive | None = None
-    """Speeding up and braking. A simulation without a profile: 1."""
+    """Acceleration and braking, in m/s². A simulation without a profile: 1."""
     takeoff_s: values.NotNegative | None = None
     """From arming to the altitude, in seconds. A simulation without a profile: 10."""
     return_and_land_s: values.NotNegative = 16.0
@@ -113,18 +113,18 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     connection: values.Text | None = None
     """`serial:DEVICE:BAUD`, `udpin:HOST:PORT`, `udpout:HOST:PORT` or `tcp:HOST:PORT`; needed to fly."""
     system: SystemId | None = None
-    """Which vehicle on the link is flown, by its MAVLink system id; absent: the only one that is heard."""
+    """The MAVLink system id of the vehicle to fly; absent: the only vehicle on the link."""
     found_within_s: values.Positive = 120.0
-    """How long a flight waits for the vehicle to be heard, in seconds: it may be switched on after this computer."""
+    """How long a flight waits for the vehicle's first message, in seconds; it may be switched on later."""
     signing_key: values.FilePath | None = None
-    """All messages are signed with this key, and only signed ones are believed:
+    """The key with which all messages are signed; unsigned messages are ignored:
     [signing](vehicle.md#signed-messages)."""
     on_failure: SafeEnd = "return"
-    """How a mission ends that cannot go on."""
+    """How a mission that cannot go on ends."""
     farthest_start_m: values.Positive = 500.0
-    """From the nearest waypoint to where the vehicle stands, at most, in metres."""
+    """The largest distance from the standing vehicle to the nearest waypoint, in metres."""
     link_patience_s: values.Positive = 120.0
-    """A silence of the vehicle's link that a mission outlasts, in seconds."""
+    """The longest silence of the vehicle's link before the flight ends by `on_failure`, in seconds."""
     dead_man_s: DeadManSilence | None = None
     """The autopilot itself does what `on_failure` says after so long a silence of this program: [the dead
     man](vehicle.md#when-the-drones-computer-dies)."""
@@ -141,18 +141,18 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """`wired`: nothing is joined, as with LTE, 5G or a mesh; `networkmanager`: by
     [NetworkManager](networks.md); `stand-in`: by the drone's position, for the desk."""
     interfaces: Annotated[tuple[values.InterfaceName, ...], Meta(description="an array of interfaces")] = ()
-    """The only interfaces on which NetworkManager joins networks."""
+    """The interfaces that NetworkManager may use to join networks."""
     radios: Radios = 1
-    """With 2, the next server is checked while the one before is used; each radio has an interface."""
+    """With 2, the next server is checked while the present one is used; each radio has an interface."""
     coverage_map: values.CoveragePath | None = None
-    """A file, kept between flights, of what servers without a range came to at each place."""
+    """A file, kept between flights, with the measurements of servers without a range at each place."""
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where photos come from: one of three sources."""
 
     photo_s: values.NotNegative = 1.0
-    """What a photo takes, in seconds; a device takes its own time."""
+    """The time of a photo, in seconds; a device takes its own time."""
     folder: values.FilePath | None = None
     """A folder whose JPEG files are the photos, in turn."""
     device: values.VideoSource | None = None
@@ -160,7 +160,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     latency_s: values.NotNegative = 0.0
     """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
     park_seed: values.CountFromZero | None = None
-    """Photos are rendered: what lies below the drone in the solar park of that seed."""
+    """Photos are rendered: the solar park of this seed, below the drone."""
 
 
 _LEFT_ALONE_S = 60.0
@@ -170,7 +170,7 @@ class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
 
     after: values.Quantile = "p95"
-    """The quantile of a server's call delays after which a call counts as late."""
+    """The quantile of a server's delays; a longer call counts as late."""
     budget: values.Share = 0.1
     """The largest share of the drone's computing time that hedging may add."""
 
@@ -197,30 +197,30 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """When calls are offloaded, and where to: [policies](policies.md)."""
 
     name: PolicyName = "look-ahead"
-    """The rule by which servers are selected."""
+    """The rule that selects servers and places calls."""
     gain_switch: values.Fraction = 0.25
-    """The share of the local delay that another server must save before it is switched to."""
+    """The share of the local delay that a switch to another server must save."""
     gain_wait: values.Fraction = 0.25
     """The share of the local delay that waiting for a server must save."""
     gain_slot: values.Fraction = 0.25
-    """The share that a server must save where other drones wait for a slot."""
+    """The share of the local delay that a server must save if other drones wait for a slot."""
     period_s: values.Positive = 1.0
-    """Between two looks at whether another server is better, in seconds."""
+    """The time between two considerations of a better server, in seconds."""
     blacklist_s: AtLeastOneSecond | None = None
-    """How long a server that failed is left alone, in seconds; in place of `probe`."""
+    """How long a failed server is not used, in seconds; in place of `probe`."""
     probe: ProbeConfig | None = None
-    """A server that failed is asked again after these pauses; default of `look-ahead`."""
+    """A failed server is probed after these pauses; default of `look-ahead`."""
     idle_s: values.NotNegative = 180.0
-    """How long a server that was left is believed to have its services still running, in seconds."""
+    """How long the services of a server that was left are believed to run, in seconds."""
     retry_s: values.NotNegative = 300.0
-    """When a server that became slower than the drone gets another chance, in seconds."""
+    """The time until a server slower than the drone gets another chance, in seconds."""
     patient_first_call: bool = False
     """Whether a service's first call on a server may take as long as a local one."""
     hedge: HedgeConfig | bool | None = None
-    """Calls that a server is late with are computed on the drone too; `true`, `false` or a table; default: `true`
-    with `look-ahead`."""
+    """Whether calls that a server answers late are computed on the drone too; `true`, `false` or a table; default:
+    `true` with `look-ahead`."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
-    """Whether the drone flies on before an answer is there: [answers that come later](pending-calls.md)."""
+    """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
 
     def __post_init__(self) -> None:
         if self.blacklist_s is not None and self.probe is not None:
@@ -253,15 +253,15 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """A service that the mission calls, and what its calls cost on the drone."""
 
     name: values.Name
-    """As its class is declared."""
+    """The service's name, as its class declares it."""
     program: values.ImportPath | None = None
-    """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
+    """The service's class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
     command: values.Command = ()
     """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
     request_bytes: values.Bytes = 425_000
-    """Of a request, on average."""
+    """The mean size of a request, in bytes."""
     reply_bytes: values.Bytes = 500
-    """Of a reply, on average."""
+    """The mean size of a reply, in bytes."""
     max_reply_bytes: values.MessageBytes = 4_194_304
     """The largest reply of a server: a larger one is not received, and the drone computes the call."""
     local_call_s: values.SecondsOfEachKey
@@ -274,30 +274,30 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
     settings: values.Settings | None = None
-    """What the constructor of its class takes."""
+    """Arguments of its class's constructor."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An edge server, and what the drone believes of it before it has met it."""
 
     name: values.Name
-    """As in its certificate."""
+    """The server's name, as in its certificate."""
     east_m: float | None = None
-    """Of home, in metres; or give `latitude_deg` and `longitude_deg`."""
+    """The server's place relative to home, in metres; or give `latitude_deg` and `longitude_deg`."""
     north_m: float | None = None
-    """Of home, in metres."""
+    """The server's place relative to home, in metres."""
     latitude_deg: values.Latitude | None = None
-    """In place of `east_m` and `north_m`."""
+    """The server's place in degrees, instead of `east_m` and `north_m`."""
     longitude_deg: values.Longitude | None = None
-    """In place of `east_m` and `north_m`."""
+    """The server's place in degrees, instead of `east_m` and `north_m`."""
     range_m: values.Range
-    """How far it is reached, in metres; or `"measured"`: [servers without a
+    """The server's radio range, in metres; or `"measured"`: [servers without a
     range](links.md#servers-without-a-range)."""
     network: values.Text
     """Its NetworkManager profile; default: the server's name."""
     address: values.Text | None = None
-    """Of its daemon, `host:port` or `unix:path`; or `mdns`: it is [found in its network](networks.md#addresses).
-    Needed to fly."""
+    """The daemon's address, `host:port` or `unix:path`; or `mdns`: it is [found in its
+    network](networks.md#addresses). Needed to fly."""
     bandwidth_bit_s: values.Positive | None = None
     """With `processing_s`: the first estimate of a call (equation 3.1) where `remote_call_s` is not given."""
     check_s: values.NotNegative = 11.5
@@ -309,7 +309,7 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     remote_call_s: values.SecondsByService = {}
     """A call there from request to reply, in seconds: one number, by service, by profile key or both."""
     truth: TruthConfig = TruthConfig()
-    """Simulation: what is true of it."""
+    """Simulation: how the server truly behaves."""
 
     @property
     def believed_range_m(self) -> float | None:
@@ -353,9 +353,9 @@ class DroneConfig(
     name: values.Name = "drone"
     """As in the drone's certificate."""
     seed: int = 1
-    """Simulation: all chance comes from here."""
+    """Simulation: the seed of all random numbers."""
     metrics: values.Text | None = None
-    """Where Prometheus finds a flight's numbers, `host:port`: [metrics](metrics.md)."""
+    """The address at which Prometheus reads the metrics of a flight, `host:port`: [metrics](metrics.md)."""
     metrics_hosts: values.Names = ()
     """Further names of this computer that a Prometheus may use, such as `host.docker.internal`."""
     max_message_bytes: values.MessageBytes = 16_777_216

@@ -33,24 +33,24 @@ class EngineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Of the engine; several are those of one cluster's members. Default: `unix:/var/lib/lxd/unix.socket`, or with
     `docker` `unix:/var/run/docker.sock`."""
     project: values.Name = "default"
-    """In which containers and images lie; of LXD or Incus."""
+    """The project of containers and images; of LXD or Incus."""
     pool: values.Name = "default"
     """The storage pool; of LXD or Incus."""
     profiles: values.Names = ()
-    """More profiles that containers get; of LXD or Incus."""
+    """Further profiles of containers; of LXD or Incus."""
     certificate: values.FilePath | None = None
     """Shown to an engine at an https address."""
     key: values.FilePath | None = None
-    """Of that certificate."""
+    """The private key of that certificate."""
     engine_certificate: values.FilePath | None = None
-    """The engine's own."""
+    """The engine's own certificate."""
 
 
 class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The addresses of containers, and the interface that answers for them."""
 
     subnet: values.Text = "10.147.70.0/24"
-    """Of the containers."""
+    """The network of the containers' addresses."""
     interface: values.Name | None = None
     """Where drones come from; without it containers are reached from this machine alone."""
 
@@ -61,7 +61,7 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     kind: Literal["process", "docker", "lxd"] = "process"
     """Processes, or [containers](containers.md) of Docker or Podman (`docker`), of LXD or Incus (`lxd`)."""
     sandbox: Literal["auto", "required", "off"] = "auto"
-    """Of processes: where bubblewrap can make one; `required`: no start without one; `off`."""
+    """The sandbox of processes: `auto`: if bubblewrap can make one; `required`: no start without one; `off`."""
     sandbox_as_root: bool = False
     """Whether root may make sandboxes, which are weaker."""
     readable: Files = ()
@@ -75,7 +75,7 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     cpus: Cpus | None = None
     """Processors of an instance; default: all."""
     idle: Literal["stop", "freeze"] = "freeze"
-    """What an instance in a container does that nobody uses."""
+    """What happens to an unused instance in a container."""
     devices: Devices = ()
     """[Devices](graphics-cards.md) of this machine that services may use: paths such as `/dev/dri`, and with `docker`
     names of the Container Device Interface such as `nvidia.com/gpu=all`; not of LXD or Incus."""

@@ -138,9 +138,9 @@ class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The certificates that both ends check."""
 
     authority: FilePath
-    """The certificate of the authority that signed both ends'."""
+    """The certificate of the authority that signed the certificates of both ends."""
     certificate: FilePath
-    """One's own certificate."""
+    """The certificate of this drone or daemon."""
     key: FilePath
     """The private key of that certificate."""
 

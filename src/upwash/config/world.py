@@ -38,19 +38,19 @@ class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     first_extra_s: values.NotNegative = 0.0
     """How much longer the first call after a start takes, in seconds."""
     range_m: values.Positive | None = None
-    """How far it is reached, in metres; default: as believed, or everywhere where that is `"measured"`."""
+    """The true range, in metres; default: as believed, or everywhere if that is `"measured"`."""
     radio: values.Text = "fixed"
     """Goodput by distance: `fixed`, `disc54`, `disc12` or a csv file."""
     slots: values.Slots = "auto"
-    """Drones that it serves at a time."""
+    """Drones that the server serves at a time."""
     lanes: values.Count | None = None
     """Calls that an instance computes at a time; default: as its service declares."""
     turn_s: values.TurnSeconds | None = None
-    """How long a drone keeps its slot at least while others wait, in seconds."""
+    """The shortest time that a drone keeps its slot while others wait, in seconds."""
     images: values.Names | None = None
     """The services that it can start; default: all."""
     peers: values.Names = ()
-    """Servers that it can have prepared for a drone that goes on to them."""
+    """Servers that this server can announce a drone to."""
 
 
 class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -76,49 +76,49 @@ class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The drone's computer gets hot, and slow."""
 
     ambient_c: float = 44.0
-    """The air around it, in °C."""
+    """The temperature of the air around the computer, in °C."""
     load_w: values.NotNegative = 4.0
-    """What a call adds to its power, in watts."""
+    """The power that a call adds to the computer's, in watts."""
 
 
 class EnergyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the simulated drone draws from its battery: [the model](energy.md)."""
 
     battery_wh: values.Positive | None = None
-    """What the battery holds, in watt-hours; default: endless."""
+    """The energy of a full battery, in watt-hours; default: endless."""
     failsafe_percent: Level = 5.0
-    """The vehicle lands by itself at this level; 0: it does not."""
+    """The level at which the vehicle lands by itself; 0: never."""
     hover_w: values.Positive = 168.5
-    """Hovering, in watts."""
+    """The power of the rotors in hover, in watts."""
     blade_share: values.Fraction = 0.474
-    """Of `hover_w`: the blades' own drag."""
+    """The share of `hover_w` that overcomes the drag of the blades."""
     tip_speed_m_s: values.Positive = 120.0
-    """Of the rotors' blades."""
+    """The speed of the blades' tips, in metres per second."""
     induced_speed_m_s: values.Positive = 4.03
-    """Of the air below the rotors in hover."""
+    """The speed of the air below the rotors in hover, in metres per second."""
     drag_at_10_m_s_w: values.NotNegative = 9.24
-    """What the air's resistance adds at 10 m/s, in watts."""
+    """The power that the air's resistance adds at 10 m/s, in watts."""
     computer_idle_w: values.NotNegative = 2.7
-    """The computer without a call, in watts."""
+    """The power of the computer without a call, in watts."""
     computer_load_w: values.NotNegative | None = None
-    """What a call adds, in watts; default: 4, or `heat.load_w`."""
+    """The power that a call adds, in watts; default: 4, or `heat.load_w`."""
     radio_idle_w: values.NotNegative = 0.8
-    """Each radio, in watts."""
+    """The power of each radio, in watts."""
     radio_transfer_w: values.NotNegative = 0.5
-    """What a transfer adds, in watts."""
+    """The power that a transfer adds, in watts."""
 
 
 class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Simulation: relative standard deviations of times; without them every seed gives the same run."""
 
     call: values.NotNegative = 0.0
-    """Of calls."""
+    """Noise on the delays of calls."""
     leg: values.NotNegative = 0.0
-    """Of legs."""
+    """Noise on the durations of legs."""
     join: values.NotNegative = 0.0
-    """Of joining a network."""
+    """Noise on the durations of joins."""
     start: values.NotNegative = 0.0
-    """Of starting a service."""
+    """Noise on the starts of services."""
 
 
 class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -127,14 +127,14 @@ class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     target: values.Text
     """A server's name, `link:` and a server's name, or `autopilot`."""
     kind: FaultKind
-    """What goes wrong."""
+    """The kind of the fault."""
     lie: Lie = "elsewhere"
-    """What a server that is `lying` lies about."""
+    """The subject of the lies of a server that is `lying`."""
     from_s: values.NotNegative = 0.0
     """When it begins, in seconds."""
     to_s: values.NotNegative = math.inf
     """When it ends, in seconds."""
     extra_s: values.NotNegative = 5.0
-    """How much longer things take while the target is `slow`, in seconds."""
+    """The extra time of each answer or leg while the target is `slow`, in seconds."""
     moved_m: ShiftInMetres = (40.0, 30.0, 0.0)
     """How far `diverted` leads, `home` is moved and the position jumps: metres east, north and up."""

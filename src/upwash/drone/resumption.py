@@ -82,13 +82,13 @@ def _require_same_drone(started: schema.MissionStarted, config: DroneConfig, pla
         raise UsageError(f"this log is of the drone {started.drone}, not of {config.name}")
     if started.waypoints != planned:
         raise UsageError(
-            f"this log is of another plan: it had {started.waypoints} waypoints, this one has {planned}"
+            f"this log is of another plan: it had {started.waypoints} waypoints, and the plan has {planned}"
         )
 
 
 def _require_same_place(index: int, east_m: float, north_m: float, planned: Waypoint | None) -> None:
     if planned is None:
-        raise UsageError(f"this log is of another plan: this one has no waypoint {index}")
+        raise UsageError(f"this log is of another plan: the plan has no waypoint {index}")
     place = planned.position
     off_m = math.hypot(place.east_m - east_m, place.north_m - north_m)
     if off_m > _SAME_PLACE_M:
