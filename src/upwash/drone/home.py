@@ -44,9 +44,9 @@ class PlannedHome(Struct, frozen=True):
         if self.counts_from_sea and self._apart_m(limits) > HOMES_AGREE_M:
             raise AutopilotRefused(
                 "arm",
-                f"the plan's altitudes above the sea were converted with a home at {self.above_sea_m:g} m; the "
-                f"vehicle's home is now at {limits.home_above_sea_m:g} m, more than {HOMES_AGREE_M:g} m from "
-                "that: wait for a better fix, and start again; nothing was sent",
+                f"the plan's altitudes above the sea were converted with a home at {self.above_sea_m:g} m, and the "
+                f"vehicle's home is now at {limits.home_above_sea_m:g} m, more than {HOMES_AGREE_M:g} m from that; "
+                "wait for a better fix, and start again; nothing was sent",
             )
 
     def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
