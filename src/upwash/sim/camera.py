@@ -50,10 +50,9 @@ class RenderedCamera:
 
     def __init__(self, park_seed: int, *, photo_s: float, in_thread: bool) -> None:
         with extra("detector"):
-            from upwash.services import solar_park
+            import upwash.services.solar_park  # noqa: F401
         self._source = f"park {park_seed}"
-        self._render = functools.partial(solar_park.photograph, solar_park.Park(park_seed))
-        self._view = solar_park.View
+        self._park_seed = park_seed
         self._shots = itertools.count()
         self._photo_s = photo_s
         self._in_thread = in_thread
@@ -65,9 +64,18 @@ class RenderedCamera:
         return Photo(rendered.jpeg, captured_s, self._source, rendered.truth)
 
     async def _rendered(self, at: Position) -> RenderedPhoto:
-        view = self._view(at.east_m, at.north_m, at.altitude_m)
-        render = functools.partial(self._render, view, shot=next(self._shots))
-        return await asyncio.to_thread(render) if self._in_thread else render()
+        photo = (self._park_seed, at.east_m, at.north_m, at.altitude_m, next(self._shots))
+        return await asyncio.to_thread(_rendered, *photo) if self._in_thread else _rendered_once(*photo)
+
+
+def _rendered(park_seed: int, east_m: float, north_m: float, altitude_m: float, shot: int) -> RenderedPhoto:
+    from upwash.services.solar_park import Park, View, photograph
+
+    return photograph(Park(park_seed), View(east_m, north_m, altitude_m), shot=shot)
+
+
+# A check flies its mission four times, and rendering takes longer than all else of it. A photo has 430 KB.
+_rendered_once = functools.lru_cache(maxsize=32)(_rendered)
 
 
 def eventful(event: EventConfig | None, waypoints: Sequence[Waypoint], chance: Chance) -> list[Waypoint]:
