@@ -62,11 +62,11 @@ _TINY_LEASE_S = 0.003  # for whatever is none: with less, virtual time would har
 _LONG_LEASE_S = 1e5
 
 
-def first_broken(defect: Defect) -> list[Broken]:
-    """The promises that the planted defect breaks in the first world where it breaks any."""
+def first_broken(defect: Defect, *, since: int = 1) -> list[Broken]:
+    """The promises that the planted defect breaks in the first world, from seed `since` on, where it breaks any."""
     logging.getLogger("upwash.server").disabled = True
     with defect.plant(), _nothing_remembered():
-        for seed in range(1, MOST_SEEDS + 1):
+        for seed in range(since, MOST_SEEDS + 1):
             if broken := chaos.judge(seed, replay=is_replayed(seed)).broken:
                 return broken
     return []
