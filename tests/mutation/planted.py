@@ -19,7 +19,7 @@ import msgspec
 import pytest
 from tests.mutation.mutants import Mutant
 
-LONGEST_S = 240.0  # of the tests of one defect; then the program hangs, which is a way to find the defect
+LONGEST_S = 120.0  # of the tests of one defect; then the program hangs, which is a way to find the defect
 
 
 class Job(msgspec.Struct):
