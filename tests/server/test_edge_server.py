@@ -6,13 +6,14 @@ import asyncio
 import logging
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 import msgspec
 import pytest
 
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings
-from upwash.core.admission.clients import Client, InstanceStatus, Role
-from upwash.core.admission.server import ServerOffer
+from upwash.core.admission.clients import Client, DroneUsage, InstanceStatus, Role, TeamUsage
+from upwash.core.admission.server import Command, ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S, DENIALS
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
@@ -37,7 +38,7 @@ from upwash.rpc.protocol import (
     StatusRequest,
 )
 from upwash.server.daemon import EdgeServer
-from upwash.server.instances import Image
+from upwash.server.instances import Image, Observer
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.world import Wire
@@ -119,12 +120,14 @@ class Daemon:
 
     def __init__(self, *, slots: int = 1, start_timeout_s: float = 60.0) -> None:
         self.runtime = Runtime()
+        self.observed: list[str] = []
+        self.core = AdmissionController(
+            {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
+            AdmissionSettings(lease_s=LEASE_S, idle_stop_s=100),
+            peers=["s2", "s3"],
+        )
         self.edge = EdgeServer(
-            AdmissionController(
-                {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
-                AdmissionSettings(lease_s=LEASE_S, idle_stop_s=100),
-                peers=["s2", "s3"],
-            ),
+            self.core,
             images=IMAGES,
             runtime=self.runtime,
             dialer=ModelDialer(
@@ -133,6 +136,11 @@ class Daemon:
             peers={"s2": "s2", "s3": "s3"},
             start_timeout_s=start_timeout_s,
             drain_s=DRAIN_S,
+            observer=Observer(
+                started=lambda spec, took_s: self.observed.append(f"{spec.name} started in {took_s:.1f} s"),
+                failed=lambda spec: self.observed.append(f"{spec.name} failed"),
+                answered=lambda spec, call: self.observed.append(f"{spec.name} answered {call.drone}"),
+            ),
         )
 
     async def ask(self, drone: str = "d1") -> AvailabilityReply:
@@ -155,6 +163,9 @@ class Daemon:
         reply = await self.edge.handle(PREPARE, msgspec.msgpack.encode(request), Client(drone))
         return msgspec.msgpack.decode(reply, type=HoldReply)
 
+    async def deny(self, drone: str = "d1") -> None:
+        await self.edge.handle(DENY, msgspec.msgpack.encode(DenyRequest("s1", ["detector"])), Client(drone))
+
     async def _nothing_to_hold(self, path: str, body: bytes, client: Client) -> bytes:
         peer = msgspec.msgpack.decode(body, type=HoldRequest).server
         return msgspec.msgpack.encode(HoldReply(held=False, reason=f"{peer} is full"))
@@ -170,12 +181,12 @@ class Daemon:
         await self.edge.handle(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")), Client(drone))
 
 
-def serve(story: Callable[[Daemon], Coroutine[Any, Any, T]], **settings: Any) -> T:
+def serve(story: Callable[[Daemon], Coroutine[Any, Any, T]], *, looks: bool = True, **settings: Any) -> T:
     """Runs a story with a daemon that looks after itself, and checks that it leaves no instance."""
 
     async def run() -> T:
         daemon = Daemon(**settings)
-        looking = asyncio.create_task(daemon.edge.run())
+        looking = asyncio.create_task(daemon.edge.run() if looks else asyncio.sleep(0))
         try:
             return await story(daemon)
         finally:
@@ -231,6 +242,89 @@ def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_less_th
         assert instance.admitted == {"d1"}
 
     serve(story, slots=2)
+
+
+@pytest.mark.parametrize("request_", ["ask", "start", "prepare", "hold", "leave"])
+def test_each_request_ends_the_leases_whose_time_is_over(request_: str) -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        await daemon.ask("d2")
+        (instance,) = daemon.runtime.instances
+        for _ in range(2):
+            await asyncio.sleep(0.6 * LEASE_S)
+            assert instance.admitted == {"d1", "d2"}
+            daemon.edge.seen("s1", "d1")
+        requests: dict[str, Callable[[], Coroutine[Any, Any, Any]]] = {
+            "ask": daemon.ask,
+            "start": daemon.start,
+            "prepare": lambda: daemon.prepare("s2"),
+            "hold": lambda: daemon.hold("d1", for_s=5.0),
+            "leave": lambda: daemon.leave("d2"),
+        }
+        await requests[request_]()
+        assert instance.admitted == {"d1"}
+
+    serve(story, looks=False, slots=2)
+
+
+def test_a_daemon_without_leases_and_instances_looks_at_nothing() -> None:
+    async def story(daemon: Daemon) -> int:
+        looks = 0
+
+        def look(*, now_s: float) -> list[Command]:
+            nonlocal looks
+            looks += 1
+            return AdmissionController.look(daemon.core, now_s=now_s)
+
+        with patch.object(daemon.core, "look", look):
+            await daemon.start()
+            await daemon.leave()
+            await asyncio.sleep(105.0)
+            assert daemon.runtime.living() == []
+            before = looks
+            await asyncio.sleep(1000.0)
+            return looks - before
+
+    assert serve(story) <= 1
+
+
+def test_a_daemon_is_empty_once_no_drone_has_a_slot() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.edge.emptied()
+        assert asyncio.get_running_loop().time() == 0.0
+        await daemon.ask()
+        await daemon.edge.emptied()
+        assert LEASE_S <= asyncio.get_running_loop().time() <= LEASE_S + 2.0
+
+    serve(story)
+
+
+def test_a_daemon_continues_what_the_former_one_counted() -> None:
+    async def story(daemon: Daemon) -> None:
+        used = DroneUsage("heron-1", "heron", None, 60.0, 7, 3.5, 1.0)
+        daemon.edge.take_up_usage("s1", [used], [TeamUsage("heron", 0, 60.0, 7, 3.5, 1.0)])
+        (server,) = daemon.edge.standing().servers
+        assert [(each.drone, each.calls) for each in server.drones] == [("heron-1", 7)]
+        assert [(each.team, each.slot_s) for each in server.teams] == [("heron", 60.0)]
+
+    serve(story)
+
+
+def test_starts_failures_and_answers_are_observed() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1))
+        await daemon.leave()
+        await asyncio.sleep(105.0)
+        daemon.runtime.broken = "no such model"
+        await daemon.start()
+        assert daemon.observed == [
+            f"detector@s1 started in {COLD_START_S:.1f} s",
+            "detector@s1 answered d1",
+            "detector@s1 failed",
+        ]
+
+    serve(story)
 
 
 def test_where_a_peer_holds_no_slot_another_peer_may() -> None:
@@ -331,7 +425,9 @@ def test_a_crashed_instance_is_absent_and_started_again_on_request() -> None:
     serve(story)
 
 
-def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served() -> None:
+def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     async def story(daemon: Daemon) -> None:
         first = await daemon.start()
         daemon.runtime.called[0]("d1")
@@ -343,6 +439,7 @@ def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(
         await daemon.keep_asking(2.0 + 1.0 + COLD_START_S)
         assert (await daemon.ask()).endpoints["detector"] not in ("", first.endpoint)
         assert daemon.edge.standing().servers[0].instances[1].replaced == 1
+        assert "stopping detector@s1: detector of s1 is replaced: a call has kept it" in caplog.text
         await daemon.keep_asking(200.0)
         assert len(daemon.runtime.instances) == 2, "one that is well stays"
 
@@ -382,12 +479,11 @@ def test_an_instance_without_a_sign_of_life_is_replaced() -> None:
 def test_an_instance_that_raises_what_drones_deny_is_replaced() -> None:
     async def story(daemon: Daemon) -> None:
         await daemon.start()
-        request = msgspec.msgpack.encode(DenyRequest("s1", ["detector"]))
         for _ in range(DENIALS):
             assert len(daemon.runtime.living()) == 1
             daemon.runtime.called[0]("d1")
             daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1, "raised"))
-            await daemon.edge.handle(DENY, request, Client("d1"))
+            await daemon.deny()
         await daemon.keep_asking(1.0 + COLD_START_S)
         assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
 
@@ -467,7 +563,9 @@ def test_a_server_that_is_not_here_is_named_with_those_that_are() -> None:
 # ---- the operator
 
 
-def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new() -> None:
+def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     async def story(daemon: Daemon) -> None:
         await daemon.start()
         (instance,) = daemon.runtime.instances
@@ -480,6 +578,7 @@ def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new() -> None:
         assert not instance.ended.done(), "stopped in a call"
         await draining
         assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + 3.0)
+        assert "stopping" not in caplog.text, "the operator knows"
 
     serve(story)
 
