@@ -25,7 +25,6 @@ from upwash.ports import InstanceSpec, Program
 from upwash.real.instances.runtime import OwnProcesses
 from upwash.rpc.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
-from upwash.sim.world import Wire
 
 MAX_MESSAGE_BYTES = 1_000_000
 
@@ -328,7 +327,7 @@ def test_a_defect_in_watching_a_service_fails_its_calls_at_once_and_is_logged() 
             [InstanceSpec("heron", "workbench", Program("nowhere:Workbench"))],
             drone="heron",
             runtime=Defective(),
-            dialer=ModelDialer("heron", Switchboard({}), Wire()),
+            dialer=ModelDialer("heron", Switchboard({})),
             journal=diary,
             start_timeout_s=60.0,
         )

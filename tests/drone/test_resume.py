@@ -35,7 +35,7 @@ from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import ModelRuntime
 from upwash.sim.vehicle import Plain
-from upwash.sim.world import DroneComputer, Joining, Wire
+from upwash.sim.world import DroneComputer, Joining
 
 # Take-off is over at 10 s, waypoints are 20 m and 9 s apart, and photo and call of each take 11 s.
 PLACES = [[0, 0], [20, 0], [40, 0], [60, 0]]
@@ -94,7 +94,7 @@ def fly(
             manner=Plain(acceleration_m_s2=1.0, takeoff_s=10.0, return_and_land_s=16.0),
             hovers_at=part.position if flying else None,
         )
-        dialer = ModelDialer(config.name, onboard, Wire())
+        dialer = ModelDialer(config.name, onboard)
         computer = DroneComputer(config.services, heat=None, joining=Joining(), noise=0.0, chance=Chance(1))
         ports = Ports(
             autopilot=vehicle,

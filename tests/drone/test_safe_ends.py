@@ -41,7 +41,7 @@ from upwash.sim.camera import ModelCamera
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults
 from upwash.sim.journal import MemoryJournal
-from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.link import ModelDialer, Switchboard, Wire
 from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import ModelRuntime
 from upwash.sim.vehicle import Plain
@@ -62,14 +62,11 @@ def scenario(**tables: dict[str, Any]) -> DroneConfig:
     return drone_config({**SCENARIO, **document}, Path("scenario.toml"))
 
 
-class Wire:
+class CutWire(Wire):
     """To the drone's own services; once cut, nothing goes over it."""
 
     def __init__(self) -> None:
         self.cut = False
-
-    def connected(self, server: str) -> bool:
-        return True
 
     async def send(self, server: str, path: str, *, reply: bool) -> None:
         if self.cut:
@@ -83,7 +80,7 @@ class Scene:
     flight: Flight
     autopilot: ModelAutopilot
     journal: MemoryJournal
-    wire: Wire
+    wire: CutWire
 
     def events(self, name: str) -> list[dict[str, Any]]:
         return [event for event in written(self.journal.events) if event["event"] == name]
@@ -116,7 +113,7 @@ def fly(
 
 
 def make_scene(config: DroneConfig, mission: Callable[[Drone], None], kind: type[ModelAutopilot]) -> Scene:
-    journal, wire, onboard = MemoryJournal(), Wire(), Switchboard({})
+    journal, wire, onboard = MemoryJournal(), CutWire(), Switchboard({})
     journal.begin()
     faults, vehicle = Faults(config.faults), config.vehicle
     pace = pace_in_numbers(vehicle)

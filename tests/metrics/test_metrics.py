@@ -37,7 +37,6 @@ from upwash.rpc.protocol import AVAILABILITY, START, AvailabilityRequest, Certif
 from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Image
 from upwash.sim.link import ModelDialer, Switchboard
-from upwash.sim.world import Wire
 
 ROOT = Path(__file__).parents[2]
 IMAGES = {"detector": Image(Program("somewhere:Detector"))}
@@ -142,7 +141,7 @@ class Edge:
             images=IMAGES,
             runtime=runtime,
             observer=self.metrics.observer(),
-            dialer=ModelDialer("s1", Switchboard({}), Wire()),
+            dialer=ModelDialer("s1", Switchboard({})),
             start_timeout_s=60.0,
             drain_s=10.0,
             certificates=[CertificateStatus("s1", EXPIRES)],

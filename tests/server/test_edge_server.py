@@ -41,7 +41,6 @@ from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Image, Observer
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
-from upwash.sim.world import Wire
 
 T = TypeVar("T")
 COLD_START_S = 8.0
@@ -130,9 +129,7 @@ class Daemon:
             self.core,
             images=IMAGES,
             runtime=self.runtime,
-            dialer=ModelDialer(
-                "s1", Switchboard({"s2": self._nothing_to_hold, "s3": self._nothing_to_hold}), Wire()
-            ),
+            dialer=ModelDialer("s1", Switchboard(dict.fromkeys(("s2", "s3"), self._nothing_to_hold))),
             peers={"s2": "s2", "s3": "s3"},
             start_timeout_s=start_timeout_s,
             drain_s=DRAIN_S,

@@ -19,6 +19,7 @@ from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.config.runtime import ContainerNetworkConfig
 from upwash.emulation.enclosure import MARK, enter_groups
 from upwash.emulation.namespaces import command, make_quiet, require_tools
+from upwash.emulation.programs import Computers
 from upwash.errors import EngineError, UpwashError, UsageError
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Recipe, package, write_packed
@@ -55,7 +56,7 @@ def require_containers() -> None:
         raise UsageError("containers need pylxd: pip install 'upwash[lxd]'")
 
 
-class ContainerComputers:
+class ContainerComputers(Computers):
     """Computers that see this machine's files, except the system's own, and may change the run's folder only."""
 
     def __init__(self, folder: Path) -> None:

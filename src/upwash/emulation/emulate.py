@@ -12,7 +12,7 @@ from upwash.config import DroneConfig
 from upwash.core.geo import LocalFrame, Position
 from upwash.emulation.field import Field, drone_namespace
 from upwash.emulation.namespaces import add_route, join_by_cable
-from upwash.emulation.programs import Computers, NamespaceComputers, flight_program, ready_daemon
+from upwash.emulation.programs import Computers, flight_program, ready_daemon
 from upwash.emulation.radios import EmulatedRadio, GhostRadio, ShapedRadio
 from upwash.emulation.request import ComputerKind, EmulationOutcome, EmulationRequest, RadioKind
 from upwash.emulation.vehicles import relayed, tracked
@@ -46,7 +46,7 @@ async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOu
 
 def _make_computers(kind: ComputerKind, folder: Path) -> Computers:
     if kind == "namespaces":
-        return NamespaceComputers()
+        return Computers()
     from upwash.emulation.containers import ContainerComputers
 
     _say("starting a container engine")

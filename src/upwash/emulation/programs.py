@@ -6,7 +6,7 @@ import contextlib
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 import tomli_w
@@ -151,23 +151,7 @@ def _without_nothing(value: Any) -> Any:
     return [_without_nothing(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-class Computers(Protocol):
-    """Makes computers, each with a network namespace of its name."""
-
-    def make(self, name: str) -> None:
-        """Makes a computer whose network namespace has nothing but its loopback."""
-
-    def inside(self, name: str) -> tuple[str, ...]:
-        """The words that run a command on the computer."""
-
-    def equip(self, name: str, daemon: DaemonConfig, *, subnet: str) -> RuntimeConfig:
-        """Has the computer able to run the daemon's services; returns in what.
-
-        Services that have addresses of their own get them from the subnet.
-        """
-
-
-class NamespaceComputers:
+class Computers:
     """Computers that are network namespaces and nothing more: they share this machine's files and processes."""
 
     def make(self, name: str) -> None:
@@ -179,5 +163,8 @@ class NamespaceComputers:
         return inside(name)
 
     def equip(self, name: str, daemon: DaemonConfig, *, subnet: str) -> RuntimeConfig:
-        """Services are processes of their daemon."""
+        """Prepare the computer for the daemon's services; return their runtime: here, processes of the daemon.
+
+        Services with addresses of their own get them from the subnet.
+        """
         return RuntimeConfig(sandbox_as_root=True)  # who else may make networks

@@ -20,7 +20,7 @@ from upwash.sim.faults import Faults, FaultyServer
 from upwash.sim.link import ModelDialer, Switchboard, unobserved
 from upwash.sim.loop import end_run
 from upwash.sim.runtime import ModelRuntime
-from upwash.sim.world import ServerComputer, Wire
+from upwash.sim.world import ServerComputer
 from upwash.support.background import end, start
 
 
@@ -73,7 +73,7 @@ async def serving(
                 AdmissionController({name: _offer(truth, software)}, peers=peers),
                 images={service: Image(program) for service, program in software.programs.items()},
                 runtime=runtime,
-                dialer=ModelDialer(name, board, Wire()),
+                dialer=ModelDialer(name, board),
                 peers=peers,
                 start_timeout_s=60.0,
                 drain_s=10.0,

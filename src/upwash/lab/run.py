@@ -49,7 +49,7 @@ from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import ModelRuntime
 from upwash.sim.turns import sleeps_reported
 from upwash.sim.vehicle import Manner, Plain
-from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio, Wire
+from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio
 from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
 from upwash.vehicle.ardupilot import airframe as arducopter
@@ -251,7 +251,7 @@ def _ports(
             for radio, network in enumerate(networks)
         ],
         dialer=dialer,
-        onboard_dialer=ModelDialer(config.name, onboard, Wire()),
+        onboard_dialer=ModelDialer(config.name, onboard),
         onboard_runtime=ModelRuntime(software.specs, computer, onboard, objects=software.objects),
         camera=_camera(config, chance),
         notifier=journal,

@@ -13,7 +13,7 @@ from upwash.ports import InstanceSpec, Network
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
-from upwash.sim.link import Observe, unobserved
+from upwash.sim.link import Observe, Wire, unobserved
 from upwash.sim.radio import SteadyGoodput, goodput_of
 from upwash.sim.runtime import Hangs, Raises
 from upwash.support.heat import Heat
@@ -21,18 +21,7 @@ from upwash.support.heat import Heat
 _BREAKING = ("hung", "poisoned")  # the instance, also after the fault
 
 
-class Wire:
-    """The path between the drone and its own services: no delay."""
-
-    def connected(self, server: str) -> bool:
-        """True."""
-        return True
-
-    async def send(self, server: str, path: str, *, reply: bool) -> None:
-        """Return at once."""
-
-
-class ModelRadio:
+class ModelRadio(Wire):
     """The radio path between the drone and its servers: silent out of range, with a transfer time for calls."""
 
     def __init__(

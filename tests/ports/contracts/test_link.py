@@ -19,7 +19,6 @@ from upwash.real.link.link import GrpcDialer
 from upwash.real.link.listener import Listener
 from upwash.real.link.requests import Caller, Requests
 from upwash.sim.link import ModelDialer, Switchboard
-from upwash.sim.world import Wire
 
 PATH = "/upwash.test/any"
 Hold = Callable[..., AbstractAsyncContextManager[Link]]
@@ -35,9 +34,7 @@ async def model_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
                 await asyncio.Event().wait()
         return client.name.encode() + b" " + body
 
-    link = ModelDialer("heron", Switchboard({"s1": answer} if answered else {}), Wire()).dial(
-        "s1", server="s1"
-    )
+    link = ModelDialer("heron", Switchboard({"s1": answer} if answered else {})).dial("s1", server="s1")
     yield link
     await link.close()
 

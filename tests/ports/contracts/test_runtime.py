@@ -32,7 +32,6 @@ from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.runtime import Computer, ModelRuntime
-from upwash.sim.world import Wire
 
 
 class Sure:
@@ -163,7 +162,7 @@ async def modelled(spec: InstanceSpec, computer: Computer, **site: Any) -> Async
     switchboard, objects = Switchboard({}), site.pop("objects", {})
     described = spec_of(load_service(spec.program.path))
     runtime = ModelRuntime({spec.service: described}, computer, switchboard, objects=objects)
-    yield Site(runtime, ModelDialer("heron", switchboard, Wire()), spec, host="", **site)
+    yield Site(runtime, ModelDialer("heron", switchboard), spec, host="", **site)
 
 
 @asynccontextmanager

@@ -24,7 +24,7 @@ from upwash.emulation.emulate import Mover
 from upwash.emulation.enclosure import settle_in
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.namespaces import inside
-from upwash.emulation.programs import NamespaceComputers, daemon_file, drone_file
+from upwash.emulation.programs import Computers, daemon_file, drone_file
 from upwash.emulation.radios import ShapedRadio
 from upwash.emulation.request import EmulationRequest
 from upwash.emulation.vehicles import tracked
@@ -53,7 +53,7 @@ async def main(seed: int, folder: Path) -> None:
     settle_in(asyncio.get_running_loop().stop)
     ordered = EmulationRequest(scenarios=(SCENARIO,), drones=2, folder=folder).read()
     field = Field([each.config for each in ordered])
-    computers = NamespaceComputers()
+    computers = Computers()
     for name in field.namespaces():
         computers.make(name)
     names = [drone.name for drone in field.drones]
