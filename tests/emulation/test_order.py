@@ -7,10 +7,17 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from upwash.config import DroneConfig, PeerConfig, TruthConfig, read_daemon_config, read_drone_config
+from upwash.config import (
+    DroneConfig,
+    PeerConfig,
+    TruthConfig,
+    read_daemon_config,
+    read_drone_config,
+    server_truth,
+)
 from upwash.emulation.native import WIFI, wifi_of
 from upwash.emulation.programs import daemon_config, write_config
-from upwash.emulation.request import EmulationRequest, Paces, emulated, left_out, server_paces
+from upwash.emulation.request import EmulationRequest, emulated, left_out, server_paces
 from upwash.errors import UsageError
 from upwash.real.trust.authority import keys_in
 
@@ -54,12 +61,9 @@ def test_calls_take_as_long_as_the_scenario_says_with_the_transfer_left_to_the_l
     thesis = read_drone_config(THESIS)
     transfer_s = 8 * 425_000 / 54e6
     paces = server_paces(thesis.servers[0], thesis)["detector"]
-    assert paces.call_s == pytest.approx({"light": 0.3 - transfer_s, "heavy": 0.7 - transfer_s})
-    assert paces.start_s == 8.0
+    assert paces == pytest.approx({"light": 0.3 - transfer_s, "heavy": 0.7 - transfer_s})
     over_wifi = read_drone_config(DEMONSTRATION)
-    assert server_paces(over_wifi.servers[0], over_wifi) == {
-        "detector": Paces({"light": 0.2, "heavy": 0.3}, 3.0)
-    }
+    assert server_paces(over_wifi.servers[0], over_wifi) == {"detector": {"light": 0.2, "heavy": 0.3}}
 
 
 def test_a_daemon_is_told_its_paces_slots_and_images(tmp_path: Path) -> None:
@@ -74,7 +78,9 @@ def test_a_daemon_is_told_its_paces_slots_and_images(tmp_path: Path) -> None:
         paces = server_paces(server, config)
         assert daemon.peers == (PeerConfig(name="s9", address="10.83.8.1:7070"),)
         assert (identity.name, identity.slots) == (server.name, server.truth.slots)
-        assert {image.name: Paces(dict(image.pace_s), image.start_pace_s) for image in daemon.images} == paces
+        assert {image.name: dict(image.pace_s) for image in daemon.images} == paces
+        start_s = server_truth(server, config.services).start_s
+        assert {image.start_pace_s for image in daemon.images} == {start_s}
 
 
 def test_what_cannot_be_emulated_is_named_and_left_out() -> None:

@@ -123,8 +123,8 @@ def daemon_config(
             ImageConfig(
                 name=service.name,
                 program=service.program,
-                pace_s=paces[service.name].call_s,
-                start_pace_s=paces[service.name].start_s,
+                pace_s=paces[service.name],
+                start_pace_s=truth.start_s,
             )
             for service in config.services
             if service.name in paces

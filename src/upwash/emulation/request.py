@@ -154,22 +154,14 @@ def _named_apart(drones: Sequence[EmulatedDrone]) -> list[EmulatedDrone]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Paces:
-    """The least times of one service on one server: of a call, by profile key, and of its start."""
-
-    call_s: dict[str, float]
-    start_s: float
-
-
-def server_paces(server: ServerConfig, config: DroneConfig) -> dict[str, Paces]:
-    """How long the server's services take, so that calls take as long as the scenario says.
+def server_paces(server: ServerConfig, config: DroneConfig) -> dict[str, dict[str, float]]:
+    """The least times of calls on the server, by service and profile key, so that calls take the scenario's time.
 
     An end-to-end time includes the transfer, which the link takes for itself.
     """
     truth = server_truth(server, config.services)
     return {
-        service.name: Paces(_call_paces_s(server, truth, service), truth.start_s)
+        service.name: _call_paces_s(server, truth, service)
         for service in config.services
         if service.name in truth.images
     }

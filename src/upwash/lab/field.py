@@ -10,7 +10,7 @@ from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
 from upwash.core.admission.server import ServerOffer
-from upwash.lab.observer import Seen, ServerObserver
+from upwash.lab.observer import Seen, observed_daemon, server_observer
 from upwash.missions.bundled import LoadedService
 from upwash.rpc.service import spec_of
 from upwash.server.daemon import EdgeServer
@@ -59,14 +59,14 @@ async def serving(
             name, truth = server.name, server_truth(server, config.services)
             outside = FaultyServer(name, addresses[name], board, faults=faults)
             computer = ServerComputer(name, truth, faults=faults, noise=config.noise, chance=chance)
-            observer = ServerObserver(name, seen) if seen is not None else None
+            observe = unobserved if seen is None else server_observer(name, seen)
             runtime = ModelRuntime(
                 software.specs,
                 computer,
                 outside,
                 objects=software.objects,
                 lanes=truth.lanes,
-                observe=observer.note if observer else unobserved,
+                observe=observe,
             )
             peers = {peer: addresses[peer] for peer in truth.peers if peer in addresses}
             edge = EdgeServer(
@@ -79,7 +79,7 @@ async def serving(
                 drain_s=10.0,
             )
             outside.plug_daemon(
-                observer.daemon(edge.handle) if observer else edge.handle, crash=runtime.crash
+                edge.handle if seen is None else observed_daemon(edge.handle, observe), crash=runtime.crash
             )
             stack.push_async_callback(edge.close)
             watch = start(edge.run(), name=f"daemon of {name}", failed=end_run)

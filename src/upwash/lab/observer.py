@@ -36,7 +36,7 @@ from upwash.core.geo import Circle, Position, Reach
 from upwash.core.knowledge.ranges import Ranges
 from upwash.rpc.protocol import HOLD, HoldReply, HoldRequest
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.sim.link import Handler, Life
+from upwash.sim.link import Handler, Life, Observe
 
 
 class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -65,46 +65,39 @@ class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     off_m: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class DroneObserver:
-    """Sees what one drone does while its computer is there."""
+def drone_observer(drone: str, seen: list[Seen], *, position: Callable[[], Position], life: Life) -> Observe:
+    """The observer of one drone while its computer is there; a request is seen with the drone's position."""
 
-    drone: str
-    seen: list[Seen]
-    position: Callable[[], Position]
-    life: Life
+    def note(event: str, **facts: Any) -> None:
+        if not life.is_over:
+            place = position() if event == "sent" else None
+            seen.append(Seen(event=event, drone=drone, position=place, **facts))
 
-    def note(self, event: str, **facts: Any) -> None:
-        """Notes what the drone did; of a request also where the drone is."""
-        if not self.life.is_over:
-            position = self.position() if event == "sent" else None
-            self.seen.append(Seen(event=event, drone=self.drone, position=position, **facts))
+    return note
 
 
-@dataclass(frozen=True, slots=True)
-class ServerObserver:
-    """Sees what one server does."""
+def server_observer(server: str, seen: list[Seen]) -> Observe:
+    """The observer of one server."""
 
-    server: str
-    seen: list[Seen]
+    def note(event: str, **facts: Any) -> None:
+        seen.append(Seen(event=event, server=server, **facts))
 
-    def daemon(self, handle: Handler) -> Handler:
-        """Sees the requests that reach the daemon."""
+    return note
 
-        async def answer(path: str, body: bytes, client: Client) -> bytes:
-            self.note("asked", path=path, drone=client.name)
-            reply = await handle(path, body, client)
-            self.note("answered", path=path, drone=client.name)
-            if path == HOLD and msgspec.msgpack.decode(reply, type=HoldReply).held:
-                hold = msgspec.msgpack.decode(body, type=HoldRequest)
-                self.note("held", drone=hold.drone, by=client.name, for_s=hold.for_s)
-            return reply
 
-        return answer
+def observed_daemon(handle: Handler, observe: Observe) -> Handler:
+    """The daemon's handler; the observer sees its requests and the slots that it holds."""
 
-    def note(self, event: str, **facts: Any) -> None:
-        """Notes what the server did."""
-        self.seen.append(Seen(event=event, server=self.server, **facts))
+    async def answer(path: str, body: bytes, client: Client) -> bytes:
+        observe("asked", path=path, drone=client.name)
+        reply = await handle(path, body, client)
+        observe("answered", path=path, drone=client.name)
+        if path == HOLD and msgspec.msgpack.decode(reply, type=HoldReply).held:
+            hold = msgspec.msgpack.decode(body, type=HoldRequest)
+            observe("held", drone=hold.drone, by=client.name, for_s=hold.for_s)
+        return reply
+
+    return answer
 
 
 _HAIR_M = 0.01  # a drone that hovers on a border is now within and now without

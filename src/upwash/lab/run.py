@@ -35,7 +35,7 @@ from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
-from upwash.lab.observer import DroneObserver, RangeInterval, Seen, observe_ranges
+from upwash.lab.observer import RangeInterval, Seen, drone_observer, observe_ranges
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
@@ -183,7 +183,7 @@ async def _fly_one(
     journal.meter = _energy(config)
     observe: Observe = unobserved
     if seen is not None:
-        observe = DroneObserver(config.name, seen, lambda: autopilot.position, journal.life).note
+        observe = drone_observer(config.name, seen, position=lambda: autopilot.position, life=journal.life)
     autopilot = ModelAutopilot(
         stands(config.mission),
         ground_speed_m_s=config.mission.ground_speed_m_s,
