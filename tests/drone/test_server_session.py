@@ -15,7 +15,6 @@ from upwash.errors import ServerFull, ServicePaused
 from upwash.rpc.protocol import AvailabilityReply
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
-from upwash.sim.world import Wire
 
 
 class Nowhere:
@@ -39,7 +38,7 @@ def talk(story: Callable[[ServerSession], Awaitable[Any]], reply: msgspec.Struct
         return msgspec.msgpack.encode(reply)
 
     async def run() -> Any:
-        dialer = ModelDialer("d1", Switchboard({"s1": daemon}), Wire())
+        dialer = ModelDialer("d1", Switchboard({"s1": daemon}))
         endpoint = ServerEndpoint("s1", "field", "s1", ("detector",))
         return await story(ServerSession(endpoint, network=Nowhere(), dialer=dialer))
 
