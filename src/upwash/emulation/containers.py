@@ -1,8 +1,8 @@
-"""Computers that are containers, on which servers run their services in containers of their own.
+"""Computers that are containers; servers on them run their services in containers of their own.
 
-Their engine starts inside the emulation's enclosure and keeps everything in its memory, so that the engine and its
-containers end with the enclosure, in whatever way that ends. The image of a computer is a container with the host's
-/usr, in which another engine can run containers.
+Their engine starts inside the emulation's enclosure and keeps its data in memory, so that the engine and its
+containers always end with the enclosure. The image of a computer has the host's /usr, and lets another engine run
+containers.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _ENVIRONMENT = {
 
 
 def require_containers() -> None:
-    """UsageError where containers are not possible."""
+    """Raises UsageError if containers are not possible here."""
     require_tools(_TOOLS)
     if importlib.util.find_spec("pylxd") is None:
         raise UsageError("containers need pylxd: pip install 'upwash[lxd]'")
@@ -69,7 +69,7 @@ class ContainerComputers(Computers):
         self._describe_computers()
 
     def make(self, name: str) -> None:
-        """Starts a container, and makes its network namespace known."""
+        """Starts a container of that name, and registers its network namespace."""
         command("lxc", "launch", _IMAGE, name)
         command(*self.inside(name), *IS_UP)
         state = json.loads(command("lxc", "query", f"/1.0/instances/{name}/state"))
@@ -77,11 +77,11 @@ class ContainerComputers(Computers):
         make_quiet(name)
 
     def inside(self, name: str) -> tuple[str, ...]:
-        """The words that run a command in the container."""
+        """The prefix of a command line that runs it in the container."""
         return ("lxc", "exec", name, "--")
 
     def equip(self, name: str, daemon: DaemonConfig, *, subnet: str) -> RuntimeConfig:
-        """Starts an engine in the container, which gets the services' images."""
+        """Starts an engine in the container, with the services' images; returns the daemon's runtime table."""
         inside = self.inside(name)
         command(*inside, "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward")
         _start_engine(inside, log=self._folder / f"{name}-containers.log")

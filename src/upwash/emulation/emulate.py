@@ -21,7 +21,7 @@ from upwash.real.trust.authority import make_keys
 
 
 async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOutcome:
-    """Flies every drone of the request at once; `stop` has them end their missions and land."""
+    """Flies every drone of the request at once; when `stop` is set, they end their missions and land."""
     drones = request.read()
     field = Field([drone.config for drone in drones])
     with contextlib.ExitStack() as stack:
@@ -77,7 +77,7 @@ def _field_set_up(field: Field, computers: Computers, request: EmulationRequest)
 
 
 def make_radio(kind: RadioKind, field: Field) -> EmulatedRadio:
-    """The radio of that kind between namespaces that are there."""
+    """The radio of that kind, between existing namespaces."""
     return GhostRadio(list(field.links())) if kind == "ns3" else ShapedRadio(field.links())
 
 
@@ -128,7 +128,7 @@ _PERIOD_S = 0.1
 
 
 class Mover:
-    """Tells the radio ten times a second where the drones are."""
+    """Passes the drones' positions to the radio, ten times a second."""
 
     def __init__(self, radio: EmulatedRadio, positions: Mapping[str, Callable[[], Position]]) -> None:
         self.lag_s = 0.0
@@ -136,7 +136,7 @@ class Mover:
         self._positions = positions
 
     async def run(self) -> None:
-        """Moves them until cancelled; raises UpwashError where the radio has failed."""
+        """Passes positions until cancelled; raises UpwashError if the radio has failed."""
         loop = asyncio.get_running_loop()
         due_s = loop.time()
         while True:

@@ -1,4 +1,4 @@
-"""Namespaces that keep a program to itself, and in which no process outlives it.
+"""Namespaces that isolate a program; no process in them outlives the program.
 
 The program is the first process of a process namespace, with networks, mounts and temporary files that no other
 process sees. When it ends, for any reason, the kernel kills its processes and removes its networks; when the command
@@ -30,7 +30,7 @@ _AHEAD_OF_OTHERS = -10  # the nice value: what is measured in real time should n
 
 
 def require_root_and_tools() -> None:
-    """UsageError where emulations are not possible."""
+    """Raises UsageError if emulations are not possible: without root, or without a tool."""
     if os.geteuid() != 0:
         raise UsageError("an emulation makes network namespaces: run it as root")
     require_tools(_TOOLS)
@@ -86,9 +86,9 @@ def _passed_on(process: subprocess.Popen[bytes]) -> Iterator[None]:
 
 
 def settle_in(stop: Callable[[], object]) -> None:
-    """To be called first by the enclosed program: gives it its own temporary files, and ends it with its owner.
+    """Prepares the enclosed program, which calls it first: own temporary files, and an end with the command's end.
 
-    `stop` is called from a thread when the owner asks for it.
+    `stop` is called from a thread when the command asks the program to stop.
     """
     os.nice(_AHEAD_OF_OTHERS)
     command("mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", "/run")
@@ -107,7 +107,7 @@ def _listen(stop: Callable[[], object]) -> None:
 
 
 def clean() -> int:
-    """Kills what is left of emulations whose command is gone; returns how many processes that were.
+    """Kills the remaining processes of emulations whose command is gone; returns their number.
 
     Their namespaces and devices go with their processes. Other emulations, and everything else, are left alone.
     """
@@ -172,7 +172,7 @@ _GROUP_WEIGHTS = {"cpu.shares": 40 * 1024, "cpu.weight": 40 * 100}
 
 
 def enter_groups(owner: str) -> None:
-    """Moves this process, the first of its namespace, into groups of the owner's, where containers are made, too."""
+    """Moves this process, the first of its namespace, into control groups of the owner, as for containers."""
     for hierarchy in _hierarchies():
         group = hierarchy
         for name in (_PREFIX + owner, _OF_PROCESS_1):
@@ -188,7 +188,7 @@ def enter_groups(owner: str) -> None:
 
 
 def remove_groups(is_gone: Callable[[str], bool]) -> list[Path]:
-    """Removes the groups of owners that are gone; returns those that cannot be, as processes are in them yet."""
+    """Removes the control groups of owners that are gone; returns those that still have processes."""
     gone = [group for group, owner in _owned_groups() if is_gone(owner)]
     for group in gone:
         for folder in (*sorted(filter(Path.is_dir, group.rglob("*")), reverse=True), group):

@@ -1,4 +1,4 @@
-"""Who is where in the emulated field: namespaces, addresses and the links between them."""
+"""The namespaces and addresses of the emulated field, and the links between them."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class EmulatedLink:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """The drones and the servers that all of them know."""
+    """The drones, and the servers that all drones know."""
 
     drones: Sequence[DroneConfig]
 
     @property
     def servers(self) -> Sequence[ServerConfig]:
-        """The servers, each by what the drones' scenarios say of it."""
+        """The servers, by the drones' scenarios."""
         return self.drones[0].servers
 
     def links(self) -> Iterator[EmulatedLink]:
@@ -59,7 +59,7 @@ class Field:
                 )
 
     def peers(self, server: ServerConfig) -> dict[str, str]:
-        """The server's peers, and where their daemons listen."""
+        """The server's peers, each with its daemon's address."""
         return {
             other.name: self.daemon_address(other)
             for other in self.servers
@@ -67,7 +67,7 @@ class Field:
         }
 
     def daemon_address(self, server: ServerConfig) -> str:
-        """Where the server's daemon listens, on the server's own network."""
+        """The address of the server's daemon, on the server's own network."""
         return f"{self._address(self.servers.index(server))}:{_DAEMON_PORT}"
 
     def subnet(self, server: ServerConfig) -> str:

@@ -24,7 +24,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What is transferred, over which radio, and how often: all that a table depends on."""
+    """The transfers of a table: radio, distances, size and seeds, on which the table depends."""
 
     settings: WifiSettings
     distances_m: Sequence[float]
@@ -34,7 +34,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Transfers:
-    """The transfers over one distance, a value per seed; infinite where nothing got through."""
+    """The transfers over one distance, a value per seed; infinite if nothing got through."""
 
     distance_m: float
     request_bytes: int
@@ -43,7 +43,7 @@ class Transfers:
 
     @property
     def goodput_mbit_s(self) -> Sequence[float]:
-        """8 bits a byte, by the seconds; 0 where nothing got through."""
+        """The goodput in Mbit/s, a value per seed; 0 if nothing got through."""
         return [8e-6 * self.request_bytes / seconds for seconds in self.transfer_s]
 
 
@@ -83,7 +83,7 @@ def _run(program: Path, measurement: Measurement, distance_m: float) -> Transfer
 
 
 def write_table(file: Path, measurement: Measurement, table: Sequence[Transfers]) -> None:
-    """Writes a csv file that a scenario can name as its radio, with what it depends on in comments."""
+    """Writes a csv file that a scenario can name as its radio; comments contain the measurement's settings."""
     lines = io.StringIO()
     lines.writelines(f"# {line}\n" for line in _header(measurement))
     writer = csv.writer(lines, lineterminator="\n")

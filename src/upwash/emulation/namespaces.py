@@ -1,6 +1,6 @@
 """Network namespaces, and the devices in them, by iproute2.
 
-They are made inside the emulation's own enclosure: no name here can be another program's.
+They are made inside the emulation's own enclosure, so that no name clashes with another program's.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ def make_namespace(name: str) -> None:
 
 
 def make_quiet(name: str) -> None:
-    """Has the namespace send nothing of its own: no router solicitations, no duplicate address detection."""
+    """Stops the namespace's own frames: no router solicitations, no duplicate address detection."""
     command(*inside(name), "sh", "-c", _QUIET)
 
 
 def inside(namespace: str) -> tuple[str, ...]:
-    """The words that run a command inside a namespace."""
+    """The prefix of a command line that runs it inside a namespace."""
     return ("ip", "netns", "exec", namespace)
 
 
 def enter(namespace: str) -> None:
-    """Moves the calling thread into the namespace, and what it opens from then on."""
+    """Moves the calling thread into the namespace; sockets that it opens later belong there."""
     with Path("/run/netns", namespace).open("rb") as file:
         enter_handle(file.fileno())
 
 
 def enter_handle(handle: int) -> None:
-    """Moves the calling thread into the namespace of an open file of it."""
+    """Moves the calling thread into the namespace of an open file handle."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.setns(handle, _CLONE_NEWNET) != 0:
         error = ctypes.get_errno()
@@ -73,7 +73,7 @@ def join_by_cable(one: LinkEnd, other: LinkEnd) -> None:
 
 
 def give_address(end: LinkEnd, *, prefix_bits: int) -> None:
-    """Gives a device that is there its address, and switches it on."""
+    """Gives an existing device its address, and switches it on."""
     command(*_ip(end), "address", "add", f"{end.address}/{prefix_bits}", "dev", end.device)
     command(*_ip(end), "link", "set", end.device, "up")
 
@@ -88,7 +88,7 @@ def _ip(end: LinkEnd) -> tuple[str, ...]:
 
 
 def require_tools(packages: Mapping[str, str]) -> None:
-    """UsageError where one of the programs is missing, with the Debian packages that have those that are."""
+    """Raises UsageError if a program is missing, with the Debian packages of the missing programs."""
     missing = [program for program in packages if shutil.which(program) is None]
     if missing:
         named = ", ".join(dict.fromkeys(packages[program] for program in missing))
@@ -96,7 +96,7 @@ def require_tools(packages: Mapping[str, str]) -> None:
 
 
 def command(*words: str) -> str:
-    """Runs a command and returns what it prints; UpwashError with what it said where it failed."""
+    """Runs a command and returns its output; raises UpwashError with its error output if it fails."""
     done = subprocess.run(  # noqa: S603
         words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
     )

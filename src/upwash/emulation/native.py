@@ -24,7 +24,7 @@ class WifiSettings:
     loss_exponent: float
 
     def words(self) -> tuple[str, ...]:
-        """As the programs read them."""
+        """The settings as command-line arguments of the ns-3 programs."""
         return (
             self.standard,
             self.data_mode,
@@ -34,7 +34,7 @@ class WifiSettings:
         )
 
     def ending_at(self, range_m: float) -> WifiSettings:
-        """The same network with its end at another distance, by another loss at 1 m."""
+        """The same network with its range ending at another distance, by another loss at 1 m."""
         loss_db = self.loss_at_1m_db + 10 * self.loss_exponent * math.log10(_RANGE_M / range_m)
         return WifiSettings(self.standard, self.data_mode, self.control_mode, loss_db, self.loss_exponent)
 
@@ -47,7 +47,7 @@ WIFI = {
 
 
 def wifi_of(server: ServerConfig) -> WifiSettings:
-    """The settings of the server's radio, ending at its range; UsageError for one without WiFi settings."""
+    """The WiFi settings of the server's radio, ending at its range; raises UsageError for any other radio."""
     settings = WIFI.get(server.truth.radio)
     if settings is None:
         raise UsageError(
@@ -59,7 +59,7 @@ def wifi_of(server: ServerConfig) -> WifiSettings:
 
 
 def native_program(name: str) -> Path:
-    """One of the built programs; UsageError where they are not built."""
+    """The path of a built ns-3 program; raises UsageError if it is not built."""
     program = _BUILT / name
     if not program.exists():
         raise UsageError(

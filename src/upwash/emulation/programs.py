@@ -47,7 +47,7 @@ def ready_daemon(server: ServerConfig, field: Field, computers: Computers, folde
 
 
 def daemon_file(server: ServerConfig, field: Field, computers: Computers, folder: Path) -> Path:
-    """Equips the server's computer, writes its daemon's configuration, and returns the file."""
+    """Prepares the server's computer, writes its daemon's configuration, and returns the file."""
     daemon = daemon_config(
         server,
         field.drones[0],
@@ -83,7 +83,7 @@ def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) 
 def flight_program(
     drone: DroneConfig, field: Field, computers: Computers, folder: Path, *, vehicle: str
 ) -> FlightProgram:
-    """The drone's `upwash fly`, whose lines are printed."""
+    """The drone's `upwash fly`; its output is printed."""
     prefix = f"{drone.name}: " if len(field.drones) > 1 else ""
 
     def pass_on(line: str) -> None:
@@ -105,7 +105,7 @@ def _camera(config: CameraConfig) -> CameraConfig:
 
 
 def write_config(file: Path, config: DroneConfig | DaemonConfig) -> None:
-    """Writes the configuration so that reading the file gives it back."""
+    """Writes the configuration as a file; reading it gives the same configuration."""
     tables = _without_nothing(msgspec.to_builtins(config, enc_hook=_as_text))
     write_file(file, tomli_w.dumps(tables).encode())
 

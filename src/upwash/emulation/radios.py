@@ -47,7 +47,7 @@ class ShapedRadio:
             link.move(position)
 
     def close(self) -> None:
-        """The cables go with their namespaces."""
+        """Does nothing, as the cables are removed with their namespaces."""
 
 
 class _ShapedLink:
@@ -103,7 +103,7 @@ _STOP_S = 2.0
 
 
 class GhostRadio:
-    """One ns-3 process with all stations; its devices in the namespaces go with it."""
+    """One ns-3 process with all stations; its devices in the namespaces are removed with it."""
 
     def __init__(self, links: Sequence[EmulatedLink]) -> None:
         self.lag_s = 0.0
@@ -123,7 +123,7 @@ class GhostRadio:
             raise
 
     def move(self, drone: str, position: Position) -> None:
-        """Moves the drone's stations; raises NetworkError where the process has ended."""
+        """Moves the drone's stations; raises NetworkError if the process has ended."""
         for link in self._links[drone]:
             self._tell(f"move {_name(link.drone_end)} {_place(position)}")
 

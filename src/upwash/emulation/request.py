@@ -1,4 +1,4 @@
-"""What the command asks of the enclosed emulation, and what that leaves in the run's folder."""
+"""The request of the command to the enclosed emulation, and the outcome in the run's folder."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class EmulatedDrone:
 
 
 class EmulationRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """What the command says, for the enclosed program."""
+    """The request of the command, for the enclosed program."""
 
     scenarios: tuple[Path, ...]
     drones: int = 1  # of each scenario
@@ -57,7 +57,7 @@ class EmulationRequest(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def decoded(cls, text: str) -> EmulationRequest:
-        """The request that the text says."""
+        """The request from its text."""
         return msgspec.json.decode(text, type=cls, dec_hook=lambda kind, value: kind(value))
 
     def read(self) -> tuple[EmulatedDrone, ...]:
@@ -87,7 +87,7 @@ def _fleet(file: Path) -> Iterator[tuple[DroneConfig, Presence]]:
 
 
 def emulated(config: DroneConfig) -> DroneConfig:
-    """The scenario as far as it is emulated: without noise, energy, faults and what slows single calls down.
+    """The scenario as emulated: without noise, energy, faults and delays of single calls.
 
     Calls on the drone take at least the configured time. The same scenario can be simulated, to compare.
     """
@@ -116,7 +116,7 @@ def emulated(config: DroneConfig) -> DroneConfig:
 
 
 def left_out(config: DroneConfig) -> list[str]:
-    """What the scenario says that an emulation leaves out."""
+    """The names of the scenario's keys that an emulation leaves out."""
     found = {
         "energy": config.energy is not None,
         "noise": config.noise != type(config.noise)(),

@@ -40,12 +40,12 @@ class _Made:
 
     @property
     def offers(self) -> Sequence[Offer]:
-        """All servers that could answer it."""
+        """The servers that could answer the call."""
         return (*self.call.offers, *self.on_the_way)
 
     @property
     def least_wait_s(self) -> float:
-        """How long the mission has to wait for it at least, with every server joined."""
+        """The least wait (s) of the mission for the call, with every server joined."""
         stay_s = min([self.call.local_s, *(offer.call_s for offer in self.call.offers)])
         if self.passage is None:
             return max(0.0, stay_s - self.hidden_s)
@@ -54,7 +54,7 @@ class _Made:
 
     @property
     def least_local_wait_s(self) -> float:
-        """The same with no server at all."""
+        """The least wait (s) of the mission for the call, without any server."""
         local_s = self.call.local_s
         if self.passage is None:
             return max(0.0, local_s - self.hidden_s)
@@ -70,7 +70,7 @@ class _Mission:
     may_go: bool
 
     def bound(self, truths: Mapping[str, ServerTruth]) -> Bound:
-        """The least times of it."""
+        """The least times of the mission."""
         if self.may_go:
             least_s = self.other_s + sum(made.least_wait_s for made in self.calls)
             return Bound(least_s, least_s)
@@ -257,10 +257,10 @@ class AfterCall:
 
 
 class Ways:
-    """Follows a mission event by event; calls have their numbers in the log, from 0 on.
+    """Collects from a mission's events what followed each call whose answer came later; calls are numbered from 0.
 
-    `waited_s` is the wait for each answer that the mission did not wait for at once. `in_vain_s` is the time of legs
-    back, and of legs that it flew twice or in vain for them.
+    `waited_s` has the wait for each of these answers. `in_vain_s` is the time of legs back, and of legs that were
+    flown twice or in vain because of them.
     """
 
     def __init__(self) -> None:
@@ -276,7 +276,7 @@ class Ways:
         self._taken_s = 0.0
 
     def take(self, event: Event) -> None:
-        """Takes in the next event."""
+        """Take in the next event of the log."""
         self._whereabouts.take(event)
         match event:
             case schema.CallStarted(waypoint=waypoint):

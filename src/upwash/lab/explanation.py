@@ -147,7 +147,7 @@ def _in_its_world(events: Iterable[Event]) -> str:
 
 
 def _elsewhere(number: int, count: int, replayed: Replay, own: str) -> str:
-    """What the other policies did with this call, if their missions made the same calls."""
+    """A text on the other policies' decisions for this call, if their missions made the same calls."""
     others = []
     for policy, run in replayed.runs.items():
         if policy != own:

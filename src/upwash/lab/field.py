@@ -37,7 +37,7 @@ class Software:
 
 
 def daemon_address(server: str) -> str:
-    """Where the daemon of a simulated server is reached."""
+    """The address of a simulated server's daemon."""
     return f"{server}:7070"
 
 

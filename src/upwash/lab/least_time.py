@@ -1,7 +1,7 @@
-"""The least time of a mission, whatever the policy: what is left to gain.
+"""The least time of a mission under any policy, which shows what a policy can still gain.
 
 The bounds know every true delay and never pay for the start of a service. For a drone that may fly on before an
-answer (stay_or_go.py) they also know which answers demand something: it flies on where they demand nothing.
+answer (stay_or_go.py) they also know which answers have demands: it flies on before the others.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Bound(Struct, frozen=True):
 
 
 class Onward(Struct, frozen=True):
-    """What follows a call whose answer the drone need not await, and whether that answer demands something.
+    """The leg after a call whose answer the drone need not await, and whether that answer has a demand.
 
     The way to the next call takes `way_s`, with its photo and without demands; its leg alone takes `leg_s`, each
     way.

@@ -1,4 +1,4 @@
-"""What an observer sees of a simulated world: facts that no program knows or tells.
+"""The facts of a simulated world that an observer sees, and no program knows or reports.
 
 The models name each event to an observer, and know nothing of what it keeps.
 
@@ -40,7 +40,7 @@ from upwash.sim.link import Handler, Life, Observe
 
 
 class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One thing that was seen, by its name in the table above, and of the other fields those that belong to it.
+    """One observed fact: its name from the table above, and the fields that belong to it.
 
     `t` is the second of the simulation, `radio` counts from 0, and a time in seconds ends in `_s`.
     """

@@ -30,7 +30,7 @@ class FleetOutcome:
 
     @property
     def fairness(self) -> float:
-        """Jain's index; 1 if it is not known of any drone what it saved."""
+        """Jain's index; 1 if no drone's savings are known."""
         return 1.0 if self.jain is None else self.jain
 
 

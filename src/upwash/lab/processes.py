@@ -119,7 +119,7 @@ def _numbered(do: Callable[[T], R], part: tuple[int, T]) -> tuple[int, R]:
 
 
 def cores() -> int:
-    """Those that this process may use: fewer than there are, in a container or under taskset."""
+    """The number of processors that this process may use, which a container or taskset may reduce."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -45,7 +45,7 @@ class Trouble(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """What one FILE_TRANSFER_PROTOCOL message carries."""
+    """The payload of one FILE_TRANSFER_PROTOCOL message."""
 
     number: int
     session: int
@@ -56,14 +56,14 @@ class Packet:
     size: int | None = None  # None: of the data
 
     def payload(self) -> bytes:
-        """As it is sent."""
+        """The encoded payload."""
         size = len(self.data) if self.size is None else self.size
         head = HEAD.pack(self.number, self.session, self.opcode, size, self.asked, 0, self.offset)
         return (head + self.data).ljust(PAYLOAD_BYTES, b"\0")
 
 
 def read_packet(payload: bytes) -> Packet | None:
-    """What a payload says; None where it contradicts itself."""
+    """The packet from a payload; None if it contradicts itself."""
     if len(payload) < HEAD.size:
         return None
     number, session, opcode, size, asked, _, offset = HEAD.unpack_from(payload)

@@ -15,7 +15,7 @@ _NOT_UNDERSTOOD = (mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown)  # garbage
 class PacketReader:
     """Reads a stream of bytes, or one datagram; raises nothing, and keeps no more than one packet's start.
 
-    With `signing` each message comes with the reason why it is not believed, if there is one.
+    With `signing` each message comes with the reason for its refusal, or None.
     """
 
     def __init__(self, signing: Signing | None = None) -> None:
@@ -37,7 +37,7 @@ class PacketReader:
 
 
 def packed(message: Any, codec: Any, signing: Signing | None) -> bytes:
-    """The message's bytes, signed where there is a key; the codec's sequence number goes on."""
+    """The message's bytes, signed if there is a key; advances the codec's sequence number."""
     data = signing.pack(message, codec) if signing else bytes(message.pack(codec))
     codec.seq = (codec.seq + 1) % 256
     return data

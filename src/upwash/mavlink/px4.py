@@ -1,4 +1,4 @@
-"""What PX4 says over MAVLink and pymavlink's dialect `ardupilotmega` has no words for: events and flight modes.
+"""PX4's events and flight modes, and messages that pymavlink's dialect `ardupilotmega` lacks.
 
 The messages' fields and numbers are those of MAVLink's public definitions (common.xml and development.xml), the
 events' those of PX4 1.16's public event metadata, the modes' numbers PX4's custom modes. Both the driver and the
@@ -77,7 +77,7 @@ class _Message(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink is n
 
 
 class EventMessage(_Message):
-    """EVENT: something happened; `arguments` are what `EVENTS` says that they are."""
+    """EVENT: an event of PX4; `EVENTS` has the meaning of its `arguments`."""
 
     id, msgname, crc_extra = EVENT, "EVENT", 160
     fieldnames = (
@@ -93,7 +93,7 @@ class EventMessage(_Message):
 
     @property
     def severity(self) -> int:
-        """MAV_SEVERITY for people outside, 8 for what is meant for programs only."""
+        """MAV_SEVERITY for people outside; 8 for events that are for programs only."""
         return int(self.log_levels) & 0x0F
 
 
@@ -189,11 +189,11 @@ class EventKind:
     arguments: str = ""
 
     def packed(self, *arguments: float) -> bytes:
-        """The arguments as they are sent."""
+        """The arguments as bytes of an EVENT."""
         return struct.pack(f"<{self.arguments}", *arguments).ljust(_EVENT_ARGUMENTS_BYTES, b"\0")
 
     def unpacked(self, arguments: bytes) -> tuple[Any, ...]:
-        """The arguments as they were sent."""
+        """The arguments from the bytes of an EVENT."""
         return struct.unpack_from(f"<{self.arguments}", arguments)
 
 
@@ -271,7 +271,7 @@ _CAUSES = {
 
 
 def event_text(event: EventMessage) -> str:
-    """What an event says, in words; its number where it is none of `EVENTS`, nothing if it is for programs only."""
+    """The text of an event; its number if it is not in `EVENTS`, "" if it is for programs only."""
     kind = EVENTS.get(event.id_of_event)
     if kind is None:
         return "" if event.severity >= 8 else f"event {event.id_of_event}"

@@ -29,7 +29,7 @@ _SHORTEST_BYTES = 10 + 2 + _SIGNATURE_BYTES
 
 
 class SignatureRefusal(Enum):
-    """Why a packet is not believed, in words that go after "its messages"."""
+    """Why a packet is refused, as a text that continues "its messages"."""
 
     UNSIGNED = "are not signed"
     OTHER_KEY = "are signed with another key"

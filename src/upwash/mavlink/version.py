@@ -30,7 +30,7 @@ class Version:
 
     @classmethod
     def read(cls, text: str) -> Version:
-        """The version that is written as `4.6.2` or `4.7.0-dev`; ValueError for anything else."""
+        """The version from a text such as `4.6.2` or `4.7.0-dev`; raises ValueError for other texts."""
         written = _WRITTEN.fullmatch(text)
         kinds = {ending: kind for kind, ending in _KINDS.items()}
         if written is None or (written[4] or "") not in kinds:
@@ -42,12 +42,12 @@ class Version:
 
     @property
     def numbers(self) -> tuple[int, int, int]:
-        """Without its kind."""
+        """The three numbers, without the kind."""
         return self.major, self.minor, self.patch
 
     @property
     def number(self) -> int:
-        """As a field of AUTOPILOT_VERSION holds it."""
+        """The version as a field of AUTOPILOT_VERSION."""
         return self.major << 24 | self.minor << 16 | self.patch << 8 | self.kind
 
     def __str__(self) -> str:

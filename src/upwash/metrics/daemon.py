@@ -52,7 +52,7 @@ class DaemonMetrics:
         self.failures = counter("upwash_instance_failures", failures, instance)
 
     def daemon(self, handle: Handle) -> Handle:
-        """The same handler, with each request counted."""
+        """The daemon's handler, with each request counted."""
 
         async def answer(path: str, body: bytes, client: Client) -> bytes:
             request, outcome = _REQUESTS.get(path, "unknown"), "failed"
@@ -69,7 +69,7 @@ class DaemonMetrics:
         return answer
 
     def observer(self) -> Observer:
-        """Counts the starts, failures and calls of instances."""
+        """Functions that count the starts, failures and calls of instances."""
 
         def answered(spec: InstanceSpec, call: AnsweredCall) -> None:
             if call.outcome != "dropped":

@@ -44,9 +44,9 @@ _log = logging.getLogger("upwash.metrics")
 async def exposed(
     registry: CollectorRegistry, listen: str, hosts: Collection[str] = ()
 ) -> AsyncIterator[str]:
-    """Offers the registry's metrics at `host:port`, from a thread of its own; yields the address that came of it.
+    """Offers the registry's metrics at `host:port`, from a thread of its own; yields the address in use.
 
-    A request may name this machine by any of these further `hosts`. Raises UsageError where nothing can listen there.
+    A request may name this machine by any of these further `hosts`. Raises UsageError if it cannot listen there.
     """
     if not is_on_this_machine(listen):
         _log.warning(

@@ -35,7 +35,7 @@ exec {PYTHON} -m upwash.real.instances.lxd.init
 
 
 def lay_base(base: Base, root: Path) -> None:
-    """Makes the system in the empty folder `root`; raises UsageError with the remedy."""
+    """Makes the base system in the empty folder `root`; raises UsageError with the remedy."""
     if base == "host":
         _refuse_other_python()
         _skeleton(root)
@@ -44,7 +44,7 @@ def lay_base(base: Base, root: Path) -> None:
 
 
 def lay_init(base: Base, root: Path) -> None:
-    """Adds what an engine starts that starts a system, LXD's or Incus's; raises UsageError with the remedy."""
+    """Adds the init program that LXD or Incus starts; raises UsageError with the remedy."""
     if base == "host" and (shutil.which("nft") is None or shutil.which("setpriv") is None):
         raise UsageError("--base host needs nft and setpriv: apt install nftables util-linux")
     init = root / ("sbin" if base == "host" else "usr/sbin") / "init"

@@ -77,7 +77,7 @@ def copy_word(word: str, root: Path) -> str:
 
 
 def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
-    """Copies upwash and what is required, with all that these require; returns name and version of each, sorted."""
+    """Copies upwash and the requirements, with their own requirements; returns names and versions, sorted."""
     library = root / LIBRARY
     _copy(_source("upwash"), library / "upwash")
     found: dict[str, Distribution] = {}

@@ -116,7 +116,7 @@ def _reference_above_sea_m(home: PlanHome | None, items: Sequence[Item]) -> floa
 
 @dataclass(frozen=True, slots=True)
 class Height:
-    """Above home, and above the sea where the plan counts from it."""
+    """An altitude above home, and above the sea if the plan counts from it, in metres."""
 
     altitude_m: float
     above_sea_m: float | None = None

@@ -1,4 +1,4 @@
-"""What a file is that is no plan, by its first bytes or its first element, and what a person can do with it."""
+"""The kind of a file that is no plan, by its first bytes or its first element, and what a person can do with it."""
 
 from __future__ import annotations
 

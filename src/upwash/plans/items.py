@@ -184,6 +184,6 @@ def home_at(
 
 
 def distance_m(place: GeoPosition, other: GeoPosition) -> float:
-    """Between two places on the ground."""
+    """The distance between two places on the ground, in metres."""
     frame = LocalFrame(other)
     return ground_distance_m(frame.position(place), frame.position(other))

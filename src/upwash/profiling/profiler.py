@@ -69,15 +69,15 @@ class OnboardProfile:
 
     @property
     def mean_s(self) -> float:
-        """What one call of each operation takes together."""
+        """The sum of the mean delays of all operations, in seconds."""
         return sum(call.mean_s for call in self.calls)
 
 
 @dataclass(frozen=True)
 class ServerProfile:
-    """A service on a server: its calls, from selection to READY, and what the way there carries.
+    """A service on a server: its calls, the times from selection to READY, and the goodput of the path.
 
-    `check_s` is None where the services ran already, `goodput_bit_s` where the way is too fast to tell.
+    `check_s` is None if the services ran already, `goodput_bit_s` if the path is too fast to measure.
     """
 
     calls: tuple[CallProfile, ...]

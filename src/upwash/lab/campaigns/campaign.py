@@ -31,7 +31,7 @@ _CHUNKS_OF_A_THREAD = 4  # of a cluster, handed out before they are needed
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Runs of one combination that one process flies together."""
+    """Some runs of one combination, which one process flies in turn."""
 
     file: str
     values: tuple[str, ...]
@@ -123,17 +123,17 @@ def fly_sweep(
 
 
 def in_processes(workers: int | None = None) -> Fly:
-    """Flies in processes of this machine; by default one for each core that may be used."""
+    """A function that flies in processes of this machine; by default one for each core that may be used."""
     return lambda chunks: processes.in_processes(fly_chunk, chunks, workers=workers)
 
 
 def here_first(workers: int | None = None) -> Fly:
-    """Flies in this process, and in others too where it takes long enough for them to pay."""
+    """A function that flies in this process, and in more processes if the work is long enough."""
     return lambda chunks: processes.here_first(fly_chunk, chunks, workers=workers)
 
 
 def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
-    """Flies on the workers of a Dask cluster; raises UsageError where none answers in time."""
+    """A function that flies on a Dask cluster's workers; raises UsageError if none answers in time."""
     with extra("campaign"):
         import distributed
 

@@ -1,4 +1,4 @@
-"""Which runs a campaign is made of: a scenario, each combination of the settings, each seed."""
+"""The runs of a campaign: a scenario, with each combination of settings and each seed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ParameterSweep:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with every setting and scenario value, but not with the number of seeds."""
+        """A hash that changes with every setting and scenario value, but not with the number of seeds."""
         flown = [(combination.values, combination.document) for combination in self.combinations]
         return hashlib.sha256(msgspec.json.encode([self.keys, flown], order="sorted")).hexdigest()[:16]
 

@@ -15,5 +15,5 @@ class FigureFiles:
     formats: Sequence[str] = ("png",)
 
     def files(self, name: str) -> list[Path]:
-        """Those of the figure of that name, in each format."""
+        """The paths of the figure's files, one for each format."""
         return [self.folder / f"{name}.{suffix}" for suffix in self.formats]

@@ -72,7 +72,7 @@ class Strip:
 
 
 def strips(events: Iterable[Event], calls: Iterable[CallPoint]) -> list[Strip]:
-    """Those of the servers that the mission knew of, by name."""
+    """The strips of the servers that the mission knew, by name."""
     plan = next((event for event in events if isinstance(event, schema.Planned)), schema.Planned(t=0.0))
     ran_at: dict[str | None, set[int]] = {}
     for call in calls:

@@ -85,7 +85,7 @@ class CellResult(NamedTuple):
 
     @property
     def saved_s(self) -> float:
-        """How much less time the calls that waited took than as many local ones."""
+        """Seconds by which the calls that waited were shorter than as many local calls."""
         return self.local_call_s * len(self.waited_calls_s) - sum(self.waited_calls_s)
 
 

@@ -122,7 +122,7 @@ def encoded(results: Results) -> bytes:
 
 
 def decoded(text: bytes) -> Results:
-    """The results of that JSON."""
+    """The results from their JSON."""
     return msgspec.json.decode(text, type=Results)
 
 

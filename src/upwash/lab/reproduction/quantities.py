@@ -75,7 +75,7 @@ class Comparison:
 
     @property
     def deviation_percent(self) -> float | None:
-        """How far the mean is from the printed figure; None where there is none, or where it is 0."""
+        """The difference of the mean from the printed figure, in percent; None without one, or if it is 0."""
         return 100 * (self.mean.value / self.printed - 1) if self.printed else None
 
     def written(self) -> tuple[str, str, str]:

@@ -104,7 +104,7 @@ class Module:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of modules; `chance` is for whatever else is drawn on and around it."""
+    """A table of modules; `chance` is the random stream for its surroundings."""
 
     area: Area
     modules: tuple[Module, ...]

@@ -31,7 +31,7 @@ _LATTICE = 256  # bumps until the ground repeats itself
 
 
 def draw_ground(canvas: Canvas, park: Park, tables: Sequence[Table]) -> None:
-    """Paints the whole canvas but for the tables."""
+    """Paints the whole canvas, except the tables."""
     canvas.pixels[:] = colour_of(_dryness(canvas, park), _COLOURS_BGR)
     for table in tables:
         _draw_lane(canvas, table, park.lane_m)
