@@ -36,7 +36,7 @@ PACKAGES = {  # the tests that judge a package
     "server": ("tests/server",),
     "real/mavlink": ("tests/ports",),
 }
-_MOST_TESTS = 200  # for one defect
+_SMALLEST, _LARGEST = 120, 80  # tests of one defect: those that enter the fewest functions, and the most
 _PYTEST = (
     sys.executable,
     "-m",
@@ -64,7 +64,8 @@ class Notes(msgspec.Struct):
             for test, entered in self.functions.items()
             if any(each.startswith(entry) if not mutant.function else each == entry for each in entered)
         ]
-        return sorted(chosen or self.functions, key=lambda test: len(self.functions[test]))[:_MOST_TESTS]
+        chosen = sorted(chosen or self.functions, key=lambda test: len(self.functions[test]))
+        return [*chosen[:_SMALLEST], *chosen[_SMALLEST:][-_LARGEST:]]
 
 
 def noted(package: str, folder: Path) -> Notes:
