@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_m, ground_distance_m
+from upwash.core.geo import (
+    Circle,
+    GeoPosition,
+    LocalFrame,
+    Measured,
+    Position,
+    Velocity,
+    ahead,
+    distance_m,
+    ground_distance_m,
+)
 
 HOME = GeoPosition(latitude_deg=39.3666, longitude_deg=22.9507)
 
@@ -30,6 +40,24 @@ def test_ground_distance_leaves_out_the_altitude() -> None:
 )
 def test_a_circle_contains_its_border_and_any_altitude(position: Position, *, inside: bool) -> None:
     assert Circle(Position(80.0, 80.0), radius_m=100.0).contains(position) is inside
+
+
+def test_the_corners_of_a_circle_lie_on_its_border_anticlockwise_from_the_east() -> None:
+    corners = Circle(Position(10.0, 20.0), radius_m=5.0).corners(4)
+    places = [(corner.east_m, corner.north_m) for corner in corners]
+    assert places == [
+        pytest.approx(place) for place in [(15.0, 20.0), (10.0, 25.0), (5.0, 20.0), (10.0, 15.0)]
+    ]
+
+
+def test_a_reach_that_is_measured_is_everywhere() -> None:
+    assert Measured().contains(Position(1e6, -1e6))
+
+
+@pytest.mark.parametrize(("time_s", "altitude_m"), [(0.0, 10.0), (2.0, 4.0), (5.0, 0.0)])
+def test_the_place_ahead_is_never_below_the_ground(time_s: float, altitude_m: float) -> None:
+    place = ahead(Position(1.0, 2.0, 10.0), Velocity(4.0, 0.5, -3.0), time_s)
+    assert place == Position(1.0 + 4.0 * time_s, 2.0 + 0.5 * time_s, altitude_m)
 
 
 def test_home_is_the_origin() -> None:
