@@ -1,26 +1,11 @@
-"""The power that a simulated drone draws from its battery: models of its rotors, computer and radios.
+"""What a simulated drone draws from its battery: its rotors, its computer and its radios, each a small model.
 
-Rotors: the power of a rotary wing in level flight at V, of Zeng, Xu and Zhang, "Energy Minimization for Wireless
-Communication With Rotary-Wing UAV", IEEE Transactions on Wireless Communications 18(4), 2019 (arXiv:1804.02238),
+docs/energy.md has the models and their sources. The defaults of the rotors are the example of Zeng, Xu and Zhang. Its
+drone weighs 20 N on a disc of 0.503 m² and takes 79.86 W + 88.63 W in hover, with U = 120 m/s, v = 4.03 m/s and a drag
+of 0.00924 W s³/m³. The extras of flying forward and up at once are added.
 
-    blades (1 + 3 V²/U²) + induced √(√(1 + V⁴/4v⁴) - V²/2v²) + drag V³
-
-with U the speed of the blades' tips and v the induced speed in hover. The defaults are the paper's example, 20 N of
-weight on a disc of 0.503 m²: 79.86 W + 88.63 W in hover, U = 120 m/s, v = 4.03 m/s, drag 0.00924 W s³/m³. A climb at
-V multiplies the induced part in hover by V/2v + √((V/2v)² + 1), by momentum theory (Leishman, "Principles of
-Helicopter Aerodynamics"); forward and up at once, the two extras are added. It is assumed that a descent costs what
-level flight does, as momentum theory does not hold in a slow one, and that speeding up and braking cost nothing, as
-the paper has it.
-
-Computer: 2.7 W idle are a Raspberry Pi 4's in the benchmarks of the Raspberry Pi Dramble, which have 6.4 W under
-load. A call adds what heats the computer (`support.heat`), less while that is slowed down. It is counted as the call
-begins.
-
-Radios: 0.8 W each and 0.5 W more in a transfer are assumed; 802.11n cards draw about as much (Halperin and others,
-"Demystifying 802.11n Power Consumption", 2010). A transfer lasts as long as the bytes need at the goodput; of a call
-whose delay is given end to end, at the server's bandwidth.
-
-The battery gives all that it holds at every load. Nothing else draws from it.
+Assumed: a descent costs what level flight does, as momentum theory does not hold in a slow descent; speeding up and
+braking cost nothing; the battery gives all that it holds at every load. The energy of a call is counted as it begins.
 """
 
 from __future__ import annotations

@@ -1,54 +1,8 @@
-"""The faults of a simulated world.
+"""What goes wrong in a simulated world, where and when: docs/faults.md says what each kind of fault and of lie does.
 
-The programs do not know of them: faults are in the models around the programs.
-
-On a server (instances that run when a fault begins still run when it is over):
-
-- `off`: requests fail at once: the computer is there, but not the daemon and its services
-- `stuck`: the connection is open and no answer comes
-- `slow`: every answer comes `extra_s` later
-- `garbage`: every answer is bytes that cannot be decoded
-- `wrong`: the daemon sends a well-formed lie: all services run, at a port of its own where nothing listens
-- `lying`: the server's replies are changed in the way that `lie` names, see below
-- `flapping`: off for 5 s, well for 5 s, and so on
-- `full`: strangers hold every free slot
-- `crash`: instances die while they start or in the middle of a call; a check finds them dead
-- `hung`, `poisoned`: an instance that is called during the fault never answers again, or raises in every later call
-- `unstartable`: no instance starts
-
-On a link, `link:SERVER`:
-
-- `off`: its network cannot be joined, and a joined network is lost, which shows at once
-- `stuck`: its network can be joined, and nothing gets through
-- `slow`: a request and its reply take `extra_s` more, half of it each way
-- `flapping`: off for 5 s, well for 5 s, and so on
-
-On the autopilot:
-
-- `off`: its link is silent: every verb fails
-- `stuck`: the vehicle stays where it is on the way to a waypoint; everything else works
-- `slow`: every leg takes `extra_s` more
-- `flapping`: off for 5 s, well for 5 s, and so on
-- `pilot`: a person switches to another mode, hovers, and lands after 20 s; when the fault is over, back to the
-  program's mode
-- `fail-safe`: the vehicle lands where it is, by its own decision
-- `diverted`: a ground station sends it `moved_m` away in the program's own mode, and lands it after 20 s
-- `home`: a ground station moves the vehicle's home by `moved_m`, in flight
-- `jump`: in flight the vehicle's estimate of its position jumps by `moved_m` over the ground, and jumps back when the
-  fault is over; the vehicle corrects its course by the estimate, and so flies to a wrong place
-- `restart`: the autopilot restarts and is silent until the fault is over; its motors stand still meanwhile. After at
-  most 1 s it catches itself in the mode that it had, and a pilot lands it after 20 s; otherwise it falls
-- `impostor`: another program sends heartbeats with the vehicle's ids, once a second: disarmed, in another mode
-
-A lying server changes an honest reply, in several ways in turn:
-
-- `elsewhere`: its services run, it says, at addresses that are not its own
-- `unwanted`: services and peers by the hundred that no drone asked for
-- `oversized`: more entries and longer texts than any field can have
-- `lease`: leases that are tiny, negative, endless or no number
-- `types`: results of other types than the service's
-- `faults`: exceptions that the service never raised, also those that upwash itself raises
-- `control`: control characters wherever there is text
+The programs know nothing of it: faults sit in the models around them. Instances that run when a fault begins still
+run when it is over, except those of `crash`, `hung`, `poisoned` and `unstartable`. Each kind of lie changes an honest
+reply in several ways, in turn.
 """
 
 from __future__ import annotations
