@@ -32,7 +32,7 @@ class ModelAutopilot:
     """The autopilot of a simulated vehicle, which flies in its `manner` from the ground below `start`.
 
     `frame` places `start` on the Earth. `stretch` returns a factor on the duration of each leg, for noise, `fault`
-    the present fault, and `incidents` are the events without a command; `sim.faults` describes the faults. `observe`
+    the present fault, and `incidents` are the events without a command; docs/faults.md describes them. `observe`
     gets the events of the vehicle and the incidents, and "reached" with the distance `off_m` of its true position
     from the waypoint. The battery's charge is that of `energy`, or else 0 `endurance_s` after the first take-off. A
     vehicle that `hovers_at` a place was left there by another program.
