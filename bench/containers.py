@@ -22,6 +22,8 @@ from statistics import median
 from bench.echo import Echo
 from bench.program import command_line, machine
 
+from upwash.config import RuntimeConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
 from upwash.core.admission.limits import DEFAULT_LIMITS
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
@@ -31,8 +33,7 @@ from upwash.real.instances.containers import reference_of
 from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
 from upwash.real.instances.docker.runtime import DockerRuntime
-from upwash.real.instances.lxd.container import LxdSettings
-from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.engine import Engine
 from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
 from upwash.real.instances.sandbox import find_sandbox
@@ -210,10 +211,14 @@ async def lxd_containers(
     address: str, subnet: IPv4Network, folder: Path, lead: Lead, *, freezes: bool
 ) -> AsyncIterator[LxdRuntime]:
     """Containers of LXD or Incus."""
-    engine = Engine([EngineAddress(address)], project="default")
-    runtime = LxdRuntime(
-        engine, LxdSettings(subnet), freezes=freezes, lead=lead, max_message_bytes=MAX_MESSAGE_BYTES
+    config = RuntimeConfig(
+        kind="lxd",
+        idle="freeze" if freezes else "stop",
+        engine=EngineConfig(addresses=(address,)),
+        network=ContainerNetworkConfig(subnet=str(subnet)),
     )
+    engine = Engine(config)
+    runtime = LxdRuntime(engine, config, {}, lead=lead, max_message_bytes=MAX_MESSAGE_BYTES)
     try:
         await engine.connect()
         await engine.import_image(package(Recipe(load_service_alone(PROGRAM)), folder, report=lambda _: None))

@@ -74,7 +74,7 @@ class Told(ServiceManager):
 @pytest.fixture
 def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DaemonConfig:
     make_keys(tmp_path, servers=[["s1"]], operators=["alice"])
-    monkeypatch.setattr(containers, "lxd_engine", lambda _: Engine())
+    monkeypatch.setattr(containers, "Engine", lambda _: Engine())
     (tmp_path / "server.toml").write_text(CONFIG)
     return read_daemon_config(tmp_path / "server.toml")
 

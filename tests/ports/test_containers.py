@@ -5,40 +5,41 @@ from __future__ import annotations
 import asyncio
 import socket
 from dataclasses import replace
-from ipaddress import IPv4Network
 from pathlib import Path
 
 import pytest
 
-from upwash.core.admission.limits import Limits
+from upwash.config import RuntimeConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
+from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError, UsageError
 from upwash.ports import Program
 from upwash.real.instances.containers import HeldImage, ServiceImage, newest_images
 from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
 from upwash.real.instances.lxd.container import (
     LxdContainer,
-    LxdSettings,
     addresses,
     definition,
     in_order,
     known_container,
     new_container,
 )
-from upwash.real.instances.lxd.engine import Engine, EngineAddress, EngineInstance
+from upwash.real.instances.lxd.engine import Engine, EngineInstance
 
-SUBNET = IPv4Network("10.9.0.0/29")  # of six addresses
-SETTINGS = LxdSettings(SUBNET)
+SUBNET = "10.9.0.0/29"  # of six addresses
+CONFIG = RuntimeConfig(kind="lxd")
 DETECTOR = ServiceImage("detector", Program("package:Detector", {"threads": 2}), "host", "3.11", "1.0", "f00")
 
 
-def held(container: LxdContainer, settings: LxdSettings = SETTINGS) -> EngineInstance:
+def held(container: LxdContainer, config: RuntimeConfig = CONFIG) -> EngineInstance:
     """The container as an engine tells of it, once it was created."""
-    asked = definition(container, settings, base="host", engine="lxd")
+    asked = definition(container, config, base="host", engine="lxd")
     return EngineInstance(container.name, "Stopped", container.member, asked["config"], asked["devices"])  # type: ignore[arg-type]
 
 
 def made(server: str = "s1", *others: EngineInstance, member: str = "m1") -> LxdContainer:
-    return new_container(server, DETECTOR, SETTINGS, member=member, taken=addresses(others))
+    taken = addresses(others)
+    return new_container(server, DETECTOR, DEFAULT_LIMITS, subnet=SUBNET, member=member, taken=taken)
 
 
 def test_a_container_is_known_again_by_what_the_engine_keeps() -> None:
@@ -52,9 +53,8 @@ def test_other_peoples_instances_are_left_alone() -> None:
 
 def test_containers_are_unprivileged_limited_and_have_one_address_and_no_other_network() -> None:
     limits = Limits(memory_bytes=2**28, processes=64, cpus=2)
-    settings = replace(SETTINGS, interface="wlan0", limits={"detector": limits})
-    container = new_container("s1", DETECTOR, settings, member="m1", taken=())
-    instance = held(container, settings)
+    container = new_container("s1", DETECTOR, limits, subnet=SUBNET, member="m1", taken=())
+    instance = held(container, RuntimeConfig(network=ContainerNetworkConfig(interface="wlan0")))
     assert known_container(instance) == container, (
         "its limits are known again, to be compared with wanted ones"
     )
@@ -133,7 +133,7 @@ def test_a_leash_lets_in_its_holder_and_nobody_else() -> None:
 
 def connect(url: str) -> None:
     async def run() -> None:
-        engine = Engine([EngineAddress(url)], project="default")
+        engine = Engine(RuntimeConfig(kind="lxd", engine=EngineConfig(addresses=(url,))))
         try:
             await engine.connect()
         finally:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager
-from ipaddress import IPv4Network
 from pathlib import Path
 
 import pytest
@@ -22,13 +21,14 @@ from tests.system.container_site import (
 )
 from tests.system.daemons import MAX_MESSAGE_BYTES
 
+from upwash.config import RuntimeConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
 from upwash.core.admission.limits import Limits
 from upwash.real.instances.containers import reference_of
 from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
 from upwash.real.instances.docker.runtime import DockerRuntime
-from upwash.real.instances.lxd.container import LxdSettings
-from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.engine import Engine
 from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.instances.runtime import sockets_in
 from upwash.real.link.link import GrpcDialer
@@ -110,12 +110,18 @@ def lxd_host(
 
     @asynccontextmanager
     async def open_site(*, freezes: bool = False) -> AsyncIterator[Site]:
-        engine = Engine([EngineAddress(f"unix:{lxd.socket}")], project="default")
+        config = RuntimeConfig(
+            kind="lxd",
+            idle="freeze" if freezes else "stop",
+            engine=EngineConfig(addresses=(f"unix:{lxd.socket}",)),
+            network=ContainerNetworkConfig(subnet=SUBNET),
+        )
+        engine = Engine(config)
         async with led(credentials("s1")) as lead:
             runtime = LxdRuntime(
                 engine,
-                LxdSettings(IPv4Network(SUBNET), limits=dict.fromkeys(SERVICES, LIMITS)),
-                freezes=freezes,
+                config,
+                dict.fromkeys(SERVICES, LIMITS),
                 lead=lead,
                 max_message_bytes=MAX_MESSAGE_BYTES,
             )

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from ipaddress import IPv4Network
 from pathlib import Path
 
 import pytest
@@ -15,10 +14,11 @@ from tests.engines import Kind, OwnEngine
 from tests.system.cluster import OwnCluster, own_cluster
 from tests.system.daemons import MAX_MESSAGE_BYTES, shown
 
+from upwash.config import RuntimeConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
-from upwash.real.instances.lxd.container import LxdSettings
-from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.engine import Engine
 from upwash.real.instances.lxd.instance import LxdInstance
 from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.link.link import GrpcDialer
@@ -119,19 +119,20 @@ async def with_runtime(
     image: Path,
     use: Callable[[LxdRuntime], Awaitable[None]],
 ) -> None:
-    addresses = [
-        EngineAddress(url, cluster.certificate, cluster.key, cluster.engine_certificate)
-        for url in cluster.urls
-    ]
-    engine = Engine(addresses, project="default")
+    config = RuntimeConfig(
+        kind="lxd",
+        idle="stop",
+        engine=EngineConfig(
+            addresses=tuple(cluster.urls),
+            certificate=cluster.certificate,
+            key=cluster.key,
+            engine_certificate=cluster.engine_certificate,
+        ),
+        network=ContainerNetworkConfig(subnet=cluster.site.services, interface="eth0"),
+    )
+    engine = Engine(config)
     async with led(credentials) as lead:
-        runtime = LxdRuntime(
-            engine,
-            LxdSettings(IPv4Network(cluster.site.services), interface="eth0"),
-            freezes=False,
-            lead=lead,
-            max_message_bytes=MAX_MESSAGE_BYTES,
-        )
+        runtime = LxdRuntime(engine, config, {}, lead=lead, max_message_bytes=MAX_MESSAGE_BYTES)
         try:
             await engine.connect()
             await engine.import_image(image)

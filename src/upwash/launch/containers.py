@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Callable, Mapping
-from ipaddress import IPv4Network
 from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
@@ -14,8 +13,7 @@ from upwash.real.instances.containers import ContainerRuntime, reference_of
 from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
 from upwash.real.instances.docker.runtime import DockerRuntime
-from upwash.real.instances.lxd.container import LxdSettings
-from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.engine import Engine
 from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.link.door import Lead
 
@@ -30,22 +28,12 @@ async def containers(
     listen: Callable[[InstanceSpec], str],
 ) -> AsyncIterator[ContainerRuntime]:
     """The runtime of the daemon's containers, prepared; no container runs after the block."""
-    freezes = config.runtime.idle == "freeze"
     runtime: ContainerRuntime
     if config.runtime.kind == "lxd":
         assert lead is not None  # noqa: S101 - the configuration was checked for certificates
+        engine = Engine(config.runtime)
         runtime = LxdRuntime(
-            lxd_engine(config.runtime),
-            LxdSettings(
-                subnet=IPv4Network(config.runtime.network.subnet),
-                interface=config.runtime.network.interface or "",
-                pool=config.runtime.engine.pool,
-                profiles=config.runtime.engine.profiles,
-                limits=limits,
-            ),
-            freezes=freezes,
-            lead=lead,
-            max_message_bytes=config.max_message_bytes,
+            engine, config.runtime, limits, lead=lead, max_message_bytes=config.max_message_bytes
         )
     else:
         runtime = DockerRuntime(
@@ -53,7 +41,7 @@ async def containers(
             DockerSettings(folder=sockets, limits=limits, devices=config.runtime.devices),
             docker_images(config),
             listen=listen,
-            freezes=freezes,
+            freezes=config.runtime.idle == "freeze",
             lead=lead,
             max_message_bytes=config.max_message_bytes,
         )
@@ -72,15 +60,3 @@ def docker_images(config: DaemonConfig) -> dict[str, str]:
 def docker_engine(config: RuntimeConfig) -> DockerEngine:
     """The configured Docker or Podman."""
     return DockerEngine(config.engine_addresses[0])
-
-
-def lxd_engine(config: RuntimeConfig) -> Engine:
-    """The configured LXD or Incus."""
-    engine = config.engine
-    return Engine(
-        [
-            EngineAddress(url, engine.certificate, engine.key, engine.engine_certificate)
-            for url in config.engine_addresses
-        ],
-        project=engine.project,
-    )

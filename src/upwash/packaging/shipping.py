@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.errors import UsageError
-from upwash.launch.containers import docker_engine, docker_images, lxd_engine
+from upwash.launch.containers import docker_engine, docker_images
 from upwash.missions.bundled import LoadedService, bundled_service, load_service_alone, load_services
 from upwash.packaging.image import Format
 from upwash.real.instances.containers import ServiceImage, labelled_image, newest_images
@@ -46,7 +46,7 @@ def find_service(name: str, daemon: DaemonConfig | None) -> LoadedService:
 async def import_image(file: Path, kind: Format, daemon: DaemonConfig | None) -> None:
     """Has the daemon's engine, or the one of this machine, take in the image."""
     runtime = daemon.runtime if daemon and daemon.runtime.kind == kind else RuntimeConfig(kind=kind)
-    async with _connected(docker_engine(runtime) if kind == "docker" else lxd_engine(runtime)) as engine:
+    async with _connected(docker_engine(runtime) if kind == "docker" else Engine(runtime)) as engine:
         await engine.import_image(file)
 
 
@@ -55,7 +55,7 @@ async def list_images(daemon: DaemonConfig) -> list[HeldService]:
     if daemon.runtime.kind == "process":
         return [HeldService(each.name, each.program or bundled_service(each.name)) for each in daemon.images]
     if daemon.runtime.kind == "lxd":
-        async with _connected(lxd_engine(daemon.runtime)) as lxd:
+        async with _connected(Engine(daemon.runtime)) as lxd:
             newest = newest_images(await lxd.images())
         return [_offer(image.name, newest.get(image.name)) for image in daemon.images]
     offers = []

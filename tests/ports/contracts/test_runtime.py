@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
-from ipaddress import IPv4Network
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,8 @@ import pytest
 from tests.doors import led
 from tests.podman import OwnPodman
 
+from upwash.config import RuntimeConfig
+from upwash.config.runtime import EngineConfig
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError, LinkError, NoLease, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
@@ -21,8 +22,7 @@ from upwash.real.instances.containers import reference_of
 from upwash.real.instances.docker.container import DockerSettings
 from upwash.real.instances.docker.engine import DockerEngine
 from upwash.real.instances.docker.runtime import DockerRuntime
-from upwash.real.instances.lxd.container import LxdSettings
-from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.engine import Engine
 from upwash.real.instances.lxd.runtime import LxdRuntime
 from upwash.real.instances.runtime import ProcessRuntime, sockets_in
 from upwash.real.instances.sandbox import Sandbox, find_sandbox
@@ -188,15 +188,14 @@ def found_sandbox() -> Sandbox:
 async def containers(
     socket: Path, image: Path, shown: Callable[[str], Credentials], spec: InstanceSpec, *, freezes: bool
 ) -> AsyncIterator[Site]:
-    engine = Engine([EngineAddress(f"unix:{socket}")], project="default")
+    config = RuntimeConfig(
+        kind="lxd",
+        idle="freeze" if freezes else "stop",
+        engine=EngineConfig(addresses=(f"unix:{socket}",)),
+    )
+    engine = Engine(config)
     async with led(shown("s1")) as lead:
-        runtime = LxdRuntime(
-            engine,
-            LxdSettings(IPv4Network("10.147.70.0/24")),
-            freezes=freezes,
-            lead=lead,
-            max_message_bytes=1_000_000,
-        )
+        runtime = LxdRuntime(engine, config, {}, lead=lead, max_message_bytes=1_000_000)
         try:
             await engine.connect()
             await engine.import_image(image)

@@ -7,7 +7,7 @@ import logging
 import re
 import secrets
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
@@ -136,7 +136,15 @@ def container_name(service: str, server: str) -> str:
 class ContainerRuntime(ABC):
     """Starts each instance in a container; if it `freezes`, it keeps one frozen for each server and service."""
 
-    def __init__(self, *, freezes: bool, lead: Lead | None, max_message_bytes: int) -> None:
+    def __init__(
+        self,
+        hang_up: Callable[[], Awaitable[None]],
+        *,
+        freezes: bool,
+        lead: Lead | None,
+        max_message_bytes: int,
+    ) -> None:
+        self._hang_up = hang_up  # on the engine
         self.concurrency: dict[str, int] = {}  # of each service's image, once it is prepared
         self._freezes = freezes
         self._lead = lead
@@ -163,10 +171,11 @@ class ContainerRuntime(ABC):
         return await self._start(replace(spec, methods=image.methods), image, callbacks)
 
     async def close(self) -> None:
-        """End the frozen instances; the engine is closed too."""
+        """End the frozen instances, and hang up on the engine."""
         for _, instance in self._frozen.values():
             await instance.end()
         self._frozen.clear()
+        await self._hang_up()
 
     def _keep(self, image: str, instance: ControlledInstance) -> None:
         self._frozen[instance.spec.server, instance.spec.service] = (image, instance)

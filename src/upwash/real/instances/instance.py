@@ -19,7 +19,6 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
@@ -48,12 +47,7 @@ _LONGEST_REASON = 10_000  # characters
 _LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
 
 
-@dataclass(frozen=True, slots=True)
-class _Performed:
-    """The reply to a call, and the report of the call to the program."""
-
-    reply: bytes
-    report: control.Answered
+_Performed = tuple[bytes, control.Answered]  # the reply to a call, and the report of the call to the program
 
 
 class ServiceInstance:
@@ -140,7 +134,7 @@ class ServiceInstance:
         except RuntimeError:  # no calls are taken any more
             raise Refused(self._gate.closed) from None
         try:
-            return call.result().reply
+            return call.result()[0]
         except CancelledError:  # while it waited for its turn
             raise Refused(self._gate.closed) from None
 
@@ -152,31 +146,24 @@ class ServiceInstance:
         self._report(control.Called(drone))
         key, reply = self._compute(method, body)
         short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
-        if short_s > 0:
-            time.sleep(short_s)
-        took_s = time.monotonic() - began_s
-        return _Performed(
-            reply,
-            control.Answered(
-                drone=drone,
-                method=method.name,
-                queued_s=began_s - whole_s,
-                took_s=took_s,
-                outcome="raised" if carries_fault(reply) else "value",
-            ),
+        time.sleep(max(0.0, short_s))
+        return reply, control.Answered(
+            drone=drone,
+            method=method.name,
+            queued_s=began_s - whole_s,
+            took_s=time.monotonic() - began_s,
+            outcome="raised" if carries_fault(reply) else "value",
         )
 
     def _report_answer(self, call: Future[_Performed]) -> None:
         """Report the call in the service's thread, which delays its next call but not this reply."""
         if call.cancelled() or call.exception() is not None:
             return
-        with (
-            self._sharing
-        ):  # a call has two reports, and the program hangs up on an instance that sends too many
+        # A call has two reports, and the program hangs up on an instance that sends too many.
+        with self._sharing:
             pause_s = self._reports.take_anyway_s(2, now_s=time.monotonic())
-        if pause_s > 0:
-            time.sleep(pause_s)
-        self._report(call.result().report)
+        time.sleep(max(0.0, pause_s))
+        self._report(call.result()[1])
 
     def _least_s(self, key: str, method: str, began_s: float) -> float:
         """The least time of an operation, configured for its key, its method or all operations."""

@@ -103,8 +103,11 @@ class Sandbox:
         `disk_bytes`. It runs on these `processors`, on all if there are none.
         """
         size = () if disk_bytes is None else ("--size", str(disk_bytes))
+        pinned = ("--cpu-list", ",".join(map(str, sorted(processors))))
         return [
-            *(*_LAUNCHER, *_on(processors), self.bubblewrap, "--seccomp", str(call_filter)),
+            *_LAUNCHER,
+            *((shutil.which(_TASKSET) or _TASKSET, *pinned) if processors else ()),
+            *(self.bubblewrap, "--seccomp", str(call_filter)),
             *("--unshare-all", "--unshare-user", "--die-with-parent", "--new-session", "--cap-drop", "ALL"),
             *(word for name in _SYSTEM for word in _as_it_is(name)),
             *(word for name in _SETTINGS for word in ("--ro-bind-try", name, name)),
@@ -198,11 +201,6 @@ def open_call_filter(*, pins: bool = False) -> Iterator[int]:
         yield reading
     finally:
         os.close(reading)
-
-
-def _on(processors: Collection[int]) -> Iterator[str]:
-    if processors:
-        yield from (shutil.which(_TASKSET) or _TASKSET, "--cpu-list", ",".join(map(str, sorted(processors))))
 
 
 def code_of(program: str) -> list[Path]:

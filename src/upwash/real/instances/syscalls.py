@@ -11,7 +11,6 @@ import platform
 import socket
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 from upwash.errors import UsageError
 
@@ -62,16 +61,11 @@ _REFUSED: Mapping[int, Mapping[str, tuple[int, int]]] = {
     },
 }
 _FAMILIES = (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6)
-
-
-@dataclass(frozen=True, slots=True)
-class _Machine:
-    architecture: int
-    column: int  # of the tables above
-    most: int  # numbers from here on are another kind of processor's
-
-
-_MACHINES = {"x86_64": _Machine(0xC000003E, 0, 0x40000000), "aarch64": _Machine(0xC00000B7, 1, 0x40000000)}
+_MACHINES = {
+    "x86_64": (0xC000003E, 0),
+    "aarch64": (0xC00000B7, 1),
+}  # architecture, column of the tables above
+_FIRST_OF_OTHERS = 0x40000000  # numbers from here on are another kind of processor's
 
 
 def call_filter(machine: str = "", *, pins: bool = False) -> bytes:
@@ -82,26 +76,26 @@ def call_filter(machine: str = "", *, pins: bool = False) -> bytes:
     machine = machine or platform.machine()
     if machine not in _MACHINES:
         raise UsageError(f"no filter of system calls is known for a processor of the kind {machine}")
-    return b"".join(_instructions(_MACHINES[machine], pins=pins))
+    return b"".join(_instructions(*_MACHINES[machine], pins=pins))
 
 
-def _instructions(machine: _Machine, *, pins: bool) -> Iterable[bytes]:
-    yield _load(_ARCHITECTURE)
-    yield from _unless(_EQUAL, machine.architecture, [_answer(_KILL)])
-    yield _load(_NUMBER)
-    yield from _where(_AT_LEAST, machine.most, [_refuse(errno.ENOSYS)])
+def _instructions(architecture: int, column: int, *, pins: bool) -> Iterable[bytes]:
+    yield _step(_LOAD, _ARCHITECTURE)
+    yield from _unless(_EQUAL, architecture, [_answer(_KILL)])
+    yield _step(_LOAD, _NUMBER)
+    yield from _where(_AT_LEAST, _FIRST_OF_OTHERS, [_refuse(errno.ENOSYS)])
     for error, calls in _REFUSED.items():
         for numbers in calls.values():
-            yield from _where(_EQUAL, numbers[machine.column], [_refuse(error)])
+            yield from _where(_EQUAL, numbers[column], [_refuse(error)])
     if pins:
-        yield from _where(_EQUAL, _CALLS["sched_setaffinity"][machine.column], [_refuse(errno.EPERM)])
+        yield from _where(_EQUAL, _CALLS["sched_setaffinity"][column], [_refuse(errno.EPERM)])
     for name, rules in {
         "clone": _rules_of_clone(),
         "mmap": _rules_of_mmap(),
         "socket": _rules_of_sockets(),
         "socketpair": _rules_of_sockets(),
     }.items():
-        yield from _where(_EQUAL, _CALLS[name][machine.column], [*rules, _answer(_ALLOW)])
+        yield from _where(_EQUAL, _CALLS[name][column], [*rules, _answer(_ALLOW)])
     yield _answer(_ALLOW)
 
 
@@ -142,11 +136,7 @@ def _unless(test: int, value: int, then: list[bytes]) -> list[bytes]:
 
 def _argument(index: int) -> bytes:
     """Load the lower half of an argument, which has all the bits that matter here."""
-    return _load(_FIRST_ARGUMENT + 8 * index)
-
-
-def _load(offset: int) -> bytes:
-    return _step(_LOAD, offset)
+    return _step(_LOAD, _FIRST_ARGUMENT + 8 * index)
 
 
 def _refuse(error: int) -> bytes:

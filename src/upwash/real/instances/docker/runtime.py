@@ -60,7 +60,7 @@ class DockerRuntime(ContainerRuntime):
         lead: Lead | None,
         max_message_bytes: int,
     ) -> None:
-        super().__init__(freezes=freezes, lead=lead, max_message_bytes=max_message_bytes)
+        super().__init__(engine.close, freezes=freezes, lead=lead, max_message_bytes=max_message_bytes)
         self._engine = engine
         self._settings = settings
         self._references = images
@@ -82,11 +82,6 @@ class DockerRuntime(ContainerRuntime):
         self._server = min(services, default="")
         for service in dict.fromkeys(name for names in services.values() for name in names):
             self.concurrency[service] = (await self._image(service)).concurrency
-
-    async def close(self) -> None:
-        """End the frozen instances, and hang up on the engine."""
-        await super().close()
-        await self._engine.close()
 
     async def _start(
         self, spec: InstanceSpec, image: ServiceImage, callbacks: InstanceCallbacks

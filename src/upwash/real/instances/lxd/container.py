@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from ipaddress import IPv4Network
 
-from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
+from upwash.config import RuntimeConfig
+from upwash.core.admission.limits import Limits
 from upwash.errors import EngineError
 from upwash.real.instances.containers import ServiceImage, container_name
 from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
@@ -27,24 +28,6 @@ _GUEST_INTERFACE = {"lxd": "security.devlxd", "incus": "security.guestapi"}
 
 
 @dataclass(frozen=True, slots=True)
-class LxdSettings:
-    """What every container of a daemon gets.
-
-    Each has an address of the subnet, which this machine reaches, and the interface's network if there is one.
-    """
-
-    subnet: IPv4Network
-    interface: str = ""
-    pool: str = "default"
-    profiles: Sequence[str] = ()
-    limits: Mapping[str, Limits] = field(default_factory=dict)  # by service
-
-    def limits_of(self, service: str) -> Limits:
-        """The limits of the service's containers."""
-        return self.limits.get(service, DEFAULT_LIMITS)
-
-
-@dataclass(frozen=True, slots=True)
 class LxdContainer:
     """A container of one server's service, made from one image."""
 
@@ -60,7 +43,13 @@ class LxdContainer:
 
 
 def new_container(
-    server: str, image: ServiceImage, settings: LxdSettings, *, member: str, taken: Collection[str]
+    server: str,
+    image: ServiceImage,
+    limits: Limits,
+    *,
+    subnet: str,
+    member: str,
+    taken: Collection[str],
 ) -> LxdContainer:
     """A container to create, with a free address; raises EngineError if no address is left."""
     return LxdContainer(
@@ -70,9 +59,9 @@ def new_container(
         image=image.fingerprint,
         member=member,
         status="Stopped",
-        address=_free_address(settings.subnet, taken),
+        address=_free_address(IPv4Network(subnet), taken),
         credentials=new_control_credentials(),
-        limits=settings.limits_of(image.service),
+        limits=limits,
     )
 
 
@@ -98,23 +87,23 @@ def known_container(instance: EngineInstance) -> LxdContainer | None:
 
 
 def definition(
-    container: LxdContainer, settings: LxdSettings, *, base: str, engine: str
+    container: LxdContainer, config: RuntimeConfig, *, base: str, engine: str
 ) -> dict[str, object]:
     """A container's definition: unprivileged, with limits, its image and its address only."""
     devices: dict[str, Mapping[str, str]] = {
-        "root": {"type": "disk", "path": "/", "pool": settings.pool},
+        "root": {"type": "disk", "path": "/", "pool": config.engine.pool},
         # No bridge, no DHCP, no neighbours: a cable to the host, which answers ARP for the address.
         _NIC: {
             "type": "nic",
             "nictype": "routed",
             "name": _NIC,
             "ipv4.address": container.address,
-            **({"parent": settings.interface} if settings.interface else {}),
+            **({"parent": config.network.interface} if config.network.interface else {}),
         },
     }
     if base == "host":
         devices["usr"] = {"type": "disk", "path": "/usr", "source": "/usr", "readonly": "true"}
-    config = {
+    settings = {
         "security.privileged": "false",
         "security.nesting": "false",
         _GUEST_INTERFACE[engine]: "false",
@@ -127,14 +116,14 @@ def definition(
     for name, key in _LIMIT_KEYS.items():
         most = getattr(container.limits, name)
         if most is not None:
-            config[key] = str(most)
+            settings[key] = str(most)
     return {
         "name": container.name,
         "type": "container",
         "description": f"{container.service}@{container.server} of upwash",
         "source": {"type": "image", "fingerprint": container.image},
-        "profiles": list(settings.profiles),
-        "config": config,
+        "profiles": list(config.engine.profiles),
+        "config": settings,
         "devices": devices,
     }
 

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
+from upwash.config import RuntimeConfig
+from upwash.config.runtime import EngineConfig
 from upwash.errors import EngineError, UsageError
 from upwash.real.instances.containers import HeldImage
 from upwash.real.trust.secrets import read_secret
@@ -37,16 +39,6 @@ NO_CLUSTER = "none"  # the member's name on an engine without a cluster
 
 
 @dataclass(frozen=True, slots=True)
-class EngineAddress:
-    """The path of the engine's socket, or its HTTPS address with this program's and the engine's certificates."""
-
-    url: str
-    certificate: Path | None = None
-    key: Path | None = None
-    engine_certificate: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class EngineInstance:
     """A container that the engine holds."""
 
@@ -58,29 +50,28 @@ class EngineInstance:
 
 
 class Engine:
-    """One project of one engine, or of one cluster of engines."""
+    """The configured project of one engine, or of one cluster of engines."""
 
-    def __init__(self, addresses: Sequence[EngineAddress], *, project: str) -> None:
+    def __init__(self, config: RuntimeConfig) -> None:
         self.kind = ""  # "lxd" or "incus", once it is connected
-        self._addresses = list(addresses)
-        self._project = project
+        self._addresses = list(config.engine_addresses)
+        self._config = config.engine
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="upwash-engine")
-        self._clients: dict[EngineAddress, Any] = {}  # the engine's interface below /1.0
+        self._clients: dict[str, Any] = {}  # the engine's interface below /1.0
 
     async def connect(self) -> None:
         """Return when an engine answers that trusts this program; raises UsageError with the remedy."""
         with extra("lxd"):
             import pylxd  # noqa: F401 - for a clear error if it is missing
-        for address in self._addresses:
-            if address.key:
-                read_secret(address.key)  # pylxd would take one that others can read
+        if self._config.key:
+            read_secret(self._config.key)  # pylxd would take one that others can read
         try:
             info = await self._ask(lambda api: api.get().json()["metadata"])
         except EngineError as error:
             raise UsageError(str(error)) from error
         if info["auth"] != "trusted":
             raise UsageError(
-                f"the engine at {self._addresses[0].url} does not trust this program's certificate: "
+                f"the engine at {self._addresses[0]} does not trust this program's certificate: "
                 "add it there, as with `lxc config trust add`"
             )
         environment = info["environment"]
@@ -150,7 +141,9 @@ class Engine:
         def delete(api: Any) -> Any:
             # pylxd's own delete does not return the operation to wait for.
             address = api.instances[name]._api_endpoint
-            return api.session.delete(address, params={"project": self._project}, timeout=_ANSWER_S).json()
+            return api.session.delete(
+                address, params={"project": self._config.project}, timeout=_ANSWER_S
+            ).json()
 
         await self._work(delete, wait_s=wait_s)
 
@@ -209,7 +202,7 @@ class Engine:
         for address in list(self._addresses):
             try:
                 if address not in self._clients:
-                    self._clients[address] = _client(address, self._project).api
+                    self._clients[address] = _client(address, self._config).api
                 answer = ask(self._clients[address])
             except LXDAPIException as error:
                 raise EngineError(str(error)) from error
@@ -224,27 +217,27 @@ class Engine:
         raise problem
 
 
-def _client(address: EngineAddress, project: str) -> Any:
+def _client(address: str, config: EngineConfig) -> Any:
     import pylxd
     from pylxd.client import get_session_for_url
 
-    if address.url.startswith("unix:"):
-        path = address.url.removeprefix("unix:")
+    if address.startswith("unix:"):
+        path = address.removeprefix("unix:")
         with socket.socket(socket.AF_UNIX) as probe:  # its errors are plainer than pylxd's
             probe.connect(path)
         url = f"http+unix://{quote(path, safe='')}"
         session = get_session_for_url(url)
     else:
-        url = address.url
-        session = get_session_for_url(
-            url, verify=str(address.engine_certificate), cert=(str(address.certificate), str(address.key))
-        )
+        url, own = address, (str(config.certificate), str(config.key))
+        session = get_session_for_url(url, verify=str(config.engine_certificate), cert=own)
     session.trust_env = False  # or environment variables could replace the engine's certificate
-    return pylxd.Client(endpoint=url, session=session, timeout=(_CONNECT_S, _ANSWER_S), project=project)
+    return pylxd.Client(
+        endpoint=url, session=session, timeout=(_CONNECT_S, _ANSWER_S), project=config.project
+    )
 
 
-def _unreachable(address: EngineAddress, error: Exception) -> EngineError:
-    where = address.url.removeprefix("unix:")
+def _unreachable(address: str, error: Exception) -> EngineError:
+    where = address.removeprefix("unix:")
     match error:
         case FileNotFoundError():
             return EngineError(

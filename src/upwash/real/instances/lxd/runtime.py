@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Mapping
 
+from upwash.config import RuntimeConfig
+from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError
 from upwash.ports import InstanceSpec
 from upwash.real.instances.containers import ContainerRuntime, ServiceImage, newest_images, packaging
@@ -13,7 +15,6 @@ from upwash.real.instances.control_credentials import SERVICE_PORT
 from upwash.real.instances.instance_control import ControlledInstance, InstanceCallbacks, starting
 from upwash.real.instances.lxd.container import (
     LxdContainer,
-    LxdSettings,
     addresses,
     definition,
     in_order,
@@ -36,11 +37,20 @@ class LxdRuntime(ContainerRuntime):
     """Runs instances in containers of LXD or Incus, on any member of a cluster that is online."""
 
     def __init__(
-        self, engine: Engine, settings: LxdSettings, *, freezes: bool, lead: Lead, max_message_bytes: int
+        self,
+        engine: Engine,
+        config: RuntimeConfig,
+        limits: Mapping[str, Limits],
+        *,
+        lead: Lead,
+        max_message_bytes: int,
     ) -> None:
-        super().__init__(freezes=freezes, lead=lead, max_message_bytes=max_message_bytes)
+        super().__init__(
+            engine.close, freezes=config.idle == "freeze", lead=lead, max_message_bytes=max_message_bytes
+        )
         self._engine = engine
-        self._settings = settings
+        self._config = config
+        self._limits = limits  # by service
         self._containers: list[LxdContainer] = []  # listed once: a cluster waits for its lost members
         self._taken: set[str] = set()  # addresses
         self._suspects: set[str] = set()  # members that lost an instance and may still count as online
@@ -55,7 +65,7 @@ class LxdRuntime(ContainerRuntime):
         images = {service: await self._image(service) for _, service in wanted}
         self.concurrency = {service: image.concurrency for service, image in images.items()}
         current = {
-            (server, service): (images[service].fingerprint, self._settings.limits_of(service))
+            (server, service): (images[service].fingerprint, self._limits.get(service, DEFAULT_LIMITS))
             for server, service in wanted
         }
         instances = await self._engine.instances()
@@ -74,11 +84,6 @@ class LxdRuntime(ContainerRuntime):
             if (server, service) not in made:
                 await self._create_somewhere(server, images[service])
                 _log.info("%s@%s has a container", service, server)
-
-    async def close(self) -> None:
-        """End the frozen instances, and hang up on the engine."""
-        await super().close()
-        await self._engine.close()
 
     async def _image(self, service: str) -> ServiceImage:
         image = newest_images(await self._engine.images()).get(service)
@@ -114,10 +119,11 @@ class LxdRuntime(ContainerRuntime):
         raise problem
 
     async def _create(self, server: str, image: ServiceImage, member: str) -> LxdContainer:
-        container = new_container(server, image, self._settings, member=member, taken=self._taken)
+        limits, subnet = self._limits.get(image.service, DEFAULT_LIMITS), self._config.network.subnet
+        container = new_container(server, image, limits, subnet=subnet, member=member, taken=self._taken)
         self._taken.add(container.address)
         await self._engine.create(
-            definition(container, self._settings, base=image.base, engine=self._engine.kind),
+            definition(container, self._config, base=image.base, engine=self._engine.kind),
             member=member,
             wait_s=_CREATE_S if member == NO_CLUSTER else _CREATE_ON_MEMBER_S,
         )
