@@ -19,7 +19,8 @@ import msgspec
 import pytest
 from tests.mutation.mutants import Mutant
 
-LONGEST_S = 120.0  # of the tests of one defect; then the program hangs, which is a way to find the defect
+MOST_S = 90.0  # for the tests of one defect; later tests are left out
+HANGS_S = MOST_S + 60.0  # pytest ends a test that hangs, unless the interpreter itself hangs
 
 
 class Job(msgspec.Struct):
@@ -71,7 +72,7 @@ def _in_fork(mutant: Mutant, tests: Sequence[pytest.Item], session: pytest.Sessi
         os.write(writes, json.dumps(found_by).encode())
         os._exit(0)
     os.close(writes)
-    ended, _, _ = select.select([reads], [], [], LONGEST_S)
+    ended, _, _ = select.select([reads], [], [], HANGS_S)
     found_by = os.read(reads, 2**16).decode() if ended else '"a hang"'
     os.close(reads)
     os.killpg(child, signal.SIGKILL)
@@ -80,7 +81,10 @@ def _in_fork(mutant: Mutant, tests: Sequence[pytest.Item], session: pytest.Sessi
 
 
 def _first_failure(tests: Sequence[pytest.Item], session: pytest.Session) -> str:
+    began_s = time.monotonic()
     for test, following in zip(tests, [*tests[1:], None], strict=True):
+        if time.monotonic() - began_s > MOST_S:
+            break
         try:
             test.config.hook.pytest_runtest_protocol(item=test, nextitem=following)
         except BaseException:  # noqa: BLE001 - the defect can end pytest too
