@@ -215,10 +215,7 @@ def _print_certificates(certificates: Sequence[CertificateStatus], console: Cons
 
 
 def _table(*columns: str, title: str | None = None) -> Table:
-    table = Table(box=None, padding=(0, 2), title=title, title_justify="left")
-    for column in columns:
-        table.add_column(column)
-    return table
+    return Table(*columns, box=None, padding=(0, 2), title=title, title_justify="left")
 
 
 def _size(size_bytes: int) -> str:

@@ -50,9 +50,7 @@ class FleetProgress(LiveDisplay):
         self._show(Text(f"{drone:<{self._width}}  ") + line)
 
     def _picture(self) -> Group:
-        table = Table(box=None, padding=(0, 2))
-        for head in ("drone", "", "waypoints", "server", "calls"):
-            table.add_column(head)
+        table = Table("drone", "", "waypoints", "server", "calls", box=None, padding=(0, 2))
         for name, drone in self._drones.items():
             reached = f"{drone.narrator.reached} of {self._waypoints}"
             table.add_row(name, drone.doing, reached, drone.server, str(drone.calls))

@@ -9,7 +9,7 @@ from typing import Self
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from upwash.eventlog import schema
@@ -121,10 +121,7 @@ class Progress(LiveDisplay):
         return Group(head, *taken, *([self._servers()] if self._states else []))
 
     def _servers(self) -> Table:
-        servers = Table(box=None, padding=(0, 2))
-        servers.add_column("server")
-        servers.add_column("state")
-        servers.add_column("why", style="dim")
+        servers = Table("server", "state", Column("why", style="dim"), box=None, padding=(0, 2))
         for name, (state, why) in self._states.items():
             servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
         return servers

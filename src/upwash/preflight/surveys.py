@@ -43,10 +43,7 @@ def check_servers(config: DroneConfig, console: Console) -> bool:
 
 
 def _print(findings: Sequence[SurveyFinding], console: Console) -> bool:
-    table = Table(box=None, padding=(0, 2))
-    table.add_column("needed")
-    table.add_column("found")
-    table.add_column("ready")
+    table = Table("needed", "found", "ready", box=None, padding=(0, 2))
     for finding in findings:
         table.add_row(
             Text(finding.subject),

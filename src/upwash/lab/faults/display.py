@@ -6,7 +6,7 @@ import contextlib
 import logging
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -70,12 +70,15 @@ def show_chaos(
         out.parent.mkdir(parents=True, exist_ok=True)  # before the hours of flying
     console, summary, began_s = Console(), Summary(), time.monotonic()
     chunks = [seeds[first : first + _CHUNK] for first in range(0, len(seeds), _CHUNK)]
-    with _Bar(len(seeds), console) as bar, in_processes(judge_all, chunks, workers=workers) as done:
+    with (
+        _shown_progress(len(seeds), console) as show,
+        in_processes(judge_all, chunks, workers=workers) as done,
+    ):
         for verdicts in done:
             for verdict in verdicts:
                 _show_broken(verdict.broken, console, shown=len(summary.broken))
                 summary.add(verdict)
-            bar.advance(summary.worlds)
+            show(summary.worlds)
             if minutes is not None and time.monotonic() - began_s > 60 * minutes:
                 break
     summary.took_s = time.monotonic() - began_s
@@ -85,30 +88,22 @@ def show_chaos(
     return not summary.broken
 
 
-class _Bar:
-    """Progress: a bar on a terminal, elsewhere a line each minute."""
+@contextlib.contextmanager
+def _shown_progress(worlds: int, console: Console) -> Iterator[Callable[[int], None]]:
+    """Show how many worlds are done: by a bar on a terminal, elsewhere by a line each minute."""
+    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+    said_s = time.monotonic()
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("worlds", total=worlds)
 
-    def __init__(self, worlds: int, console: Console) -> None:
-        columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
-        self._progress = Progress(*columns, console=console, disable=not console.is_terminal)
-        self._bar = self._progress.add_task("worlds", total=worlds)
-        self._worlds = worlds
-        self._console = console
-        self._said_s = time.monotonic()
+        def show(done: int) -> None:
+            nonlocal said_s
+            progress.update(bar, completed=done)
+            if not console.is_terminal and time.monotonic() - said_s > _LINE_EVERY_S:
+                said_s = time.monotonic()
+                console.print(f"{done:,} of {worlds:,} worlds", highlight=False)
 
-    def __enter__(self) -> _Bar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def advance(self, done: int) -> None:
-        """Shows that this number of worlds is done."""
-        self._progress.update(self._bar, completed=done)
-        if not self._console.is_terminal and time.monotonic() - self._said_s > _LINE_EVERY_S:
-            self._said_s = time.monotonic()
-            self._console.print(f"{done:,} of {self._worlds:,} worlds", highlight=False)
+        yield show
 
 
 def replay(seed: int, log: Path | None) -> bool:
