@@ -1,7 +1,7 @@
 """The command line: one module a command, with a table of its `ARGUMENTS` and `run` for its work.
 
 `main` lists the commands and imports the module of the command that was typed. It turns the end of a command into an
-exit code: 0 if `run` returns True, 1 for False, others for errors (`exit_codes`). A command raises UpwashError for a
+exit code: 1 if `run` returns False, others for errors (`exit_codes`), else 0. A command raises UpwashError for a
 problem that a person can solve, and prints no error itself. `arguments` has the options that several commands share.
 A package of an extra is imported inside `extra(...)`, which names the extra to install.
 

@@ -37,7 +37,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Fly them all with a progress bar, and print the results; in Markdown where no person reads them."""
     if not options.scenarios and not options.thesis:
         raise UsageError("nothing to compare in: name scenario files, or give --thesis")
@@ -60,7 +60,6 @@ def run(options: argparse.Namespace) -> bool:
         print_tables(rows, console)
     if figures is not None:
         _draw(rows, figures)
-    return True
 
 
 def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:

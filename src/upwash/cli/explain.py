@@ -20,8 +20,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Explain the calls."""
     wanted = CallChoice(options.waypoint, options.worst)
     show_explanation(options.log, scenario=options.scenario, drone=options.drone, wanted=wanted)
-    return True

@@ -69,7 +69,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Fly; returns when the mission is over."""
     config = flown_by(read_drone_config(options.config), options.autopilot)
     refuse_several(config, options.config, what="a flight")
@@ -84,7 +84,6 @@ def run(options: argparse.Namespace) -> bool:
         show=Show.JSON if options.json else Show.NOTHING if options.quiet else Show.PROGRESS,
         live_port=options.live,
     )
-    return True
 
 
 def fly_with_progress(

@@ -22,7 +22,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Compute the table and write the file."""
     step_m = options.range_m / 20
     measurement = Measurement(
@@ -36,4 +36,3 @@ def run(options: argparse.Namespace) -> bool:
         table = measure(measurement, measured=lambda: bar.advance(task))
     write_table(options.out, measurement, table)
     print(f"written: {options.out}")
-    return True

@@ -18,7 +18,7 @@ _NAMES = {"gitignore": ".gitignore"}  # Git would obey the template under its ow
 ARGUMENTS = {"folder": option("a new or empty folder", type=Path)}
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Write the files, print their names and what to do next."""
     folder: Path = options.folder
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -32,4 +32,3 @@ def run(options: argparse.Namespace) -> bool:
     announce(
         f"next: cd {shlex.quote(str(folder))} && upwash simulate drone.toml    (README.md has the other commands)"
     )
-    return True

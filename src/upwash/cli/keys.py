@@ -54,7 +54,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Make, revoke or show, and print which files were written and what is left to do with them."""
     folder = options.folder
     wanted = options.server or options.drone or options.operator
@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> bool:
         announce(str(options.signing))
         announce(f"passphrase for the ground station, shown once: {passphrase}")
         if not wanted and not changes:
-            return True
+            return
     if folder is None:
         raise UsageError("where certificates go, or lie, is missing: name a folder")
     if not wanted and not changes:
@@ -82,7 +82,6 @@ def run(options: argparse.Namespace) -> bool:
         )
     if options.drop_former_authorities:
         _announce([drop_former_authorities(folder)], _DROPPED)
-    return True
 
 
 def _show(folder: Path) -> None:

@@ -85,7 +85,7 @@ def _run(arguments: Sequence[str]) -> int:
     look_here()
     complain = functools.partial(_complain, with_trace=options.verbose)
     try:
-        return ExitCode.DONE if options.run(options) else ExitCode.FAILURE
+        return ExitCode.FAILURE if options.run(options) is False else ExitCode.DONE
     except UsageError as error:
         return complain(error, ExitCode.USAGE)
     except ReserveReached as error:

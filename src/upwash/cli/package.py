@@ -30,7 +30,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Make the image and print its file's path."""
     daemon = read_daemon_config(options.config) if options.config else None
     configured: Format = "docker" if daemon and daemon.runtime.kind == "docker" else "lxd"
@@ -48,4 +48,3 @@ def run(options: argparse.Namespace) -> bool:
             status.update("importing")
             asyncio.run(import_image(file, chosen, daemon))
     announce(str(file))
-    return True

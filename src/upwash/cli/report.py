@@ -33,7 +33,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
     files: list[tuple[Path | None, Writer]] = [
         (options.out, _in_utf8(functools.partial(write_page, photos=options.photos))),
@@ -59,7 +59,6 @@ def run(options: argparse.Namespace) -> bool:
         else:
             write_file(file, content)
             print(f"written: {file}", file=sys.stderr)
-    return True
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

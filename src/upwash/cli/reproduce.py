@@ -15,8 +15,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Fly them on virtual time and print the table."""
     figures = figures_of(options)
     show_reproduction(seeds=options.seeds, vary=options.sensitivity, figures=figures, results=options.json)
-    return True

@@ -24,7 +24,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Serve until a signal ends it."""
     require_linux("serve")
     before = handed_over(os.environ)
@@ -46,7 +46,6 @@ def run(options: argparse.Namespace) -> bool:
             before=before,
         )
     )
-    return True
 
 
 def _warn_without_revocations(config: DaemonConfig) -> DaemonConfig:

@@ -49,7 +49,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Simulate and print the results."""
     config = read_scenario(options.scenario, policy=options.policy, seed=options.seed)
     warn_of_plans(config)
@@ -57,7 +57,6 @@ def run(options: argparse.Namespace) -> bool:
         _run_fleet(options)
     else:
         _run_one(options)
-    return True
 
 
 def _run_one(options: argparse.Namespace) -> None:

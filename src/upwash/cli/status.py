@@ -45,7 +45,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Ask the daemon, and print its answer."""
     reply = asyncio.run(
         ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
@@ -54,7 +54,6 @@ def run(options: argparse.Namespace) -> bool:
         announce(msgspec.json.encode(reply).decode())
     else:
         print_status(reply, Console(markup=False))
-    return True
 
 
 def print_status(status: StatusReply, console: Console) -> None:

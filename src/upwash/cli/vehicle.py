@@ -77,11 +77,10 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Run the vehicle until a signal ends it."""
     settings = _px4(options) if options.autopilot == "px4" else _arducopter(options)
     asyncio.run(run_vehicle(options.listen, settings, ready=_announce, signing_key=options.signing_key))
-    return True
 
 
 def _arducopter(options: argparse.Namespace) -> VehicleSettings:

@@ -25,7 +25,7 @@ ARGUMENTS = {
 }
 
 
-def run(options: argparse.Namespace) -> bool:
+def run(options: argparse.Namespace) -> None:
     """Serve the page until Ctrl-C."""
     with extra("view"):
         from upwash.view.serve import serve_view
@@ -41,4 +41,3 @@ def run(options: argparse.Namespace) -> bool:
             ready=lambda address: announce(f"view ready at {address}"),
         )
     )
-    return True
