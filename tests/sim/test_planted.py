@@ -19,11 +19,15 @@ FOUND_BY_SEED = {
     "a slot is held for a server that is no peer": 825,
     "an arrival counts though the position jumped": 96,
     "a restart on the ground ends the flight": 1192,
+    "another program's heartbeat is believed": 70,
     "hedging has no budget": 374,
     "the bounds of a reply's fields are not checked": 99,
     "a lease may be as short as a server likes": 99,
     "what a server says was raised is logged as it is": 176,
+    "a failed server is probed only once": 939,
     "a server that keeps failing is not left alone for longer": 173,
+    "a service that does not start is tried without pause": 136,
+    "a drone ignores the pause that a server names": 136,
 }
 
 
