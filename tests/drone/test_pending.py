@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -10,9 +11,11 @@ import pytest
 from tests.drone.test_resume import fly, scenario
 
 from upwash import Drone, Position
+from upwash.drone.pending import StartedCall
 from upwash.errors import MissionFailed, UsageError
 from upwash.eventlog import schema
 from upwash.services import Detector
+from upwash.sim.loop import run_virtually
 
 # A call on the drone takes 10 s, a leg of 20 m 9 s, a photo 1 s.
 Program = Callable[[Drone, Detector], None]
@@ -191,3 +194,24 @@ def test_the_mission_stands_still_for_a_call_as_long_as_ever() -> None:
 
     one, other = (of(flown(each), schema.MissionCompleted)[0].t for each in (waits, starts))
     assert one == other
+
+
+@pytest.mark.parametrize(
+    ("error", "failure"),
+    [(ValueError("no such model"), "no such model"), (ValueError(), "ValueError"), (None, "")],
+)
+def test_a_call_that_failed_says_why(error: Exception | None, failure: str) -> None:
+    async def compute() -> bytes:
+        if error is not None:
+            raise error
+        return b""
+
+    async def wait() -> StartedCall:
+        call = StartedCall()
+        assert not call.is_over
+        call.task = asyncio.create_task(compute())
+        await call.over()
+        return call
+
+    call = run_virtually(wait())
+    assert (call.is_over, call.failure) == (True, failure)

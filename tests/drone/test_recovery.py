@@ -58,6 +58,8 @@ def test_a_call_that_the_drone_answers_before_a_server_that_is_back_did_not_fall
     first, second = calls[:2]
     assert (first["place"], first["fell_back"]) == ("local", True)
     assert (second["place"], second["fell_back"]) == ("local", False), "the server was merely late"
+    assert first["decision"] == "server ready; no usable answer, so on the drone"
+    assert "on the drone" not in second["decision"]
 
 
 def test_a_server_that_is_dead_for_good_is_asked_about_once_a_second() -> None:

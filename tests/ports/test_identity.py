@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.errors import AutopilotError, AutopilotNotHeard
 from upwash.eventlog.schema import LinkTrouble
+from upwash.mavlink.signing import SignatureRefusal
 from upwash.real.mavlink.arducopter import ARDUCOPTER
-from upwash.real.mavlink.identity import Identity
+from upwash.real.mavlink.identity import Identity, first_heartbeat
 from upwash.real.mavlink.px4_firmware import PX4
+from upwash.sim.loop import run_virtually
 
 APM, PX, NONE = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_INVALID
 QUAD, HEXA, PLANE = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_HEXAROTOR, mavlink.MAV_TYPE_FIXED_WING
@@ -186,3 +190,58 @@ def test_one_clock_that_restarts_is_one_vehicle(speed: float) -> None:
     after = [kind(round(ms * speed)) for ms in late_ms for kind in (position, attitude, system_time, local)]
     link.hear(beat(), *before, system_time(round(902_000 * speed)), local(round(902_500 * speed)), *after)
     assert link.identity.doubt == ""
+
+
+class Silence:
+    """A link on which nothing comes."""
+
+    connection = "udp:1"
+    refused: SignatureRefusal | None = None
+    why_silent = ""
+
+
+def wait_for_a_vehicle(
+    link: Link, *, within_s: float, refused: SignatureRefusal | None = None
+) -> tuple[AutopilotError, float, list[float]]:
+    """The error of a wait in vain, after how many seconds, and when its reason was told."""
+    told_s: list[float] = []
+
+    async def wait() -> tuple[AutopilotError, float]:
+        silence: Any = Silence()
+        silence.refused = refused
+        nothing = asyncio.get_running_loop().create_future()
+        with pytest.raises(AutopilotError) as found:
+            await first_heartbeat(
+                silence,
+                link.identity,
+                lambda: asyncio.shield(nothing),
+                within_s=within_s,
+                waiting=lambda _, waited_s: told_s.append(waited_s),
+            )
+        return found.value, asyncio.get_running_loop().time()
+
+    return *run_virtually(wait()), told_s
+
+
+def test_a_wait_for_a_silent_vehicle_tells_why_from_time_to_time_and_ends() -> None:
+    error, ended_s, told_s = wait_for_a_vehicle(Link(), within_s=40.0)
+    assert (ended_s, told_s) == (40.0, [3.0, 18.0, 33.0])
+    assert isinstance(error, AutopilotNotHeard)
+    assert "no autopilot was heard on udp:1; 40 s were waited: check that it is powered" in str(error)
+
+
+def test_no_longer_wait_is_made_for_a_vehicle_that_cannot_be_flown() -> None:
+    link = Link()
+    link.hear(beat(kind=PLANE))
+    error, ended_s, _ = wait_for_a_vehicle(link, within_s=40.0)
+    assert ended_s == 10.0
+    assert not isinstance(error, AutopilotNotHeard)
+    assert "nothing else came within 40 s" in str(error)
+    assert wait_for_a_vehicle(link, within_s=7.0)[1] == 7.0
+
+
+@pytest.mark.parametrize("refused", [SignatureRefusal.UNSIGNED, SignatureRefusal.OTHER_KEY])
+def test_no_longer_wait_is_made_for_a_vehicle_with_another_key(refused: SignatureRefusal) -> None:
+    error, ended_s, _ = wait_for_a_vehicle(Link(), within_s=40.0, refused=refused)
+    assert ended_s == 10.0
+    assert f"an autopilot was heard on udp:1, and its messages {refused.value}" in str(error)
