@@ -13,8 +13,7 @@ from pathlib import Path
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
-from upwash.vehicle.body.copter import LandedState
-from upwash.vehicle.body.firmware import Result
+from upwash.vehicle.body.copter import LandedState, Result
 
 DATA = Path(__file__).parents[1] / "tests" / "vehicle" / "data"
 SETTINGS = VehicleSettings(home=GeoPosition(39.3666, 22.9507), armable_after_s=0.0)
@@ -40,8 +39,8 @@ class Flight:
         self.now_s = 1.0
         self.said: list[tuple[float, int, str]] = []
         self.copter.change_mode(self.now_s, CopterMode.GUIDED)
-        assert self.copter.arm(self.now_s).result is Result.ACCEPTED
-        assert self.copter.take_off(self.now_s, altitude_m).result is Result.ACCEPTED
+        assert self.copter.arm(self.now_s) is Result.ACCEPTED
+        assert self.copter.take_off(self.now_s, altitude_m) is Result.ACCEPTED
         self.until(lambda: self.copter.landed_state(self.now_s) is LandedState.IN_AIR)
         self.wait(3.0)
 
@@ -62,7 +61,8 @@ class Flight:
             assert self.now_s - begun_s < LONGEST_S
             self.now_s += READ_S
             self.copter.heading_deg(self.now_s)
-            for text in self.copter.notice(self.now_s):
+            self.copter.notice(self.now_s)
+            for text in self.copter.said():
                 self.said.append((self.now_s, text.severity, text.words))
         return self.now_s - begun_s
 

@@ -2,7 +2,7 @@
 
     python -m bench.px4_events build/px4_sitl_default/events/all_events.json > src/upwash/real/mavlink/px4_events.csv
 
-The driver's words for an event that `upwash.mavlink.px4.EVENTS` does not tell better. Calibration's are left out.
+The driver's words for an event that `upwash/mavlink/px4_events.csv` does not tell better. Calibration's are left out.
 """
 
 from __future__ import annotations

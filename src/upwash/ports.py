@@ -105,20 +105,8 @@ class Autopilot(Protocol):
         """The last known place on the Earth, altitude above the sea, and GPS time; None if the place is unknown."""
 
     @property
-    def battery_percent(self) -> float | None:
-        """The battery's charge in percent, as last reported; None if the vehicle does not report it."""
-
-    @property
-    def velocity(self) -> Velocity | None:
-        """The velocity over the ground, as last reported; None if not reported."""
-
-    @property
     def stopping_place(self) -> Position:
         """The position where the vehicle would come to rest if it braked now."""
-
-    @property
-    def heading_deg(self) -> float | None:
-        """The heading in degrees clockwise from north, as last reported; None if not reported."""
 
     @property
     def telemetry(self) -> Telemetry:
@@ -143,10 +131,6 @@ class Autopilot(Protocol):
     @property
     def dead_man(self) -> DeadMan:
         """The switch that returns or lands the vehicle when the program falls silent."""
-
-    @property
-    def armed(self) -> bool:
-        """Whether the motors run, by the last report."""
 
     @property
     def stands(self) -> bool:

@@ -14,7 +14,7 @@ from upwash.mavlink import px4
 _FLOATS = 0.0, -0.0, 1.0, -1.0, 359.0, 1e-45, 1e38, -1e38, float("nan"), float("inf"), float("-inf")
 _ENDS = 0, 1, -1, 2, 3, 127, 128, 255, 2**15 - 1, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1
 _TEXTS = b"\x1b", b"A", b"\xff", b"\0", b"\n", "\u202e".encode()
-_OWN = px4.EventMessage, px4.CurrentModeMessage, px4.AvailableModesMessage, px4.ResponseEventErrorMessage
+_OWN = px4.EventMessage, px4.CurrentModeMessage, px4.AvailableModesMessage
 _LAYOUT = {"B": "uint8_t", "H": "uint16_t", "I": "uint32_t"}
 
 
@@ -48,7 +48,7 @@ def _own(kind: Any, chance: random.Random) -> Any:
     ]
     message = kind(**dict(zip(kind.fieldnames, values, strict=True)))
     if kind is px4.EventMessage and chance.random() < 0.8:
-        message.id_of_event = chance.choice(tuple(px4.EVENTS))
+        message.id_of_event = chance.choice(tuple(px4.px4_events()))
     return message
 
 

@@ -38,10 +38,9 @@ from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.boot import Text
-from upwash.vehicle.ardupilot.copter import FORCED_DISARM, CommandAnswer, Copter
+from upwash.vehicle.ardupilot.copter import FORCED_DISARM, Copter
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.copter import FaultKind, VehicleFault
-from upwash.vehicle.body.firmware import Result
+from upwash.vehicle.body.copter import FaultKind, Result, VehicleFault
 
 FRAME = LocalFrame(HOME)
 SPEEDUP = 10.0
@@ -114,8 +113,8 @@ def test_a_whole_mission_arrives_everywhere_whatever_the_link_does(share: float)
         await autopilot.return_home_and_land()
         assert distance_m(autopilot.position, Position(0.0, 0.0)) <= 1.0
         await autopilot.disarm()
-        assert autopilot.battery_percent is not None
-        assert 50 < autopilot.battery_percent < 100
+        assert autopilot.telemetry.battery_percent is not None
+        assert 50 < autopilot.telemetry.battery_percent < 100
 
     fly(mission, share=share, vehicle=FAITHFUL, ground_speed_m_s=3.0)
 
@@ -185,7 +184,7 @@ def test_arming_waits_for_the_position_estimate_and_the_reports_are_asked_for(sh
         begun_s = made.now_s
         await claim_and_arm(autopilot)
         assert made.now_s - begun_s > 1.0
-        assert autopilot.battery_percent is not None
+        assert autopilot.telemetry.battery_percent is not None
         assert autopilot.position == Position(0.0, 0.0)
         await autopilot.disarm()
 
@@ -210,12 +209,13 @@ def test_what_its_last_checks_object_to_is_told_and_it_is_armed_once_they_pass(
     refusals = 2
     arms = Copter.arm
 
-    def reluctantly(self: Copter, now_s: float, *, forced: bool = False) -> CommandAnswer:
+    def reluctantly(self: Copter, now_s: float, *, forced: bool = False) -> Result:
         nonlocal refusals
         if refusals == 0:
             return arms(self, now_s, forced=forced)
         refusals -= 1
-        return CommandAnswer(Result.FAILED, (Text("Arm: Throttle is not low", severity=2),))
+        self.say(Text("Arm: Throttle is not low"))
+        return Result.FAILED
 
     monkeypatch.setattr(Copter, "arm", reluctantly)
 
@@ -223,7 +223,7 @@ def test_what_its_last_checks_object_to_is_told_and_it_is_armed_once_they_pass(
         news = news_of(autopilot)
         await claim_and_arm(autopilot)
         assert news.count(ArmingDelayed(reasons=("Throttle is not low",))) == 1
-        assert autopilot.armed
+        assert autopilot.telemetry.armed
 
     fly(mission, settings=HASTY)
 
@@ -253,7 +253,7 @@ async def test_a_battery_that_runs_low_shows(made: Bench, autopilot: MavlinkAuto
     news = news_of(autopilot)
     await claim_and_arm(autopilot)
     made.fail(FaultKind.BATTERY)
-    await turns_true(lambda: (autopilot.battery_percent or 100) <= 10)
+    await turns_true(lambda: (autopilot.telemetry.battery_percent or 100) <= 10)
     await turns_true(lambda: any("Battery 1 is low" in str(item) for item in news))
 
 
@@ -753,7 +753,7 @@ def test_heartbeats_go_on_after_a_defect_which_is_told(caplog: pytest.LogCapture
             return 0
 
         vehicle.heartbeat_word = fail_once
-        vehicle.listen(news.append)
+        vehicle.news.listen(news.append)
         await asyncio.sleep(5.0)
         assert failed.is_set() and came
         (trouble,) = news

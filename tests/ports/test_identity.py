@@ -9,11 +9,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.errors import AutopilotError, AutopilotNotHeard
-from upwash.eventlog.schema import LinkTrouble
-from upwash.mavlink.signing import SignatureRefusal
 from upwash.real.mavlink.arducopter import ARDUCOPTER
-from upwash.real.mavlink.identity import Identity, first_heartbeat
+from upwash.real.mavlink.identity import Identity
+from upwash.real.mavlink.news import VehicleNewsFeed
 from upwash.real.mavlink.px4_firmware import PX4
 from upwash.sim.loop import run_virtually
 
@@ -58,8 +56,10 @@ class Link:
     """An identity, and what it told."""
 
     def __init__(self, system: int | None = None) -> None:
-        self.told: list[LinkTrouble] = []
-        self.identity = Identity([ARDUCOPTER, PX4], system=system, tell=self.told.append)
+        self.told: list[Any] = []
+        news = VehicleNewsFeed()
+        news.listen(self.told.append)
+        self.identity = Identity([ARDUCOPTER, PX4], system=system, news=news)
 
     def hear(self, *messages: Any) -> list[bool]:
         """Which of them are believed to be the vehicle's."""

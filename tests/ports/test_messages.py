@@ -18,7 +18,7 @@ from upwash.core.geo import GeoPosition, Position
 from upwash.core.vehicle.control import Control, Owner
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.eventlog.schema import HomeMoved, LinkLost, LinkRestored, LinkTrouble, VehicleSaid
-from upwash.mavlink.px4 import EVENTS, EventMessage
+from upwash.mavlink.px4 import EventMessage, px4_events
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot, Patience
 from upwash.real.mavlink.arducopter import ARDUCOPTER
@@ -311,7 +311,7 @@ def test_an_event_of_a_px4_with_no_number_is_words(value: float) -> None:
         destination_component=0,
         destination_system=0,
         log_levels=0x44,
-        arguments=EVENTS[number].packed(value),
+        arguments=px4_events()[number].packed(value),
     )
     PX4.take(telemetry, event, 1.0)
     assert "MPC_XY_CRUISE is set to" in telemetry.texts[-1][1].text

@@ -23,7 +23,6 @@ from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot import commands
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
 from upwash.vehicle.body.connection import PeerConnection
-from upwash.vehicle.body.firmware import CommandReply
 from upwash.vehicle.px4.settings import Px4Settings
 
 REPOSITION, ARM = mavlink.MAV_CMD_DO_REPOSITION, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -96,7 +95,7 @@ async def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
     await autopilot.claim(resumes=False)
     made.copter.arm(made.now_s, forced=True)
     await asyncio.sleep(0.07)  # no heartbeat comes meanwhile
-    assert not autopilot.armed
+    assert not autopilot.telemetry.armed
     with pytest.raises(AutopilotOverruled):
         await autopilot.arm()
     assert made.commands() == []
@@ -116,7 +115,7 @@ def test_a_firmware_that_only_knows_the_old_question_is_asked_that(monkeypatch: 
 
     def obey(to: PeerConnection, message: Any) -> Any:
         if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE and message.param1 == VERSION:
-            return CommandReply((mavlink.MAV_RESULT_UNSUPPORTED,))
+            return (mavlink.MAV_RESULT_UNSUPPORTED,)
         return known(to, message)
 
     monkeypatch.setattr(PeerConnection, "_obey", obey)

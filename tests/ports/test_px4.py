@@ -88,7 +88,7 @@ async def test_legs_keep_their_speed(sky: Bench, autopilot: MavlinkAutopilot) ->
         begun = autopilot.position
         while not leg.done():
             await asyncio.sleep(0.1)
-            velocity = autopilot.velocity
+            velocity = autopilot.telemetry.velocity
             assert velocity is not None
             fastest_m_s = max(fastest_m_s, velocity.speed_m_s)
             farthest_m = max(farthest_m, distance_m(autopilot.position, begun))
@@ -373,10 +373,10 @@ def test_a_lost_position_is_told_as_that_and_not_as_lost_setpoints() -> None:
 
 def checks(telemetry: VehicleTelemetry, *names: tuple[str, int], ends: bool = True) -> None:
     """A set of failed checks, each with the modes that it concerns."""
-    numbers = {kind.name: number for number, kind in px4.EVENTS.items()}
+    numbers = {kind.name: number for number, kind in px4.px4_events().items()}
 
     def take(name: str, *arguments: int) -> None:
-        kind = px4.EVENTS[numbers[name]]
+        kind = px4.px4_events()[numbers[name]]
         PX4.take(
             telemetry,
             px4.EventMessage(

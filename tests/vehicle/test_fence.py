@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, Position
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body.copter import Result
 from upwash.vehicle.body.fence import FenceItem
-from upwash.vehicle.body.firmware import Result
 
 STAY_IN = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 KEEP_OUT = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
@@ -34,14 +34,13 @@ class Flown:
     def fly(self, for_s: float) -> None:
         for _ in range(round(for_s * 10)):
             self.now_s += 0.1
-            self.said += [text.words for text in self.copter.notice(self.now_s)]
+            self.copter.notice(self.now_s)
+            self.said += [text.words for text in self.copter.said()]
 
     def take_off(self, altitude_m: float = 10.0) -> None:
         self.fly(1.0)
         self.copter.change_mode(self.now_s, CopterMode.GUIDED)
-        answer = self.copter.arm(self.now_s)
-        assert answer.result is Result.ACCEPTED
-        self.said += [text.words for text in answer.texts]
+        assert self.copter.arm(self.now_s) is Result.ACCEPTED
         self.copter.take_off(self.now_s, altitude_m)
         self.fly(20.0)
 
@@ -133,10 +132,9 @@ def test_it_says_which_kinds_it_breaches_and_may_refuse_modes_until_that_is_over
         flown.copter.parameters.change("FENCE_ENABLE", 1)
         flown.fly(0.1)
         assert flown.said[-2:] == ["Max Alt and Polygon fences breached", "Manual recovery started"]
-        answer = flown.copter.change_mode(flown.now_s, CopterMode.LOITER)
-        assert answer.result is result
+        assert flown.copter.change_mode(flown.now_s, CopterMode.LOITER) is result
         refusal = "Mode change to LOITER failed: in fence recovery"
-        assert [text.words for text in answer.texts] == ([refusal] if options else [])
+        assert [text.words for text in flown.copter.said()] == ([refusal] if options else [])
 
 
 def test_it_returns_below_its_ceiling_by_its_margin() -> None:

@@ -17,8 +17,7 @@ from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
-from upwash.vehicle.body.copter import FaultKind, LandedState, VehicleFault
-from upwash.vehicle.body.firmware import Result
+from upwash.vehicle.body.copter import FaultKind, LandedState, Result, VehicleFault
 
 
 def close_to(quantity: str, *, fineness: float = 0.0) -> Any:
@@ -158,8 +157,8 @@ def test_without_gps_it_lands_where_it_is() -> None:
     assert lands_s == close_to("lands without GPS")
     assert flight.copter.critical()
     assert flight.copter.ekf_flags(flight.now_s) == 37
-    refusal = flight.copter.change_mode(flight.now_s, CopterMode.RTL)
-    assert [(text.severity, text.words) for text in refusal.texts] == [
+    flight.copter.change_mode(flight.now_s, CopterMode.RTL)
+    assert [(text.severity, text.words) for text in flight.copter.said()] == [
         (4, "Mode change to RTL failed: requires position")
     ]
     assert flight.until_landed() == close_to("lands without GPS from 10 m: touches down")
@@ -289,7 +288,8 @@ def test_a_height_fence_sends_it_home() -> None:
     said, tenth = [], 0
     while copter.mode is CopterMode.GUIDED:
         tenth += 1
-        said = [text.words for text in copter.notice(tenth / 10)]
+        copter.notice(tenth / 10)
+        said = [text.words for text in copter.said()]
     assert copter.position(tenth / 10).altitude_m == pytest.approx(8.1, abs=0.3)
     assert said == ["Max Alt fence breached", "Manual recovery started"]
     assert (copter.fence.breach, copter.fence.breaches) == (2, 1)
@@ -337,19 +337,19 @@ def test_it_refuses_to_arm_with_the_words_of_a_real_one(row: dict[str, str]) -> 
     for tick in range(round(at_s * 5)):
         copter.notice(tick / 5)
     copter.change_mode(at_s, CopterMode.GUIDED)
-    refusal = copter.arm(at_s)
-    assert refusal.result is Result.FAILED
-    assert [text.words for text in refusal.texts] == row["texts"].split("; ")
-    assert {text.severity for text in refusal.texts} == {2}
+    copter.said()
+    assert copter.arm(at_s) is Result.FAILED
+    refusal = copter.said()
+    assert [text.words for text in refusal] == row["texts"].split("; ")
+    assert {text.severity for text in refusal} == {2}
     assert not copter.armable(at_s)
 
 
 def test_it_complains_twice_a_minute() -> None:
     copter = Copter(VehicleSettings(home=SETTINGS.home, faults=(VehicleFault(FaultKind.GPS),)), now_s=0.0)
-    told_s = [
-        tenth / 10
-        for tenth in range(1300)
-        if [text for text in copter.notice(tenth / 10) if text.words == "PreArm: GPS 1: Bad fix"]
-    ]
+    told_s = []
+    for tenth in range(1300):
+        copter.notice(tenth / 10)
+        told_s += [tenth / 10 for text in copter.said() if text.words == "PreArm: GPS 1: Bad fix"]
     assert told_s == pytest.approx([30.4, 61.4, 92.4, 123.4], abs=0.2)
     assert not copter.critical()

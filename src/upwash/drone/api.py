@@ -105,8 +105,8 @@ class Vehicle:
 
     @property
     def battery_percent(self) -> float | None:
-        """The battery's charge in percent, as last reported; None if the vehicle does not report it."""
-        return self._autopilot.battery_percent
+        """What is left in the battery, as last reported; None where the vehicle does not say."""
+        return self._autopilot.telemetry.battery_percent
 
     @property
     def telemetry(self) -> Telemetry:

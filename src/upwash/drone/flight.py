@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import traceback
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -192,9 +191,8 @@ class Flight:
     def position_report(self) -> schema.PositionReport:
         """The drone's position, motion, battery, and link to a server, as one record for the log."""
         vehicle, (server, round_trip_s) = self._ports.autopilot, self._offloading.link
-        here, velocity = rounded(vehicle.position), vehicle.velocity
-        speed_m_s = None if velocity is None else math.hypot(velocity.east_m_s, velocity.north_m_s)
-        heading_deg, percent = vehicle.heading_deg, vehicle.battery_percent
+        here, told = rounded(vehicle.position), vehicle.telemetry
+        speed_m_s, heading_deg, percent = told.ground_speed_m_s, told.heading_deg, told.battery_percent
         down_s = self._descent.left_s
         return schema.PositionReport(
             east_m=here.east_m,
@@ -303,7 +301,7 @@ class Flight:
         autopilot = self._ports.autopilot
         if self._vehicle.in_the_air or not (autopilot.stands and autopilot.control.is_ours):
             return False
-        if autopilot.armed:
+        if autopilot.telemetry.armed:
             try:
                 await autopilot.disarm()
             except AutopilotError:
@@ -349,7 +347,7 @@ class Flight:
 
     async def _end(self, why: str) -> None:
         autopilot, journal = self._ports.autopilot, self._ports.journal
-        if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.armed):
+        if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.telemetry.armed):
             self._stop_following.clear()
             action = self._config.autopilot.on_failure
             self._ends = None if action == "hold" else action

@@ -44,7 +44,7 @@ class Photographer:
 
     async def _take_photo(self) -> bytes:
         vehicle = self._autopilot
-        at, earth, heading_deg = vehicle.position, vehicle.earth_position, vehicle.heading_deg
+        at, earth, heading_deg = vehicle.position, vehicle.earth_position, vehicle.telemetry.heading_deg
         photo = await self._camera.take_photo(at)
         jpeg = photo.jpeg if earth is None else with_place(photo.jpeg, _shot(earth, heading_deg))
         self._journal.record(

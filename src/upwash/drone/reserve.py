@@ -61,14 +61,14 @@ class ReserveWatch:
             await asyncio.get_running_loop().create_future()
         silent = 0
         while not (why := self._look()):
-            silent += self._autopilot.battery_percent is None
+            silent += self._autopilot.telemetry.battery_percent is None
             if silent == _SILENT_LOOKS:
                 self._journal.record(schema.BatteryWatchFailed(why="the vehicle does not report its battery"))
             await asyncio.sleep(_LOOK_S)
         return why
 
     def _look(self) -> str:
-        percent = self._autopilot.battery_percent
+        percent = self._autopilot.telemetry.battery_percent
         if self._energy is not None:
             now = (
                 self._in_flight(self._energy)
@@ -99,11 +99,12 @@ class ReserveWatch:
     def _in_flight(self, energy: FlightEnergy) -> Margin | None:
         self._has_flown = True
         vehicle = self._autopilot
+        told = vehicle.telemetry
         report = FlightReport(
             time_s=asyncio.get_running_loop().time(),
             position=vehicle.position,
-            percent=vehicle.battery_percent,
-            velocity=vehicle.velocity,
+            percent=told.battery_percent,
+            velocity=told.velocity,
             leg_speed_m_s=self._leg_speed_m_s(),
             wind=vehicle.wind,
         )

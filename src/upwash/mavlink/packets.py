@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.px4 import understood
 from upwash.mavlink.signing import SignatureRefusal, Signing
+
+Message: TypeAlias = Any  # pymavlink's messages are not typed
 
 _NOT_UNDERSTOOD = (mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown)  # garbage, or no checksum to verify
 
@@ -23,7 +25,7 @@ class PacketReader:
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True  # what cannot be understood becomes a message of its own
 
-    def read(self, data: bytes) -> list[tuple[Any, SignatureRefusal | None]]:
+    def read(self, data: bytes) -> list[tuple[Message, SignatureRefusal | None]]:
         """The messages that the bytes complete."""
         parser = self._parser
         found = parser.parse_buffer(data) or ()
@@ -36,8 +38,13 @@ class PacketReader:
         ]
 
 
-def packed(message: Any, codec: Any, signing: Signing | None) -> bytes:
-    """The message's bytes, signed if there is a key; advances the codec's sequence number."""
+def packed(message: Message, codec: Any, signing: Signing | None) -> bytes:
+    """The message's bytes, signed where there is a key; the codec's sequence number goes on."""
     data = signing.pack(message, codec) if signing else bytes(message.pack(codec))
     codec.seq = (codec.seq + 1) % 256
     return data
+
+
+def sender_of(message: Message) -> tuple[int, int]:
+    """Its system and component."""
+    return message.get_srcSystem(), message.get_srcComponent()

@@ -7,18 +7,18 @@ stand-in read and write with these.
 
 from __future__ import annotations
 
+import csv
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
+from functools import cache
+from importlib.resources import files
 from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 EVENT = 410
-REQUEST_EVENT = 412
-RESPONSE_EVENT_ERROR = 413
 AVAILABLE_MODES = 435
 CURRENT_MODE = 436
 RUN_PREARM_CHECKS = 401  # a command
@@ -77,7 +77,7 @@ class _Message(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink is n
 
 
 class EventMessage(_Message):
-    """EVENT: an event of PX4; `EVENTS` has the meaning of its `arguments`."""
+    """EVENT: something happened; `arguments` are what `px4_events` says that they are."""
 
     id, msgname, crc_extra = EVENT, "EVENT", 160
     fieldnames = (
@@ -95,22 +95,6 @@ class EventMessage(_Message):
     def severity(self) -> int:
         """MAV_SEVERITY for people outside; 8 for events that are for programs only."""
         return int(self.log_levels) & 0x0F
-
-
-class RequestEventMessage(_Message):
-    """REQUEST_EVENT: says that events were missed."""
-
-    id, msgname, crc_extra = REQUEST_EVENT, "REQUEST_EVENT", 33
-    fieldnames = "first_sequence", "last_sequence", "target_system", "target_component"
-    unpacker = struct.Struct("<HHBB")
-
-
-class ResponseEventErrorMessage(_Message):
-    """RESPONSE_EVENT_ERROR: the missed event is gone for good."""
-
-    id, msgname, crc_extra = RESPONSE_EVENT_ERROR, "RESPONSE_EVENT_ERROR", 77
-    fieldnames = "sequence", "sequence_oldest_available", "target_system", "target_component", "reason"
-    unpacker = struct.Struct("<HHBBB")
 
 
 class AvailableModesMessage(_Message):
@@ -133,8 +117,6 @@ _KINDS: Mapping[int, type[_Message]] = {
     kind.id: kind
     for kind in (
         EventMessage,
-        RequestEventMessage,
-        ResponseEventErrorMessage,
         AvailableModesMessage,
         CurrentModeMessage,
     )
@@ -197,65 +179,15 @@ class EventKind:
         return struct.unpack_from(f"<{self.arguments}", arguments)
 
 
-_CHECK = "IB"  # the modes that it concerns, and the health component
-
-EVENTS: Mapping[int, EventKind] = MappingProxyType(
-    {
-        16856624: EventKind("check_modes_home_position", 0x66, "home position not set", _CHECK),
-        16910493: EventKind(
-            "commander_arm_denied_resolve_failures", 0x62, "arming denied: resolve failures first"
-        ),
-        16962474: EventKind("rtl_land_at_destination", 0x66, "return: landing at the destination"),
-        17154777: EventKind("check_modes_mission", 0x66, "no valid mission available", _CHECK),
-        17231145: EventKind("check_modes_manual_control", 0x44, "no manual control input", _CHECK),
-        17738815: EventKind("failsafe_rc_override", 0x66, "the pilot took over from the fail-safe"),
-        18523838: EventKind("commander_rc_override", 0x66, "the pilot took over using sticks"),
-        18691879: EventKind("commander_health_summary", 0x88, "", "BIII"),
-        19404811: EventKind("check_battery_critical", 0x22, "critical battery", _CHECK),
-        19865031: EventKind("check_modes_offboard_signal", 0x33, "no offboard signal", _CHECK),
-        20842799: EventKind("check_gf_violation_max_hor_dist", 0x33, "geofence: too far from home", _CHECK),
-        16920235: EventKind("check_gf_violation_custom_gf", 0x33, "geofence: outside or about to be", _CHECK),
-        21054825: EventKind("commander_takeoff_detected", 0x66, "take-off detected"),
-        21279712: EventKind(
-            "commander_failsafe_enter_generic_hold", 0x42, "fail-safe: switching to {1} in {2} seconds", "IBH"
-        ),
-        21826980: EventKind("check_battery_low", 0x44, "low battery", _CHECK),
-        22161044: EventKind("vrtl_return_at", 0x66, "return at {0} m, {1} m above the destination", "ii"),
-        22400324: EventKind("commander_rc_lost", 0x66, "manual control lost"),
-        23579003: EventKind("check_rc_dl_no_dllink", 0x66, "no connection to the ground station", _CHECK),
-        26266355: EventKind("commander_armed_by", 0x66, "armed by {0}", "B"),
-        26528394: EventKind("commander_failsafe_enter", 0x42, "{2}: switching to {1}", "IBB"),
-        26622124: EventKind("commander_landing_detected", 0x66, "landing detected"),
-        26788467: EventKind("check_modes_global_pos", 0x33, "no valid global position estimate", _CHECK),
-        27494155: EventKind("commander_onboard_ctrl_regained", 0x66, "companion computer regained"),
-        27571288: EventKind("commander_gcs_lost", 0x64, "connection to the ground station lost"),
-        27825120: EventKind("commander_arming_check_summary", 0x88, "", "BIIII"),
-        27900317: EventKind("commander_mission_comp_lost", 0x22, "connection to the companion computer lost"),
-        28121863: EventKind("check_battery_emergency", 0x22, "emergency battery level", _CHECK),
-        28993875: EventKind("commander_failsafe_enter_low_bat", 0x64, "low battery level, return advised"),
-        29146769: EventKind("check_estimator_gps_fix_too_low", 0x44, "GPS fix too low", _CHECK),
-        29547634: EventKind(
-            "commander_failsafe_enter_autopilot_disengaged",
-            0x42,
-            "fail-safe: autopilot disengaged, switching to {1}",
-            "IB",
-        ),
-        30272452: EventKind(
-            "navigator_reposition_outside_geofence", 0x63, "reposition is outside the geofence"
-        ),
-        30481910: EventKind(
-            "commander_failsafe_enter_hold", 0x42, "{3}: switching to {1} in {2} seconds", "IBHB"
-        ),
-        30612409: EventKind("check_modes_local_pos", 0x33, "no valid position estimate", _CHECK),
-        30700832: EventKind("check_gf_violation_max_alt", 0x33, "geofence: too high above home", _CHECK),
-        31011876: EventKind("commander_dl_regained", 0x66, "ground station regained"),
-        31382480: EventKind("commander_failsafe_enter_generic", 0x42, "fail-safe: switching to {1}", "IB"),
-        30930440: EventKind("mc_pos_ctrl_man_vel_set", 0x44, "MPC_VEL_MANUAL is set to {0:g}", "f"),
-        32686809: EventKind("mc_pos_ctrl_cruise_set", 0x44, "MPC_XY_CRUISE is set to {0:g}", "f"),
-        32794487: EventKind("commander_disarmed_by", 0x66, "disarmed by {0}", "B"),
+@cache
+def px4_events() -> Mapping[int, EventKind]:
+    """The events that PX4 was seen to send in flights and in their fail-safes, by number."""
+    table = files("upwash.mavlink").joinpath("px4_events.csv").read_text(encoding="utf-8")
+    return {
+        int(row["number"]): EventKind(row["name"], int(row["log_levels"], 16), row["text"], row["arguments"])
+        for row in csv.DictReader(table.splitlines())
     }
-)
-"""The events that PX4 was seen to send in flights and in their fail-safes, by number."""
+
 
 _WORDS: Mapping[tuple[str, int], Mapping[int, str]] = {
     ("commander_armed_by", 0): {4: "external command"},
@@ -271,8 +203,8 @@ _CAUSES = {
 
 
 def event_text(event: EventMessage) -> str:
-    """The text of an event; its number if it is not in `EVENTS`, "" if it is for programs only."""
-    kind = EVENTS.get(event.id_of_event)
+    """What an event says, in words; its number where it is unknown, nothing if it is for programs only."""
+    kind = px4_events().get(event.id_of_event)
     if kind is None:
         return "" if event.severity >= 8 else f"event {event.id_of_event}"
     values = struct.unpack_from(f"<{kind.arguments}", event.arguments)

@@ -100,38 +100,32 @@ class ModelAutopilot:
         return self._battery.percent
 
     @property
-    def velocity(self) -> Velocity | None:
-        """The present velocity."""
-        return self._vehicle.velocity
-
-    @property
     def stopping_place(self) -> Position:
         """Where the vehicle would come to rest if it braked now."""
         phases = self._braking()
         return phases[-1].end if phases else self.position
 
     @property
-    def heading_deg(self) -> float | None:
-        """The heading in degrees, as it flies nose first; None if it stands or hovers, unless it was turned there."""
-        now = self._vehicle.velocity
-        if not (now.east_m_s or now.north_m_s):
-            return self._turned_to_deg
-        return math.degrees(math.atan2(now.east_m_s, now.north_m_s)) % 360.0
-
-    @property
     def telemetry(self) -> Telemetry:
-        """The vehicle's reports: always level, with a perfect satellite receiver."""
-        heading_deg = self.heading_deg
+        """Always level, with a perfect receiver."""
+        vehicle = self._vehicle
+        heading_deg = self._heading_deg(vehicle.velocity)
         return Telemetry(
             position=self.position,
-            mode=self._vehicle.mode,
-            armed=self.armed,
-            velocity=self.velocity,
+            mode=vehicle.mode,
+            armed=vehicle.armed,
+            velocity=vehicle.velocity,
             attitude=None if heading_deg is None else Attitude(0.0, 0.0, heading_deg),
             heading_deg=heading_deg,
             gps=_GPS,
             battery_percent=self.battery_percent,
         )
+
+    def _heading_deg(self, now: Velocity) -> float | None:
+        """It flies nose first; None where it stands or hovers, unless it was turned there."""
+        if not (now.east_m_s or now.north_m_s):
+            return self._turned_to_deg
+        return math.degrees(math.atan2(now.east_m_s, now.north_m_s)) % 360.0
 
     @property
     def wind(self) -> Velocity | None:
@@ -163,11 +157,6 @@ class ModelAutopilot:
     def dead_man(self) -> DeadMan:
         """A switch that is always ready, and never needed."""
         return ModelDeadMan()
-
-    @property
-    def armed(self) -> bool:
-        """Whether the motors run."""
-        return self._vehicle.armed
 
     @property
     def stands(self) -> bool:

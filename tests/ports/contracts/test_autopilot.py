@@ -77,7 +77,7 @@ def fly(request: pytest.FixtureRequest) -> Fly:
 def test_each_verb_returns_when_it_is_true(fly: Fly) -> None:
     async def mission(autopilot: Autopilot) -> None:
         assert not await autopilot.in_the_air()
-        assert autopilot.stands and not autopilot.armed
+        assert autopilot.stands and not autopilot.telemetry.armed
         await take_off(autopilot)
         assert await autopilot.in_the_air()
         assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0

@@ -146,7 +146,7 @@ class ArduCopterAutopilot(MavlinkAutopilot):
                 "the vehicle changes its own targets to fly round obstacles, so upwash cannot see that a ground "
                 "station sends it elsewhere: have the pilot change the mode instead"
             )
-            self.vehicle.tell(VehicleSetting(name=_AVOIDANCE, value=avoids, advice=advice))
+            self.vehicle.news.tell(VehicleSetting(name=_AVOIDANCE, value=avoids, advice=advice))
         return await arducopter_limits(self.vehicle, self._frame, limits, parameters)
 
     async def _prepare_arming(self) -> None:

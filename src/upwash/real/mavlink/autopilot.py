@@ -83,7 +83,7 @@ class MavlinkAutopilot(ReportingAutopilot):
         reasons = reasons or self._delayed_by or ()
         if reasons != self._delayed_by:
             self._delayed_by = reasons
-            self.vehicle.tell(ArmingDelayed(reasons=reasons))
+            self.vehicle.news.tell(ArmingDelayed(reasons=reasons))
 
     def _not_ready(self, reasons: tuple[str, ...]) -> AutopilotRefused:
         own = self._own_reasons()

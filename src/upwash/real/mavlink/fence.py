@@ -16,9 +16,9 @@ from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position
 from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import VehicleSetting
+from upwash.mavlink.packets import Message
 from upwash.ports import FenceNames, VehicleLimits
 from upwash.real.mavlink.gate import LATITUDE_E7, LONGITUDE_E7, Range
-from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 ARDUCOPTER_FENCE = (
@@ -112,13 +112,13 @@ def _check_action(vehicle: MavlinkVehicle, action: float, parameters: Mapping[st
             "at its fence the vehicle holds for COM_OF_LOSS_T, as the program stops sending, and then does what "
             "COM_OBL_RC_ACT says; with a GF_ACTION of 3 it returns"
         )
-        vehicle.tell(VehicleSetting(name="GF_ACTION", value=action, advice=advice))
+        vehicle.news.tell(VehicleSetting(name="GF_ACTION", value=action, advice=advice))
     if predicts := parameters.get("GF_PREDICT"):
         advice = (
             "it acts before the border is reached, which PX4 calls experimental and a cause of fly-aways; "
             "set it to 0"
         )
-        vehicle.tell(VehicleSetting(name="GF_PREDICT", value=predicts, advice=advice))
+        vehicle.news.tell(VehicleSetting(name="GF_PREDICT", value=predicts, advice=advice))
 
 
 def _untold(parameters: Mapping[str, float], *names: str) -> tuple[str, ...]:

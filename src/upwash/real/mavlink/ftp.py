@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.ftp import MOST_DATA_BYTES, Opcode, Packet, Trouble, read_packet
+from upwash.mavlink.packets import Message
 from upwash.real.mavlink.link import COMPANION
-from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 MOST_FILE_BYTES = 65_536  # of a file that is read: upwash writes no longer ones

@@ -1,4 +1,4 @@
-"""The gate between packets and the driver: impossible numbers are dropped, and a defect costs one message.
+"""The gate between packets and the driver: impossible numbers are dropped.
 
 A message with a number that is not finite or out of range is dropped, unless MAVLink has a value for "not known":
 the number then gets that value. The table holds the numbers that the driver uses; integers that cannot be out of
@@ -7,56 +7,16 @@ range are not in it.
 
 from __future__ import annotations
 
-import logging
 import math
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.eventlog.schema import LinkTrouble, LinkTroubleName
-from upwash.real.mavlink.receiver import Message
-
-_log = logging.getLogger("upwash.mavlink")
-
-
-class Troubles:
-    """Passes troubles of the link to `tell`, without all their repetitions."""
-
-    def __init__(self, tell: Callable[[LinkTrouble], None] = lambda _: None) -> None:
-        self._tell = tell
-        self._told: set[LinkTroubleName] = set()
-        self._times: Counter[tuple[LinkTroubleName, str]] = Counter()
-
-    def once(self, about: LinkTroubleName, why: str) -> None:
-        """Report the first trouble of its kind."""
-        if about not in self._told:
-            self._told.add(about)
-            self._tell(LinkTrouble(about=about, why=why))
-
-    def count(self, about: LinkTroubleName, what: str, why: str) -> bool:
-        """Report the first, tenth, hundredth trouble about `what`, and so on; return whether it was reported."""
-        self._times[about, what] += 1
-        times = self._times[about, what]
-        tells = str(times).rstrip("0") == "1"
-        if tells:
-            self._tell(LinkTrouble(about=about, why=why if times == 1 else f"{why}; so far {times} times"))
-        return tells
-
-    def spare(self, message: Message, step: Callable[[], object]) -> bool:
-        """Run the step; return whether it succeeded. An exception ends only this step: it is logged and counted."""
-        try:
-            step()
-        except Exception as error:  # noqa: BLE001 - a defect in one message's handling may not end the connection
-            kind = message.get_type()
-            why = f"a defect of upwash: {kind} of the vehicle was not taken in ({error!r})"
-            if self.count("defect", kind, why):
-                _log.error("%s", why, exc_info=error)
-            return False
-        return True
+from upwash.mavlink.packets import Message
+from upwash.real.mavlink.news import VehicleNewsFeed
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,15 +61,15 @@ RANGES: Ranges = MappingProxyType(
 )
 
 
-def admits(message: Message, ranges: Ranges, troubles: Troubles) -> bool:
-    """Whether each number of the message is possible or marked as not known; the others are counted as troubles."""
+def admits(message: Message, ranges: Ranges, news: VehicleNewsFeed) -> bool:
+    """Whether each number of the message is possible or marked as not known; the others are told as troubles."""
     kind = message.get_type()
     for name, span in ranges.get(kind, {}).items():
         value = getattr(message, name)
         if span.least <= value <= span.most:
             continue
         without = "the message was dropped" if span.unknown is None else "the number counts as not known"
-        troubles.count("out-of-range", f"{kind}.{name}", f"{name} of {kind} was {value:g}: {without}")
+        news.count("out-of-range", f"{kind}.{name}", f"{name} of {kind} was {value:g}: {without}")
         if span.unknown is None:
             return False
         setattr(message, name, span.unknown)

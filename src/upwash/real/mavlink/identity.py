@@ -19,13 +19,13 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotError, AutopilotNotHeard
-from upwash.eventlog.schema import LinkTrouble
 from upwash.mavlink.names import name_of
+from upwash.mavlink.packets import Message, sender_of
 from upwash.mavlink.signing import SignatureRefusal
-from upwash.real.mavlink.gate import Troubles
 from upwash.real.mavlink.link import MavlinkLink
+from upwash.real.mavlink.news import VehicleNewsFeed
 from upwash.real.mavlink.numbering import Twins
-from upwash.real.mavlink.receiver import Message, from_autopilot
+from upwash.real.mavlink.receiver import from_autopilot
 from upwash.real.mavlink.telemetry import FirmwareProfile
 
 _COPTERS = (
@@ -86,8 +86,7 @@ class AutopilotInfo:
 class Identity:
     """Recognizes the followed vehicle: the one with that `system`, or without `system` the only vehicle.
 
-    Vehicles with one of the `firmwares` can be flown. Warnings about other senders on the link are reported once for
-    each kind.
+    `firmwares` can be flown. `news` get what a person should know about others on the link, once for each kind.
     """
 
     def __init__(
@@ -95,13 +94,13 @@ class Identity:
         firmwares: Sequence[FirmwareProfile],
         *,
         system: int | None = None,
-        tell: Callable[[LinkTrouble], None] = lambda _: None,
+        news: VehicleNewsFeed,
     ) -> None:
         self.firmware = firmwares[0]
         self.vehicle: AutopilotInfo | None = None
         self.system = system
         self._firmwares = {firmware.autopilot: firmware for firmware in firmwares}
-        self._troubles = Troubles(tell)
+        self._news = news
         self._heard: dict[int, AutopilotInfo] = {}  # by system
         self._twins = Twins()
 
@@ -134,14 +133,14 @@ class Identity:
         sender = self._described(message)
         self._heard[sender.system] = sender
         if self._others():
-            self._troubles.once("another-vehicle", f"{self._others()[0]} is on the link too: it is ignored")
+            self._news.once("another-vehicle", f"{self._others()[0]} is on the link too: it is ignored")
 
     def believes(self, message: Message, now_s: float) -> bool:
         """Whether a message with the followed ids is the vehicle's own."""
         if message.get_type() == "HEARTBEAT" and (sender := self._described(message)) != self.vehicle:
             # An ArduPilot that starts reports its type once it knows its motors.
             if message.autopilot not in _AUTOPILOTS or message.type != mavlink.MAV_TYPE_GENERIC:
-                self._troubles.once(
+                self._news.once(
                     "another-program",
                     f"another program sends heartbeats with this vehicle's ids, {sender}: they are ignored; give "
                     "that program a component id of its own",
@@ -149,7 +148,7 @@ class Identity:
             return False
         self._twins.take(message, now_s)
         if self._twins.evidence:
-            self._troubles.once("same-id", self._twins_problem())
+            self._news.once("same-id", self._twins_problem())
         return True
 
     @property
@@ -212,11 +211,6 @@ class Identity:
             f"two vehicles with system {self.vehicle.system} are on the link ({self._twins.evidence}): give one of "
             "them another id (SYSID_THISMAV or MAV_SYSID of ArduPilot, MAV_SYS_ID of PX4), or switch it off"
         )
-
-
-def sender_of(message: Message) -> tuple[int, int]:
-    """The system and component of a message's sender."""
-    return message.get_srcSystem(), message.get_srcComponent()
 
 
 async def first_heartbeat(

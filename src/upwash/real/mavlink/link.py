@@ -20,9 +20,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection, serial_speed
-from upwash.mavlink.packets import packed
+from upwash.mavlink.packets import Message, packed
 from upwash.mavlink.signing import SignatureRefusal, Signing
-from upwash.real.mavlink.receiver import Address, Message, MessageReceiver, Peer, from_autopilot
+from upwash.real.mavlink.receiver import Address, MessageReceiver, Peer, from_autopilot
 from upwash.support.background import end, kept_up, only_logged, start
 
 COMPANION = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER

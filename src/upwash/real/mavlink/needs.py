@@ -11,10 +11,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused
 from upwash.eventlog.schema import VehicleSetting
+from upwash.mavlink.packets import Message
 from upwash.mavlink.px4 import CURRENT_MODE
 from upwash.mavlink.version import Version
 from upwash.real.mavlink.parameters import VehicleQuantity, read_quantities
-from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _STEP = "arm"
@@ -126,15 +126,15 @@ async def check_px4_settings(vehicle: MavlinkVehicle) -> None:
     if lost is not None and lost not in _GOES_ON:
         what = "comes down where it is, unless a pilot has it by stick" if lost in (0, 1, 2) else "lands"
         advice = f"without the program the vehicle {what}; 3 has it return, 5 hover"
-        vehicle.tell(VehicleSetting(name="COM_OBL_RC_ACT", value=lost, advice=advice))
+        vehicle.news.tell(VehicleSetting(name="COM_OBL_RC_ACT", value=lost, advice=advice))
     if after_s is not None and after_s > _LONG_S:
         advice = "the vehicle notices the loss only after that many seconds"
-        vehicle.tell(VehicleSetting(name="COM_OF_LOSS_T", value=after_s, advice=advice))
+        vehicle.news.tell(VehicleSetting(name="COM_OF_LOSS_T", value=after_s, advice=advice))
     if override is not None and not int(override) & _STICKS_IN_OFFBOARD:
         advice = (
             "sticks do not take the vehicle from the program, a mode switch does; 3 has sticks do it, too"
         )
-        vehicle.tell(VehicleSetting(name="COM_RC_OVERRIDE", value=override, advice=advice))
+        vehicle.news.tell(VehicleSetting(name="COM_RC_OVERRIDE", value=override, advice=advice))
 
 
 async def px4_failsafe_delay_s(vehicle: MavlinkVehicle) -> float:

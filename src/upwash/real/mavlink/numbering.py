@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict, deque
 
-from upwash.real.mavlink.receiver import Message
+from upwash.mavlink.packets import Message
 
 _LATE_BY = 64  # messages, about a second: an older number comes from a restarted vehicle
 _LATE_BY_MS = 2000  # the same by the time since boot

@@ -9,32 +9,28 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.admission.limits import Allowance
 from upwash.core.geo import Position
 from upwash.core.vehicle.control import Heartbeat, Latch
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import (
-    HomeMoved,
     LinkLost,
     LinkRestored,
     LinkTrouble,
-    PositionDoubted,
-    VehicleSaid,
 )
+from upwash.mavlink.packets import Message, sender_of
 from upwash.mavlink.signing import Signing
-from upwash.ports import VehicleNews
-from upwash.real.mavlink.gate import Troubles, admits
-from upwash.real.mavlink.identity import AutopilotInfo, Identity, first_heartbeat, sender_of
+from upwash.real.mavlink.gate import admits
+from upwash.real.mavlink.identity import AutopilotInfo, Identity, first_heartbeat
 from upwash.real.mavlink.link import MavlinkLink, Opener
+from upwash.real.mavlink.news import VehicleNewsFeed
 from upwash.real.mavlink.numbering import BootClock, Numbering
-from upwash.real.mavlink.receiver import Message, is_signed
+from upwash.real.mavlink.receiver import is_signed
 from upwash.real.mavlink.settings import Patience
 from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import FirmwareProfile, VehicleTelemetry
@@ -55,9 +51,6 @@ _SIGNS = (
     "signs its messages and answers none that is not signed: name the file of its key as autopilot.signing_key, or "
     "remove the key from the vehicle with a ground station"
 )
-_NEWS_KEPT = 1000  # until there is a listener
-_UNBOUNDED = VehicleSaid, HomeMoved, PositionDoubted  # a vehicle, or a forger, may send these without end
-_UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
 
 
 class ObservedVehicle:
@@ -79,22 +72,19 @@ class ObservedVehicle:
         signing: Signing | None = None,
         system: int | None = None,
     ) -> None:
+        self.news = VehicleNewsFeed()
         self.telemetry = VehicleTelemetry()
         self.patience = patience
-        self.identity = Identity(firmwares, system=system, tell=self.tell)
+        self.identity = Identity(firmwares, system=system, news=self.news)
         self._loop = asyncio.get_running_loop()
-        self._troubles = Troubles(self.tell)
-        self._unbounded = Allowance(_UNBOUNDED_PER_S, at_once=_UNBOUNDED_AT_ONCE)
         self._missed_s: dict[str, float] = {}  # when a report of the owner could not be taken in, by its kind
         self.latch = Latch(self.now_s)
-        self._hear_news: Callable[[VehicleNews], None] | None = None
-        self._unheard_news: deque[VehicleNews] = deque(maxlen=_NEWS_KEPT)
         self._listeners: list[Callable[[Message], None]] = []
         self._texts_told = 0
         self._silent_s = 0.0  # in all, of silences that are over
         self._numbering = Numbering()
         self._clock = BootClock()
-        self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, troubles=self._troubles)
+        self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, news=self.news)
         self._asks = False  # whether to ask for reports: not before the right vehicle is certain
         self._only_signed = True  # whether each message of the vehicle was signed
         self._is_signing = signing is not None
@@ -183,23 +173,6 @@ class ObservedVehicle:
         """The vehicle's texts of the last three seconds, the most severe first."""
         return self.telemetry.said_lately(self.now_s)
 
-    def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """Calls `hear` with all news from now on, and first with the news since the connection was made."""
-        self._hear_news = hear
-        while self._unheard_news:
-            hear(self._unheard_news.popleft())
-
-    def tell(self, news: VehicleNews) -> None:
-        """Passes news to the listener, or keeps them for one; floods are cut to five a second."""
-        if isinstance(news, _UNBOUNDED) and not self._unbounded.take(1, now_s=self.now_s):
-            what = type(news).__name__
-            self._troubles.count("flood", what, f"the vehicle says more than is told and logged ({what})")
-            return
-        if self._hear_news:
-            self._hear_news(news)
-        else:
-            self._unheard_news.append(news)
-
     @contextlib.contextmanager
     def listening(self, hear: Callable[[Message], None]) -> Iterator[None]:
         """Calls `hear` with each message of the vehicle until the end of the block."""
@@ -251,7 +224,7 @@ class ObservedVehicle:
 
         def tell(defect: Exception) -> None:
             why = f"a defect of upwash: {type(defect).__name__}: {defect}"
-            self.tell(LinkTrouble(about="defect", why=why))
+            self.news.tell(LinkTrouble(about="defect", why=why))
 
         kept = kept_up(work, name="the vehicle's link", pause_s=_HEARTBEAT_S, failed=tell)
         return start(kept, name="the vehicle's link", failed=only_logged)
@@ -347,7 +320,7 @@ class ObservedVehicle:
         return self._silent_s + (silent_s if silent_s >= self.patience.quiet_after_s else 0.0)
 
     def _spare(self, step: Callable[..., object], message: Message, *more: float) -> bool:
-        return self._troubles.spare(message, partial(step, message, *more))
+        return self.news.spare(message, partial(step, message, *more))
 
     def _sort_out(self, message: Message) -> None:
         identity, linked, now_s = self.identity, self.linked, self.now_s
@@ -358,7 +331,7 @@ class ObservedVehicle:
         if not self._numbering.is_news(message, now_s, linked=linked):
             return
         self._suspect_dead_man(now_s)
-        is_report = admits(message, self.firmware.ranges, self._troubles) and self._take_in(message, now_s)
+        is_report = admits(message, self.firmware.ranges, self.news) and self._take_in(message, now_s)
         if all(now_s - missed_s > _BLIND_S for missed_s in self._missed_s.values()):
             self._count_as_heard(message, now_s, is_report=is_report, linked=linked)
         news, self._news = self._news, asyncio.Event()
@@ -416,7 +389,7 @@ class ObservedVehicle:
         before = self.latch.control
         report()
         if self.latch.control != before:
-            self.tell(self.latch.control)
+            self.news.tell(self.latch.control)
 
     def _take_control(self, message: Message, now_s: float) -> None:
         """Report each heartbeat to the latch, and modes that a fail-safe chose."""
@@ -437,7 +410,7 @@ class ObservedVehicle:
         new = self.telemetry.texts_heard - self._texts_told
         self._texts_told = self.telemetry.texts_heard
         for _, text in list(self.telemetry.texts)[-new:] if new else ():
-            self.tell(text)
+            self.news.tell(text)
 
     async def _accompany(self) -> None:
         """Send heartbeats as a companion computer: a second ground station would hide the loss of the real one."""
@@ -456,10 +429,10 @@ class ObservedVehicle:
             await self._news.wait()
         while True:
             await self.link_lost()
-            self.tell(LinkLost(silent_s=round(self.silent_s, 1)))
+            self.news.tell(LinkLost(silent_s=round(self.silent_s, 1)))
             since_s = self._last_heard_s
             await self.link_restored()
-            self.tell(LinkRestored(silent_s=round(self._last_heard_s - since_s, 1)))
+            self.news.tell(LinkRestored(silent_s=round(self._last_heard_s - since_s, 1)))
 
     def _look_at_reports(self) -> None:
         """Ask for missing reports, and warn of sequence numbers that do not count up."""
@@ -468,4 +441,4 @@ class ObservedVehicle:
         numbering = self._numbering
         self._streams.look(self.now_s, linked=self.linked, received_share=numbering.received_share)
         if numbering.wrong_times >= _WRONG_TIMES:
-            self._troubles.once("numbers", _NUMBERS_PROBLEM)
+            self.news.once("numbers", _NUMBERS_PROBLEM)

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotTimeout
 from upwash.eventlog.schema import VehicleSetting
-from upwash.real.mavlink.receiver import Message
+from upwash.mavlink.packets import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 Names: TypeAlias = tuple[str, ...]
@@ -121,7 +121,7 @@ async def read_quantities(vehicle: MavlinkVehicle, quantities: Sequence[VehicleQ
             values[quantity] = value
             continue
         why = reading.why_unknown(*names) if value is None else f"{value:g} {quantity.unit} makes no sense"
-        vehicle.tell(VehicleSetting(name=quantity.name, value=None, advice=f"{why}; {quantity.instead}"))
+        vehicle.news.tell(VehicleSetting(name=quantity.name, value=None, advice=f"{why}; {quantity.instead}"))
         guessed.append(quantity.name)
     return QuantityValues(values, tuple(guessed))
 

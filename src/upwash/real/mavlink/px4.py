@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.way_home import PX4 as PX4_WAY_HOME
 from upwash.errors import AutopilotError, AutopilotRefused
+from upwash.mavlink.packets import Message
 from upwash.mavlink.px4 import RUN_PREARM_CHECKS
 from upwash.ports import VehicleLimits
 from upwash.real.mavlink.autopilot import MavlinkAutopilot
@@ -30,7 +31,6 @@ from upwash.real.mavlink.px4_firmware import (
     failsafe,
     words_of,
 )
-from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.setpoints import SetpointCourse, SetpointStream
 from upwash.real.mavlink.way_home import PX4_QUANTITIES, px4_abilities, px4_energy
 

@@ -12,9 +12,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.eventlog.schema import VehicleSaid
-from upwash.mavlink.px4 import CURRENT_MODE, EVENTS, Mode, event_text
+from upwash.mavlink.packets import Message
+from upwash.mavlink.px4 import CURRENT_MODE, Mode, event_text, px4_events
 from upwash.mavlink.version import Version
-from upwash.real.mavlink.receiver import Message
 from upwash.real.mavlink.telemetry import STREAMS_HZ, FirmwareProfile, VehicleTelemetry
 
 LOITER, TAKEOFF, RTL, LAND, OFFBOARD = "AUTO.LOITER", "AUTO.TAKEOFF", "AUTO.RTL", "AUTO.LAND", "OFFBOARD"
@@ -89,13 +89,13 @@ def _take_event(telemetry: VehicleTelemetry, event: Any, now_s: float) -> None:
     number, name = event.id_of_event, _event_name(event.id_of_event)
     if name == _CHECKS_BEGIN:
         _hear_checks(telemetry, now_s)
-        telemetry.armable_modes = EVENTS[number].unpacked(event.arguments)[3]
+        telemetry.armable_modes = px4_events()[number].unpacked(event.arguments)[3]
         telemetry.failed_checks = {}
     elif name.startswith(_CHECK):
         telemetry.failed_checks[number] = event.severity, _CHECK_ARGUMENTS.unpack_from(event.arguments)[0]
     elif name == _CHECKS_END:
         _hear_checks(telemetry, now_s)
-    elif number in EVENTS:
+    elif number in px4_events():
         _hear(telemetry, event.severity, event_text(event), now_s)
     else:
         _hear(telemetry, event.severity, words_of(number), now_s)
@@ -138,15 +138,15 @@ def _hear(telemetry: VehicleTelemetry, severity: int, text: str, now_s: float) -
 
 
 def words_of(number: int) -> str:
-    """The text of the event of that number."""
-    if kind := EVENTS.get(number):
+    """What the event of that number is about."""
+    if kind := px4_events().get(number):
         return kind.text
     name = _event_name(number)
     return f"{name.removeprefix(_CHECK).replace('_', ' ')} (event {number})" if name else f"event {number}"
 
 
 def _event_name(number: int) -> str:
-    kind = EVENTS.get(number)
+    kind = px4_events().get(number)
     return kind.name if kind else _event_names().get(number, "")
 
 

@@ -9,10 +9,9 @@ from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.mavlink.packets import PacketReader
+from upwash.mavlink.packets import Message, PacketReader
 from upwash.mavlink.signing import SignatureRefusal, Signing
 
-Message: TypeAlias = Any  # pymavlink's messages are not typed
 Address: TypeAlias = tuple[Any, ...]  # host and port, and more with IPv6
 
 _LONGEST_INTRODUCTION_BYTES = 2048  # no router sends longer datagrams

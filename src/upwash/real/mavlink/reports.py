@@ -70,29 +70,14 @@ class ReportingAutopilot(ABC):
         return EarthPosition(geo.latitude_deg, geo.longitude_deg, above_sea_m, self.vehicle.unix_s)
 
     @property
-    def battery_percent(self) -> float | None:
-        """The reported charge of the battery; None without a report."""
-        return self._telemetry.battery_percent
-
-    @property
     def dead_man(self) -> DeadMan:
         """The dead man's switch; one that refuses everything, unless a subclass has another."""
         return NoDeadMan(self.vehicle.firmware.name)
 
     @property
-    def velocity(self) -> Velocity | None:
-        """The reported velocity relative to the ground; None without a report."""
-        return self._telemetry.velocity
-
-    @property
     @abstractmethod
     def stopping_place(self) -> Position:
         """The position where the vehicle would come to rest if it braked now."""
-
-    @property
-    def heading_deg(self) -> float | None:
-        """The reported heading in degrees clockwise from north; None without a report."""
-        return self._telemetry.heading_deg
 
     @property
     def telemetry(self) -> Telemetry:
@@ -130,11 +115,6 @@ class ReportingAutopilot(ABC):
         return self.vehicle.latch.control
 
     @property
-    def armed(self) -> bool:
-        """Whether the motors run, by the last heartbeat."""
-        return self._telemetry.armed
-
-    @property
     def stands(self) -> bool:
         """Whether the vehicle stands: by its landed state unless it falls, else if it is low with stopped motors."""
         stands = self._telemetry.stands
@@ -153,8 +133,8 @@ class ReportingAutopilot(ABC):
         return not self._seen_after_disarming() or falls
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """Calls `hear` with all news, and first with the news since the connection was made."""
-        self.vehicle.listen(hear)
+        """All news, and first those since it was connected."""
+        self.vehicle.news.listen(hear)
 
     async def in_the_air(self) -> bool:
         """Whether the vehicle flies, by its landed state; waits for a report of it."""

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.real.mavlink.gate import Troubles
-from upwash.real.mavlink.receiver import Message
+from upwash.mavlink.packets import Message
+from upwash.real.mavlink.news import VehicleNewsFeed
 from upwash.real.mavlink.telemetry import FirmwareProfile
 
 _ASKED_AT_ONCE = 10  # requests for a missing report, one a second
@@ -60,9 +60,9 @@ class Streams:
     `ask(number, *parameters)` sends a MAV_CMD that only asks.
     """
 
-    def __init__(self, ask: Callable[..., None], *, quiet_after_s: float, troubles: Troubles) -> None:
+    def __init__(self, ask: Callable[..., None], *, quiet_after_s: float, news: VehicleNewsFeed) -> None:
         self._ask = ask
-        self._troubles = troubles
+        self._news = news
         self._quiet_after_s = quiet_after_s
         self._firmware: FirmwareProfile  # from `begin` on
         self._streams: defaultdict[int, _Stream] = defaultdict(_Stream)
@@ -182,7 +182,7 @@ class Streams:
             return
         self._ask_for_all(now_s)
         if self._times > _TOLD_AFTER:
-            self._troubles.once("rates", _rates_problem(number, self._streams[number], wanted_hz))
+            self._news.once("rates", _rates_problem(number, self._streams[number], wanted_hz))
 
     def _settle(self, number: int, now_s: float) -> None:
         """Request fewer reports, as the link carries fewer than the vehicle was set to send."""
@@ -192,7 +192,7 @@ class Streams:
         self._share, self._confirmed_times, self._times = self._share / 2, 0, 1
         self._next_s = -math.inf
         self._ask_for_all(now_s)
-        self._troubles.once(
+        self._news.once(
             "capacity",
             f"the link does not carry all reports: {_named(number)} comes too rarely, though no other program set "
             f"its rate below {self._firmware.streams_hz[number]:g} Hz; all reports are asked for less often from now "

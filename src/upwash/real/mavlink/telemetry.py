@@ -12,10 +12,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, Velocity
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix
 from upwash.eventlog.schema import SEVERITIES, VehicleSaid
+from upwash.mavlink.packets import Message
 from upwash.mavlink.version import Version
 from upwash.real.mavlink.gate import RANGES, Ranges
 from upwash.real.mavlink.link import COMPANION
-from upwash.real.mavlink.receiver import Message
 from upwash.support.text import printable
 
 _MOVES_US = 50  # a smaller change of a channel's pulse is noise

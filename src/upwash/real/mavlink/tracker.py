@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, distance_m
 from upwash.core.vehicle.continuity import Continuity
 from upwash.eventlog.schema import HomeMoved, PositionDoubted
-from upwash.real.mavlink.receiver import Message
+from upwash.mavlink.packets import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _HOME = Position(0.0, 0.0)
@@ -133,7 +133,7 @@ class PositionTracker:
         if doubted != self._doubted:
             self._doubted = doubted
             if self._telemetry.armed:
-                self._vehicle.tell(PositionDoubted(jumped_m=round(continuity.doubt_m, 1)))
+                self._vehicle.news.tell(PositionDoubted(jumped_m=round(continuity.doubt_m, 1)))
 
     def _jumps_lately(self) -> int:
         since_s = self._vehicle.now_s - _RESTLESS_S
@@ -145,7 +145,7 @@ class PositionTracker:
         if self._ground_m is None or now is None or before is None or distance_m(now, before) <= _STAYS_M:
             return
         self._home = now
-        self._vehicle.tell(HomeMoved.of(now.at_altitude(now.altitude_m - self._ground_m)))
+        self._vehicle.news.tell(HomeMoved.of(now.at_altitude(now.altitude_m - self._ground_m)))
 
     def _present_home(self) -> Position | None:
         """The vehicle's home relative to the mission's, its altitude above the sea; None if unknown."""

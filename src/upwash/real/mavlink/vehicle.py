@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.names import name_of
+from upwash.mavlink.packets import Message
 from upwash.mavlink.version import Version
 from upwash.real.mavlink.observed import ObservedVehicle
-from upwash.real.mavlink.receiver import Message
 
 _FRESH_WITHIN_S = 0.5  # until the request for a heartbeat is repeated
 _LATE_TEXT_S = 0.5

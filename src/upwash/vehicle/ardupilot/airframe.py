@@ -20,6 +20,7 @@ from upwash.vehicle.body.kinematics import (
     Motion,
     MotionPart,
     Phase,
+    along,
     cruise_m_s,
     direction_of,
     duration_s,
@@ -27,7 +28,6 @@ from upwash.vehicle.body.kinematics import (
     leg,
     pause,
     settled_s,
-    smooth_phase,
     steadily,
 )
 
@@ -83,23 +83,8 @@ def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> 
     if length_m < _FINEST_M:
         return (pause(end, _REACTION_S),)
     parts = _chased(round(length_m / _FINEST_M) * _FINEST_M, _cruise_m_s(start, end, ground_speed_m_s))
-    ahead = heading_of(start, end)
-    back = Velocity(-ahead.east_m_s, -ahead.north_m_s, -ahead.up_m_s)
-    phases = [pause(start, _REACTION_S)]
-    for length_m, from_m_s, to_m_s, lasts_s in parts:
-        forwards = length_m > 0 or (length_m == 0 and from_m_s >= 0)
-        sign = 1 if forwards else -1
-        phases.append(
-            smooth_phase(
-                phases[-1].end,
-                ahead if forwards else back,
-                length_m=sign * length_m,
-                from_m_s=sign * from_m_s,
-                to_m_s=sign * to_m_s,
-                duration_s=lasts_s,
-            )
-        )
-    return tuple(phases)
+    reacting = pause(start, _REACTION_S)
+    return reacting, *along(reacting.end, heading_of(start, end), parts)
 
 
 def redirected(

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position
 from upwash.core.vehicle.payload import PAYLOAD_COMMANDS
 from upwash.mavlink.version import Version
-from upwash.vehicle.ardupilot.boot import Text
-from upwash.vehicle.ardupilot.copter import ACCEPTED, FORCED_ARM, FORCED_DISARM, CommandAnswer, Copter
+from upwash.vehicle.ardupilot.copter import FORCED_ARM, FORCED_DISARM, Copter
 from upwash.vehicle.ardupilot.settings import CopterMode
-from upwash.vehicle.body.copter import is_sensible
-from upwash.vehicle.body.firmware import Result, VehicleCommand, position_in_frame
+from upwash.vehicle.body.copter import Result, is_sensible
+from upwash.vehicle.body.firmware import Handler, VehicleCommand, arming, position_in_frame
 
 _UNKNOWN = frozenset(
     {
@@ -32,21 +29,20 @@ _UNKNOWN = frozenset(
 )  # commands of payloads that ArduCopter has no handler for
 _FIRST = Version(0, 0, kind=0)
 _KNOWN_FROM = {mavlink.MAV_CMD_DO_REPOSITION: Version(4, 1, kind=0)}
-_DENIED, _FAILED = CommandAnswer(Result.DENIED), CommandAnswer(Result.FAILED)
 
 
-def obey(copter: Copter, now_s: float, command: VehicleCommand) -> CommandAnswer:
+def obey(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
     """Carries the command out, if the copter can; returns its answer."""
     handler = _HANDLERS.get(command.number)
     if handler is None or copter.settings.version < _KNOWN_FROM.get(command.number, _FIRST):
-        return CommandAnswer(Result.UNSUPPORTED)
+        return Result.UNSUPPORTED
     return handler(copter, now_s, command)
 
 
-def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) -> CommandAnswer:
+def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) -> Result:
     """ArduCopter's own mode of that number; MAVLink's general ones are not understood."""
     if not _has_flag(base_mode, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
-        return _DENIED
+        return Result.DENIED
     return copter.change_mode(now_s, mode)
 
 
@@ -55,75 +51,64 @@ def place_of(copter: Copter, frame: int, place: tuple[float, float, float]) -> P
     return position_in_frame(copter, frame, place, home_m=copter.home.altitude_m)
 
 
-def _arm_or_disarm(copter: Copter, now_s: float, command: VehicleCommand) -> CommandAnswer:
-    wish, magic = command.parameters[:2]
-    if wish == 1:
-        return copter.arm(now_s, forced=magic == FORCED_ARM)
-    if wish == 0:
-        return copter.disarm(now_s, forced=magic == FORCED_DISARM)
-    return CommandAnswer(Result.UNSUPPORTED)
-
-
-def _run_prearm_checks(copter: Copter, now_s: float, _command: VehicleCommand) -> CommandAnswer:
+def _run_prearm_checks(copter: Copter, now_s: float, _command: VehicleCommand) -> Result:
     """Tells the objections in words; while it is armed there is nothing to check."""
     if copter.armed(now_s):
-        return CommandAnswer(Result.TEMPORARILY_REJECTED)
-    reasons = copter.why_not_armable(now_s)
-    return CommandAnswer(Result.ACCEPTED, tuple(Text(f"PreArm: {reason}") for reason in reasons))
+        return Result.TEMPORARILY_REJECTED
+    copter.tell_objections(now_s)
+    return Result.ACCEPTED
 
 
 def _enter(mode: CopterMode) -> Handler:
     return lambda copter, now_s, _command: copter.change_mode(now_s, mode)
 
 
-def _turn(copter: Copter, now_s: float, command: VehicleCommand) -> CommandAnswer:
+def _turn(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
     """Turns its nose until its next target; without effect where it does not fly in GUIDED."""
     angle_deg, _, _, relative = command.parameters
     if not (0 <= angle_deg <= 360 and relative in (0, 1)):
-        return _FAILED
+        return Result.FAILED
     copter.turn_to(now_s, (angle_deg + relative * copter.heading_deg(now_s)) % 360)
-    return ACCEPTED
+    return Result.ACCEPTED
 
 
-def _set_home(copter: Copter, now_s: float, command: VehicleCommand) -> CommandAnswer:
+def _set_home(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
     """Home is where it is, or the place, whose altitude is above the sea unless the frame says otherwise."""
     if command.parameters[0] == 1:
         return copter.set_home(copter.position(now_s))
     place = place_of(copter, command.frame, command.place)
-    return _DENIED if place is None else copter.set_home(place)
+    return Result.DENIED if place is None else copter.set_home(place)
 
 
-def _control_camera(copter: Copter, now_s: float, command: VehicleCommand) -> CommandAnswer:
+def _control_camera(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
     """Accepted also where no photo is taken, as the shutter is still held from the last one."""
     if command.shoots:
         copter.shoot(now_s)
-    return ACCEPTED
+    return Result.ACCEPTED
 
 
-def _reposition(copter: Copter, now_s: float, command: VehicleCommand) -> CommandAnswer:
+def _reposition(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
     target = place_of(copter, command.frame, command.place)
     if target is None or not is_sensible(target):
-        return _DENIED
+        return Result.DENIED
     if copter.mode is not CopterMode.GUIDED:
         if not _has_flag(command.parameters[1], mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE):
-            return _DENIED
-        answer = copter.change_mode(now_s, CopterMode.GUIDED)
-        if answer.result is not Result.ACCEPTED:
-            return answer
+            return Result.DENIED
+        result = copter.change_mode(now_s, CopterMode.GUIDED)
+        if result is not Result.ACCEPTED:
+            return result
     if not copter.fence.allows(target):
-        return _FAILED
+        return Result.FAILED
     copter.steer(now_s, target)
-    return ACCEPTED
+    return Result.ACCEPTED
 
 
 def _has_flag(number: float, flag: int) -> bool:
     return math.isfinite(number) and bool(int(number) & flag)
 
 
-Handler: TypeAlias = Callable[[Copter, float, VehicleCommand], CommandAnswer]
-
 _HANDLERS: dict[int, Handler] = {
-    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: arming(FORCED_ARM, FORCED_DISARM),
     mavlink.MAV_CMD_NAV_TAKEOFF: lambda copter, now_s, command: copter.take_off(now_s, command.place[2]),
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _enter(CopterMode.RTL),
     mavlink.MAV_CMD_NAV_LAND: _enter(CopterMode.LAND),
@@ -139,11 +124,11 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_prearm_checks,
     mavlink.MAV_CMD_CONDITION_YAW: _turn,
     # It carries one payload of each kind. Its camera takes photos only.
-    **dict.fromkeys(PAYLOAD_COMMANDS.keys() - _UNKNOWN, lambda *_: ACCEPTED),
+    **dict.fromkeys(PAYLOAD_COMMANDS.keys() - _UNKNOWN, lambda *_: Result.ACCEPTED),
     mavlink.MAV_CMD_DO_DIGICAM_CONTROL: _control_camera,
     mavlink.MAV_CMD_IMAGE_START_CAPTURE: lambda copter, now_s, _: (
-        ACCEPTED if copter.shoot(now_s) else _FAILED
+        Result.ACCEPTED if copter.shoot(now_s) else Result.FAILED
     ),
-    mavlink.MAV_CMD_VIDEO_START_CAPTURE: lambda *_: _FAILED,
-    mavlink.MAV_CMD_VIDEO_STOP_CAPTURE: lambda *_: _FAILED,
+    mavlink.MAV_CMD_VIDEO_START_CAPTURE: lambda *_: Result.FAILED,
+    mavlink.MAV_CMD_VIDEO_STOP_CAPTURE: lambda *_: Result.FAILED,
 }

@@ -15,8 +15,7 @@ from upwash.vehicle.ardupilot.failsafe import Failsafes
 from upwash.vehicle.ardupilot.fence import Breach
 from upwash.vehicle.ardupilot.flight import CopterFlight
 from upwash.vehicle.ardupilot.settings import BY_POSITION, FASTEST_M_S, CopterMode, VehicleSettings
-from upwash.vehicle.body.copter import FaultKind, LandedState, is_sensible
-from upwash.vehicle.body.firmware import Result
+from upwash.vehicle.body.copter import FaultKind, LandedState, Result, is_sensible
 
 _SAGGING_V = 10.0
 _ALIGNS_IN_FLIGHT_M = 2.5
@@ -24,14 +23,6 @@ _COMPLAINS_AFTER_DISARMING_S = 2.2
 _FAILSAFE_LANDING_PAUSE_S = 4.0
 _SHUTTER_BUSY_S = 0.1  # CAM1_DURATION
 FORCED_DISARM, FORCED_ARM = 21196, 2989  # ArduPilot's magic numbers
-
-
-@dataclass(frozen=True, slots=True)
-class CommandAnswer:
-    """The reply to a command, with the vehicle's texts about it."""
-
-    result: Result
-    texts: tuple[Text, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +34,6 @@ class CameraShot:
     position: Position
 
 
-ACCEPTED = CommandAnswer(Result.ACCEPTED)
 _ARMING, _DISARMING = Text("Arming motors", INFORMATION), Text("Disarming motors", INFORMATION)
 _ALIGNED_IN_FLIGHT = tuple(
     Text(f"EKF3 IMU{number} MAG0 in-flight yaw alignment complete", INFORMATION) for number in (0, 1)
@@ -141,55 +131,61 @@ class Copter(CopterFlight):
 
     # --- commands --------------------------------------------------------------------------------------------
 
-    def arm(self, now_s: float, *, forced: bool = False) -> CommandAnswer:
+    def arm(self, now_s: float, *, forced: bool = False) -> Result:
         """Starts the motors, once the checks pass."""
         if self.armed(now_s):
-            return ACCEPTED
+            return Result.ACCEPTED
         if not forced and (reasons := self.why_not_armable(now_s)):
-            return CommandAnswer(Result.FAILED, tuple(Text(f"Arm: {reason}") for reason in reasons))
+            self.say(*(Text(f"Arm: {reason}") for reason in reasons))
+            return Result.FAILED
         self.start_draining(now_s)
         self.start_motors(now_s)
         self._was_armed, self._aligned_in_flight = True, False
-        return CommandAnswer(Result.ACCEPTED, (_ARMING, *self.fence.arm()))
+        self.say(_ARMING)
+        self.fence.arm()
+        return Result.ACCEPTED
 
-    def disarm(self, now_s: float, *, forced: bool = False) -> CommandAnswer:
+    def disarm(self, now_s: float, *, forced: bool = False) -> Result:
         """Stops the motors: on the ground only, unless forced, and then it falls."""
         if self.flying(now_s):
             if not forced:
-                return CommandAnswer(Result.FAILED)
+                return Result.FAILED
             self.fall(now_s)
         self.stop_draining(now_s)
-        stopped = self.armed(now_s)
+        if self.armed(now_s):
+            self.say(_DISARMING)
+            self.fence.disarm()
         self.stop_motors()
         self._was_armed = False
-        return CommandAnswer(Result.ACCEPTED, (_DISARMING, *self.fence.disarm()) if stopped else ())
+        return Result.ACCEPTED
 
-    def take_off(self, now_s: float, altitude_m: float) -> CommandAnswer:
+    def take_off(self, now_s: float, altitude_m: float) -> Result:
         """Climbs straight up, from the ground, armed and in GUIDED."""
-        return ACCEPTED if self.climb(now_s, altitude_m) else CommandAnswer(Result.FAILED)
+        return Result.ACCEPTED if self.climb(now_s, altitude_m) else Result.FAILED
 
-    def change_speed(self, now_s: float, speed_m_s: float) -> CommandAnswer:
+    def change_speed(self, now_s: float, speed_m_s: float) -> Result:
         """Sets the speed of the legs; as in ArduCopter, accepted and then lost before the first target."""
         if not 0 < speed_m_s <= FASTEST_M_S:
-            return CommandAnswer(Result.DENIED)
+            return Result.DENIED
         self.fly_at(now_s, speed_m_s)
-        return ACCEPTED
+        return Result.ACCEPTED
 
     def steer(self, now_s: float, target: Position) -> bool:
         """Flies to the target; a target outside its fence, or outside GUIDED, is ignored in silence."""
         return is_sensible(target) and self.fence.allows(target) and self.fly_to(now_s, target)
 
-    def set_home(self, place: Position) -> CommandAnswer:
+    def set_home(self, place: Position) -> Result:
         """Returns there from now on, and counts its altitudes from there."""
         if not is_sensible(place.at_altitude(abs(place.altitude_m))):
-            return CommandAnswer(Result.DENIED)
+            return Result.DENIED
         self.home = place
-        return ACCEPTED
+        return Result.ACCEPTED
 
-    def change_mode(self, now_s: float, number: float) -> CommandAnswer:
+    def change_mode(self, now_s: float, number: float) -> Result:
         """Changes the flight mode, and does in flight what the mode is for."""
         if number not in _MODES:
-            return CommandAnswer(Result.FAILED, (Text("Mode change failed", WARNING),))
+            self.say(Text("Mode change failed", WARNING))
+            return Result.FAILED
         mode = CopterMode(int(number))
         estimates = self._boot.estimates(self.uptime_s(now_s)) and not self._failsafes.lost_place
         obstacle = ""
@@ -198,10 +194,10 @@ class Copter(CopterFlight):
         elif self._recovers_from_fence and self.fence.locks_mode:
             obstacle = "in fence recovery"
         if obstacle and self.armed(now_s):
-            refusal = Text(f"Mode change to {mode.name} failed: {obstacle}", WARNING)
-            return CommandAnswer(Result.FAILED, (refusal,))
+            self.say(Text(f"Mode change to {mode.name} failed: {obstacle}", WARNING))
+            return Result.FAILED
         self.take_mode(now_s, mode)
-        return ACCEPTED
+        return Result.ACCEPTED
 
     def shoot(self, now_s: float) -> bool:
         """Takes a photo, unless the shutter is still held from the last one; whether it did."""
@@ -223,32 +219,35 @@ class Copter(CopterFlight):
 
     # --- what it does by itself -----------------------------------------------------------------------------
 
-    def notice(self, now_s: float) -> tuple[Text, ...]:
-        """Reacts to the time and to faults, a few times a second; returns its texts about it."""
+    def notice(self, now_s: float) -> None:
+        """Reacts to the time and to faults, a few times a second."""
         self._look_for_gps(now_s)
         uptime_s = self.uptime_s(now_s)
-        said = [*self._boot.texts(uptime_s)]
+        self.say(*self._boot.texts(uptime_s))
         if self._was_armed and not self.armed(now_s):
             self._was_armed = False
-            said += [_DISARMING, *self.fence.disarm()]
+            self.say(_DISARMING)
+            self.fence.disarm()
             self._boot.complain_at(uptime_s + _COMPLAINS_AFTER_DISARMING_S)
         high = self.flying(now_s) and self.position(now_s).altitude_m > _ALIGNS_IN_FLIGHT_M
         if high and not self._aligned_in_flight:
             self._aligned_in_flight = True
-            said += _ALIGNED_IN_FLIGHT
-        said += self._failsafe(now_s)
-        said += self._watch_fence(now_s)
+            self.say(*_ALIGNED_IN_FLIGHT)
+        self._fail_safe(now_s)
+        self._watch_fence(now_s)
         if not self.armed(now_s) and self._boot.complains(uptime_s):
-            said += [Text(f"PreArm: {reason}") for reason in self.why_not_armable(now_s)]
-        return tuple(said)
+            self.tell_objections(now_s)
+
+    def tell_objections(self, now_s: float) -> None:
+        """Says why it cannot be armed."""
+        self.say(*(Text(f"PreArm: {reason}") for reason in self.why_not_armable(now_s)))
 
     def _look_for_gps(self, now_s: float) -> None:
         self._boot.look(self.uptime_s(now_s), gps=not self.suffers(FaultKind.GPS, now_s))
 
-    def _failsafe(self, now_s: float) -> Sequence[Text]:
+    def _fail_safe(self, now_s: float) -> None:
         flying = self.flying(now_s)
         used_mah = (100 - self.charge_percent(now_s)) / 100 * self.parameters["BATT_CAPACITY"]
-        said: list[Text] = []
         for trigger in self._failsafes.triggers(
             now_s,
             self.faults_since_s(now_s),
@@ -258,7 +257,7 @@ class Copter(CopterFlight):
             low_battery=f"Battery 1 is low {self.battery_v(now_s):.2f}V used {used_mah:.0f} mAh",
             by_position=self.mode in BY_POSITION and self._boot.estimates(self.uptime_s(now_s)),
         ):
-            said += trigger.texts
+            self.say(*trigger.texts)
             self.shift(now_s, trigger.jump_m)
             mode = CopterMode(trigger.mode) if trigger.mode in _MODES else None
             if mode is not None and flying and self.mode not in (mode, CopterMode.LAND):
@@ -266,27 +265,23 @@ class Copter(CopterFlight):
                     mode = CopterMode.LAND
                 pause_s = _FAILSAFE_LANDING_PAUSE_S if mode is CopterMode.LAND else 0.0
                 self.take_mode(now_s, mode, pause_s=pause_s)
-        return said
 
-    def _watch_fence(self, now_s: float) -> Sequence[Text]:
-        state, breaches = self.landed_state(now_s), self.fence.breaches
-        said = [*self._switch_fence(state)]
+    def _watch_fence(self, now_s: float) -> None:
+        self._switch_fence(self.landed_state(now_s))
         watched = self.armed(now_s) and self.flying(now_s)
-        said += self.fence.watch(self.position(now_s) if watched else None, now_s)
+        breached = self.fence.watch(self.position(now_s) if watched else None, now_s)
         self._recovers_from_fence &= self.fence.breach is not Breach.NONE
         acts = self.parameters["FENCE_ACTION"] and self.mode not in (CopterMode.RTL, CopterMode.LAND)
-        if self.fence.breaches > breaches and acts:
+        if breached and acts:
             self.take_mode(now_s, CopterMode.RTL)
             self._recovers_from_fence = True
-            said.append(Text("Manual recovery started", INFORMATION))
-        return said
+            self.say(Text("Manual recovery started", INFORMATION))
 
-    def _switch_fence(self, state: LandedState) -> Sequence[Text]:
+    def _switch_fence(self, state: LandedState) -> None:
         """Kinds of its fence are switched on where its take-off ends, and off where it comes down."""
         if state in (LandedState.LANDING, LandedState.ON_GROUND):
             self._is_up = False
-            return self.fence.begin_landing()
-        if state is LandedState.TAKEOFF or self._is_up:
-            return ()
-        self._is_up = True
-        return self.fence.end_takeoff()
+            self.fence.begin_landing()
+        elif state is not LandedState.TAKEOFF and not self._is_up:
+            self._is_up = True
+            self.fence.end_takeoff()

@@ -6,15 +6,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.mavlink.packets import sender_of
 from upwash.vehicle.ardupilot.boot import INFORMATION, WARNING, Text
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.settings import CopterMode
-from upwash.vehicle.body.firmware import Result, sender_of
+from upwash.vehicle.body.copter import Result
 from upwash.vehicle.body.ftp import Files
 
 _FILE = "scripts/upwash_dead_man.lua"
@@ -30,9 +30,8 @@ MAV_CMD_SCRIPTING = 42701
 class Scripting:
     """Scripts start by command, if SCR_ENABLE was 1 at boot; the dead man is the only script."""
 
-    def __init__(self, copter: Copter, say: Callable[[Text], None]) -> None:
+    def __init__(self, copter: Copter) -> None:
         self._copter = copter
-        self._say = say
         self._enabled = bool(copter.parameters["SCR_ENABLE"])
         self._runs = False
         self._promised_s = 0.0  # 0: no promise
@@ -50,7 +49,7 @@ class Scripting:
             self._copter.parameters.add("UPW_VERSION", int(found[1]))
             self._copter.parameters.add("UPW_SILENCE_S", 0.0)
             self._promise(0.0)
-            self._say(Text(f"upwash: dead man {int(found[1])} is ready", INFORMATION))
+            self._copter.say(Text(f"upwash: dead man {int(found[1])} is ready", INFORMATION))
         return Result.ACCEPTED
 
     def hear(self, heartbeat: Any, now_s: float) -> None:
@@ -89,8 +88,8 @@ class Scripting:
         self._was_armed = armed
 
     def _act(self, now_s: float) -> None:
-        self._say(Text(f"upwash: companion silent, {self._mode.name}", WARNING))
-        if self._copter.change_mode(now_s, self._mode).result is not Result.ACCEPTED:
+        self._copter.say(Text(f"upwash: companion silent, {self._mode.name}", WARNING))
+        if self._copter.change_mode(now_s, self._mode) is not Result.ACCEPTED:
             self._copter.change_mode(now_s, CopterMode.LAND)
 
     def _may_be_watched(self, now_s: float) -> bool:

@@ -6,11 +6,14 @@ of a take-off where FENCE_AUTOENABLE says that. Home is at the origin.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable
 from enum import IntEnum
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from upwash.core.geo import Position, ground_distance_m
-from upwash.vehicle.ardupilot.boot import NOTICE, Text
+from upwash.vehicle.ardupilot.boot import NOTICE, WARNING, Text
 from upwash.vehicle.body.copter import HOME
 from upwash.vehicle.body.fence import FenceItem, UploadedFence
 from upwash.vehicle.body.parameters import ParameterTable
@@ -34,8 +37,9 @@ class Breach(IntEnum):
 class FenceWatch(UploadedFence):
     """The fence that it has, which kinds of it are switched on, and whether they are kept to."""
 
-    def __init__(self, parameters: ParameterTable, now_s: float) -> None:
+    def __init__(self, parameters: ParameterTable, now_s: float, say: Callable[[Text], None]) -> None:
         super().__init__()
+        self._say = say
         self.breaches = 0  # so far
         self.breached_s = now_s  # the last time
         self._parameters = parameters
@@ -71,14 +75,7 @@ class FenceWatch(UploadedFence):
 
     def allows(self, target: Position) -> bool:
         """Whether the fence lets it fly there: up to its borders."""
-        on, told = self._enabled(), self._parameters
-        if on & _CEILING and target.altitude_m > told["FENCE_ALT_MAX"]:
-            return False
-        if on & _FLOOR and target.altitude_m < told["FENCE_ALT_MIN"]:
-            return False
-        if on & _CIRCLE and ground_distance_m(target, HOME) > told["FENCE_RADIUS"]:
-            return False
-        return not on & _AREAS or self._in_areas(target)
+        return not self._beyond(target, self._enabled(), past=operator.gt)
 
     def objections(self, place: Position | None) -> list[str]:
         """What keeps it from being armed at that place; None where it does not know its place."""
@@ -96,38 +93,47 @@ class FenceWatch(UploadedFence):
             objections.append(f"Vehicle breaching {_named(broken)}")
         return objections
 
-    def arm(self) -> Sequence[Text]:
-        """Its motors start."""
-        return self._switch_on(_ALL & ~_FLOOR) if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED else ()
+    def refuse(self, why: str) -> int:
+        """Drops its areas for an upload that makes no sense; returns the MAV_MISSION_RESULT of that."""
+        self.set(())
+        self._say(Text(why, WARNING))
+        self._say(Text("Fence validation failed", WARNING))
+        return int(mavlink.MAV_MISSION_ERROR)
 
-    def disarm(self) -> Sequence[Text]:
+    def arm(self) -> None:
+        """Its motors start."""
+        if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED:
+            self._switch_on(_ALL & ~_FLOOR)
+
+    def disarm(self) -> None:
         """Its motors have stopped."""
         self._broken = 0
-        return self._switch_off(_ALL) if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED else ()
+        if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED:
+            self._switch_off(_ALL)
 
-    def end_takeoff(self) -> Sequence[Text]:
+    def end_takeoff(self) -> None:
         """It has reached the altitude of its take-off."""
-        return self._switch_on(_ALL) if self._parameters["FENCE_AUTOENABLE"] in _AFTER_TAKEOFF else ()
+        if self._parameters["FENCE_AUTOENABLE"] in _AFTER_TAKEOFF:
+            self._switch_on(_ALL)
 
-    def begin_landing(self) -> Sequence[Text]:
+    def begin_landing(self) -> None:
         """It comes down to land: its floor is switched off, and with FENCE_AUTOENABLE 1 all of its fence."""
-        return self._switch_off(_ALL if self._parameters["FENCE_AUTOENABLE"] == 1 else _FLOOR)
+        self._switch_off(_ALL if self._parameters["FENCE_AUTOENABLE"] == 1 else _FLOOR)
 
-    def watch(self, position: Position | None, now_s: float) -> Sequence[Text]:
-        """What it says about the place where it flies; None where it does not fly."""
-        said: list[Text] = []
+    def watch(self, position: Position | None, now_s: float) -> bool:
+        """Watches the place where it flies, None where it does not fly; whether that is a new breach."""
         if position is not None and self._reaches_floor(position):
             self._on |= _FLOOR
-            said.append(Text("Min Alt fence enabled (auto enable)", NOTICE))
+            self._say(Text("Min Alt fence enabled (auto enable)", NOTICE))
         broken = 0 if position is None else self._breached(position, self._enabled())
         new, before, self._broken = broken & ~self._broken, self._broken, broken
         if new:
             self.breaches += 1
             self.breached_s = now_s
-            said.append(Text(f"{_named(new)} breached", NOTICE))
+            self._say(Text(f"{_named(new)} breached", NOTICE))
         elif before and not broken:
-            said.append(Text("Fence breach cleared", NOTICE))
-        return said
+            self._say(Text("Fence breach cleared", NOTICE))
+        return bool(new)
 
     def _enabled(self) -> int:
         """The kinds that are switched on and present; a changed parameter resets them."""
@@ -141,15 +147,15 @@ class FenceWatch(UploadedFence):
         """The kinds that FENCE_TYPE selects, areas only where there are any."""
         return int(self._parameters["FENCE_TYPE"]) & (_ALL if self.areas else _ALL & ~_AREAS)
 
-    def _switch_on(self, kinds: int) -> Sequence[Text]:
-        new = kinds & self._present() & ~self._enabled()
+    def _switch_on(self, kinds: int) -> None:
+        if new := kinds & self._present() & ~self._enabled():
+            self._say(Text(f"{_named(new)} auto-enabled", NOTICE))
         self._on |= kinds
-        return (Text(f"{_named(new)} auto-enabled", NOTICE),) if new else ()
 
-    def _switch_off(self, kinds: int) -> Sequence[Text]:
-        gone = kinds & self._enabled()
+    def _switch_off(self, kinds: int) -> None:
+        if gone := kinds & self._enabled():
+            self._say(Text(f"{_named(gone)} auto-disabled", NOTICE))
         self._on &= ~kinds
-        return (Text(f"{_named(gone)} auto-disabled", NOTICE),) if gone else ()
 
     def _reaches_floor(self, position: Position) -> bool:
         """Whether it rises above its floor, which is switched on at that moment."""
@@ -158,18 +164,19 @@ class FenceWatch(UploadedFence):
         off = bool(self._present() & _FLOOR & ~self._enabled())
         return may and off and position.altitude_m >= told["FENCE_ALT_MIN"] + told["FENCE_MARGIN"]
 
-    def _breached(self, position: Position, kinds: int) -> int:
+    def _breached(self, place: Position, kinds: int) -> int:
         """The kinds of those that are not kept to at the place: at a border they are not."""
-        told, broken = self._parameters, 0
-        if kinds & _CEILING and position.altitude_m >= told["FENCE_ALT_MAX"]:
-            broken |= _CEILING
-        if kinds & _FLOOR and position.altitude_m <= told["FENCE_ALT_MIN"]:
-            broken |= _FLOOR
-        if kinds & _CIRCLE and ground_distance_m(position, HOME) >= told["FENCE_RADIUS"]:
-            broken |= _CIRCLE
-        if kinds & _AREAS and not self._in_areas(position):
-            broken |= _AREAS
-        return broken
+        return self._beyond(place, kinds, past=operator.ge)
+
+    def _beyond(self, place: Position, kinds: int, *, past: Callable[[float, float], bool]) -> int:
+        told = self._parameters
+        beyond = {
+            _CEILING: past(place.altitude_m, told["FENCE_ALT_MAX"]),
+            _FLOOR: past(told["FENCE_ALT_MIN"], place.altitude_m),
+            _CIRCLE: past(ground_distance_m(place, HOME), told["FENCE_RADIUS"]),
+            _AREAS: not self._in_areas(place),
+        }
+        return sum(kind for kind, is_beyond in beyond.items() if kinds & kind and is_beyond)
 
     def _in_areas(self, position: Position) -> bool:
         """Whether it keeps to its areas; FENCE_OPTIONS may join the areas to stay in."""

@@ -9,6 +9,7 @@ from typing import Protocol
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.mavlink.version import Version
 from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.ardupilot.boot import Text
 from upwash.vehicle.ardupilot.fence import FenceWatch
 from upwash.vehicle.ardupilot.settings import FASTEST_M_S, CopterMode, VehicleSettings
 from upwash.vehicle.ardupilot.symmetric import Symmetric
@@ -76,7 +77,8 @@ class CopterFlight(Multicopter):
         super().__init__(settings, _parameters_at_boot(settings), now_s=now_s)
         self.mode = CopterMode.STABILIZE
         self.home = HOME  # where it returns to, relative to where it was switched on
-        self.fence = FenceWatch(self.parameters, now_s)
+        self._unsaid: list[Text] = []
+        self.fence = FenceWatch(self.parameters, now_s, self.say)
         self._airframe: _Airframe = (
             arducopter
             if settings.acceleration_m_s2 is None
@@ -94,6 +96,15 @@ class CopterFlight(Multicopter):
         self._heading_deg = 0.0
         self._told_deg: float | None = None  # a commanded heading, until its next target
         self._turned_s = now_s
+
+    def say(self, *texts: Text) -> None:
+        """Tells everyone."""
+        self._unsaid += texts
+
+    def said(self) -> list[Text]:
+        """Its texts since it was last asked."""
+        unsaid, self._unsaid = self._unsaid, []
+        return unsaid
 
     def position(self, now_s: float) -> Position:
         """Where it is, relative to its home."""

@@ -6,11 +6,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.mavlink.packets import Message
 from upwash.vehicle.ardupilot.copter import CameraShot, Copter
 from upwash.vehicle.ardupilot.fence import Breach
 from upwash.vehicle.ardupilot.settings import CopterMode
 from upwash.vehicle.body.copter import FaultKind, LandedState
-from upwash.vehicle.body.firmware import Message, Report
+from upwash.vehicle.body.firmware import Report
 from upwash.vehicle.body.telemetry import StandInTelemetry, degrees_e7, made
 
 _BASE_MODE = (
@@ -56,13 +57,14 @@ class CopterTelemetry(StandInTelemetry[Copter]):
     def reports(self) -> dict[float, Report]:
         """The reports on request, by message number."""
         return super().reports() | {
-            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self.ekf_status,
-            mavlink.MAVLINK_MSG_ID_FENCE_STATUS: self.fence_status,
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf_status,
+            mavlink.MAVLINK_MSG_ID_FENCE_STATUS: self._fence_status,
             mavlink.MAVLINK_MSG_ID_WIND: lambda _now_s: None,  # it estimates none
         }
 
-    def heartbeat(self, now_s: float) -> Message:
-        """HEARTBEAT: the mode, whether it is armed, whether it flies."""
+    def _heartbeat(self, now_s: float) -> Message:
         copter = self.copter
         armed, booting = copter.armed(now_s), copter.booting(now_s)
         base_mode = _BASE_MODE
@@ -102,20 +104,17 @@ class CopterTelemetry(StandInTelemetry[Copter]):
             return heard | nowhere | {"satellites_visible": _TOO_FEW_SATELLITES}
         return heard | {"fix_type": mavlink.GPS_FIX_TYPE_RTK_FIXED, "satellites_visible": _SATELLITES}
 
-    def ekf_status(self, now_s: float) -> Message:
-        """EKF_STATUS_REPORT: the sources of the position estimate."""
+    def _ekf_status(self, now_s: float) -> Message:
         return mavlink.MAVLink_ekf_status_report_message(
             self.copter.ekf_flags(now_s), 0.02, 0.02, 0.02, 0.02, 0.0
         )
 
-    def global_position(self, now_s: float) -> Message:
-        """GLOBAL_POSITION_INT: place and velocity."""
+    def _global_position(self, now_s: float) -> Message:
         above_home_m = self.copter.position(now_s).altitude_m - self.copter.home.altitude_m
         known = self.copter.has_origin(now_s) or self.copter.has_fix(now_s)
         return self._global_position_of(now_s, above_home_mm=round(above_home_m * 1e3), known=known)
 
-    def position_target_local(self, now_s: float) -> Message | None:
-        """POSITION_TARGET_LOCAL_NED in GUIDED: its target or the top of its take-off; else that it has a velocity."""
+    def _position_target_local(self, now_s: float) -> Message | None:
         if self.copter.mode is not CopterMode.GUIDED or not self.copter.armed(now_s):
             return None
         return self._local_target(now_s, self.copter.target(now_s) or self.copter.climbs_to)
@@ -129,8 +128,7 @@ class CopterTelemetry(StandInTelemetry[Copter]):
             "altitude": self._above_sea_mm(home),
         }
 
-    def fence_status(self, now_s: float) -> Message:
-        """FENCE_STATUS: whether it keeps to its fence."""
+    def _fence_status(self, now_s: float) -> Message:
         fence, uptime_s = self.copter.fence, self.copter.uptime_s(now_s)
         return mavlink.MAVLink_fence_status_message(
             breach_status=int(fence.breach is not Breach.NONE),

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.mavlink.packets import packed
+from upwash.mavlink.packets import Message, packed, sender_of
 from upwash.mavlink.signing import Signing
 from upwash.support.background import only_logged, start
-from upwash.vehicle.body.copter import FaultKind
-from upwash.vehicle.body.firmware import CommandReply, Message, StandInFirmware, sender_of
+from upwash.vehicle.body.copter import FaultKind, Result
+from upwash.vehicle.body.firmware import StandInFirmware
 
 _SYSTEM = 1
 _COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SHORTEST_INTERVAL_S = 0.01
 _LONGEST_INTERVAL_US = 2**31 - 1  # that MESSAGE_INTERVAL can tell
 _BEHIND_S = 1.0  # a stream that late starts again instead of catching up
-_ACCEPTED, _FAILED = CommandReply((mavlink.MAV_RESULT_ACCEPTED,)), CommandReply((mavlink.MAV_RESULT_FAILED,))
 
 
 class StandIn:
@@ -53,16 +52,16 @@ class StandIn:
         wakes_s = self.now_s()
         while True:
             now_s = self.now_s()
-            for message in self.firmware.live(now_s):
-                self.tell_everyone(message)
+            self.tell_everyone(self.firmware.live(now_s))
             wakes_s = max(wakes_s + self.firmware.wakes_every_s, now_s)
             await self.sleep_until(wakes_s)
 
-    def tell_everyone(self, message: Message) -> None:
-        """Sends a message to everyone whom it concerns."""
-        for connection in tuple(self.connections):
-            if not (isinstance(message, mavlink.MAVLink_statustext_message) and connection.spared_texts):
-                connection.send(message)
+    def tell_everyone(self, messages: Iterable[Message]) -> None:
+        """Sends each message to everyone whom it concerns."""
+        for message in messages:
+            for connection in tuple(self.connections):
+                if not (isinstance(message, mavlink.MAVLink_statustext_message) and connection.spared_texts):
+                    connection.send(message)
 
 
 class PeerConnection:
@@ -80,7 +79,7 @@ class PeerConnection:
         self._streams: dict[float, tuple[float, asyncio.Task[None]]] = {}  # their intervals
         self._from_ground_station = False
         vehicle.connections.add(self)
-        self._report(self._now(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
+        self._tell(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         for number, interval_s in self._firmware.unasked_s.items():
             self._set_interval(number, interval_s=interval_s)
 
@@ -118,19 +117,14 @@ class PeerConnection:
         if listener is not None:
             listener(self, message)
         else:
-            self._say(self._firmware.hear(self._vehicle.now_s(), message))
-
-    def _say(self, reply: CommandReply) -> None:
-        for message in reply.to_sender:
-            self.send(message)
-        for message in reply.to_all:
-            self._vehicle.tell_everyone(message)
+            for answer in self._firmware.hear(self._vehicle.now_s(), message):
+                self.send(answer)
+            self._vehicle.tell_everyone(self._firmware.said())
 
     # --- commands -------------------------------------------------------------------------------------------
 
     def _hear_command(self, message: Message) -> None:
-        reply = self._obey(message)
-        for result in reply.results:
+        for result in self._obey(message):
             system, component = sender_of(message)
             self.send(
                 mavlink.MAVLink_command_ack_message(
@@ -138,28 +132,29 @@ class PeerConnection:
                 )
             )
         # The reason of a refusal comes after the refusal: autopilots queue their texts.
-        self._say(reply)
+        self._vehicle.tell_everyone(self._firmware.said())
 
-    def _obey(self, message: Message) -> CommandReply:
+    def _obey(self, message: Message) -> tuple[int, ...]:
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-                return self._set_interval(message.param1, interval_s=message.param2 / 1e6)
+                done = self._set_interval(message.param1, interval_s=message.param2 / 1e6)
             case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-                return self._tell_interval(message.param1)
+                done = self._tell_interval(message.param1)
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                return self._report(tuple(self._firmware.requested(self._vehicle.now_s(), message)))
+                done = self._report(self._firmware.requested(self._vehicle.now_s(), message))
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-                return self._report(self._now(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
+                done = self._tell(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
             case mavlink.MAV_CMD_GET_HOME_POSITION:
-                numbers = self._firmware.told_of_home
-                return self._report(tuple(told for number in numbers for told in self._now(number)))
-        return self._firmware.obey(self._vehicle.now_s(), message)
+                done = self._tell(*self._firmware.told_of_home)
+            case _:
+                return self._firmware.obey(self._vehicle.now_s(), message)
+        return (Result.ACCEPTED if done else Result.FAILED,)
 
     # --- reports --------------------------------------------------------------------------------------------
 
-    def _set_interval(self, number: float, *, interval_s: float) -> CommandReply:
+    def _set_interval(self, number: float, *, interval_s: float) -> bool:
         if number not in self._firmware.reports:
-            return _FAILED
+            return False
         if stream := self._streams.pop(number, None):
             stream[1].cancel()
         if interval_s == 0:
@@ -169,24 +164,24 @@ class PeerConnection:
             report = self._repeat(number, every_s)
             task = start(report, name="a report of the stand-in", failed=only_logged)
             self._streams[number] = every_s, task
-        return _ACCEPTED
+        return True
 
     async def _repeat(self, number: float, interval_s: float) -> None:
         next_s = self._vehicle.now_s()
         while True:
-            self._report(self._now(number))
+            self._tell(number)
             next_s += interval_s
             if next_s < self._vehicle.now_s() - _BEHIND_S:
                 next_s = self._vehicle.now_s()
             await self._vehicle.sleep_until(next_s)
 
-    def _tell_interval(self, number: float) -> CommandReply:
+    def _tell_interval(self, number: float) -> bool:
         if number not in self._firmware.reports:
-            return _FAILED
+            return False
         interval_s, _ = self._streams.get(number, (-1e-6, None))
         interval_us = min(round(interval_s * 1e6), _LONGEST_INTERVAL_US)
         self.send(mavlink.MAVLink_message_interval_message(int(number), interval_us))
-        return _ACCEPTED
+        return True
 
     def _hear_stream_request(self, message: Message) -> None:
         wanted, known = message.req_stream_id, self._firmware.stream_groups
@@ -196,13 +191,17 @@ class PeerConnection:
             for number in group:
                 self._set_interval(number, interval_s=1 / message.req_message_rate if on else -1.0)
 
-    def _now(self, number: float) -> tuple[Message, ...]:
-        return self._firmware.report(self._vehicle.now_s(), number)
+    def _tell(self, *numbers: float) -> bool:
+        """Sends its present reports of those numbers; whether it has any."""
+        now_s = self._vehicle.now_s()
+        return self._report(told for number in numbers for told in self._firmware.report(now_s, number))
 
-    def _report(self, messages: tuple[Message, ...]) -> CommandReply:
+    def _report(self, messages: Iterable[Message]) -> bool:
+        found = False
         for message in messages:
             self.send(message)
-        return _ACCEPTED if messages else _FAILED
+            found = True
+        return found
 
     def _hear_timesync(self, message: Message) -> None:
         if message.tc1 == 0:
@@ -210,7 +209,7 @@ class PeerConnection:
             self.send(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
 
     def _hear_version_request(self, _message: Message) -> None:
-        self._report(self._now(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
+        self._tell(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
     # --- parameters -----------------------------------------------------------------------------------------
 
@@ -229,8 +228,7 @@ class PeerConnection:
         said = tuple(self._firmware.set_parameter(self._vehicle.now_s(), name, message.param_value))
         if (told := self._firmware.copter.parameters.named(name)) is not None:
             self.send(told)
-        for news in said:
-            self._vehicle.tell_everyone(news)
+        self._vehicle.tell_everyone(said)
 
 
 _LISTENERS: dict[str, Callable[[PeerConnection, Message], None]] = {

@@ -29,6 +29,16 @@ class LandedState(IntEnum):
     LANDING = 4
 
 
+class Result(IntEnum):
+    """MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+
+
 class FaultKind(StrEnum):
     """What is wrong."""
 
@@ -130,6 +140,14 @@ class Multicopter(ABC):
     @abstractmethod
     def landed_state(self, now_s: float) -> LandedState:
         """On the ground, in the air, or on the way between."""
+
+    @abstractmethod
+    def arm(self, now_s: float, *, forced: bool = False) -> Result:
+        """Starts the motors, once the checks pass."""
+
+    @abstractmethod
+    def disarm(self, now_s: float, *, forced: bool = False) -> Result:
+        """Stops the motors: on the ground only, unless forced, and then it falls."""
 
     @abstractmethod
     def has_origin(self, now_s: float) -> bool:

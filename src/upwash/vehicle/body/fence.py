@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
-from upwash.vehicle.body.firmware import NOTHING, CommandReply, Message, sender_of
+from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position
+from upwash.core.vehicle.geofence import Fence, Polygon
+from upwash.mavlink.packets import Message, sender_of
 
 _POLYGONS = {
     mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
@@ -37,36 +36,12 @@ class FenceItem:
     longitude_e7: int
 
 
-@dataclass(frozen=True, slots=True)
-class FenceArea:
-    """A polygon, or a circle around its only corner; to stay in, or to keep out of."""
-
-    corners: tuple[Position, ...]
-    radius_m: float | None
-    inclusion: bool
-
-    def allows(self, position: Position) -> bool:
-        """Whether the fence allows the vehicle to be at the position."""
-        return self._contains(position) is self.inclusion
-
-    def _contains(self, position: Position) -> bool:
-        if self.radius_m is not None:
-            return ground_distance_m(position, self.corners[0]) <= self.radius_m
-        inside = False
-        for one, other in itertools.pairwise((*self.corners, self.corners[0])):
-            if (one.north_m > position.north_m) is not (other.north_m > position.north_m):
-                share = (position.north_m - one.north_m) / (other.north_m - one.north_m)
-                if position.east_m < one.east_m + share * (other.east_m - one.east_m):
-                    inside = not inside
-        return inside
-
-
 class UploadedFence:
     """The items of a fence, and the areas that they describe."""
 
     def __init__(self) -> None:
         self.items: tuple[FenceItem, ...] = ()
-        self.areas: tuple[FenceArea, ...] = ()
+        self.areas: tuple[Fence, ...] = ()
 
     def set(self, items: tuple[FenceItem, ...]) -> None:
         """Takes a new fence; ValueError where the items describe none."""
@@ -74,14 +49,14 @@ class UploadedFence:
         self.items = items
 
 
-def _areas(items: Sequence[FenceItem]) -> Iterator[FenceArea]:
+def _areas(items: Sequence[FenceItem]) -> Iterator[Fence]:
     left = list(items)
     while left:
         first = left[0]
         if not math.isfinite(first.number):
             raise ValueError(f"Invalid vertex count ({first.number})")
         if first.command in _CIRCLES and first.number > 0:
-            yield FenceArea((first.place,), first.number, _CIRCLES[first.command])
+            yield Fence("a circle", Circle(first.place, first.number), _CIRCLES[first.command])
             left = left[1:]
             continue
         count = int(first.number)
@@ -89,7 +64,8 @@ def _areas(items: Sequence[FenceItem]) -> Iterator[FenceArea]:
         alike = all((item.command, item.number) == (first.command, first.number) for item in corners)
         if first.command not in _POLYGONS or not _FEWEST_CORNERS <= count == len(corners) or not alike:
             raise ValueError(f"Invalid vertex count ({count})")
-        yield FenceArea(tuple(item.place for item in corners), None, _POLYGONS[first.command])
+        polygon = Polygon(tuple(item.place for item in corners))
+        yield Fence("a polygon", polygon, _POLYGONS[first.command])
         left = left[count:]
 
 
@@ -104,34 +80,46 @@ class _Upload:
     leaves_earth: bool = False
 
 
-class FenceTransfer(ABC):
+@dataclass(frozen=True, slots=True)
+class TransferRules:
+    """How an autopilot takes a fence.
+
+    `request` is its message that asks for an item, once more after `asks_again_s`. `unasked` is the
+    MAV_MISSION_RESULT for an item without an upload, `out_of_turn` for one of another sender or with another number.
+    `refuse` gets what is wrong with an upload, and returns the result of that.
+    """
+
+    most_items: int
+    request: Any
+    unasked: int
+    out_of_turn: int | None
+    refuse: Callable[[str], int]
+    asks_again_s: float = math.inf
+
+
+class FenceTransfer:
     """A fence over the mission protocol: one upload at a time, with a request for each item in turn."""
 
-    most_items: ClassVar[int]
-    request: ClassVar[Any]  # the message that asks for an item
-    asks_again_s = math.inf  # if an item does not come
-    unasked: ClassVar[int]  # the MAV_MISSION_RESULT for an item without an upload
-    out_of_turn: ClassVar[int | None]  # for an item of another sender, or with another number
-
-    def __init__(self, frame: LocalFrame, fence: UploadedFence) -> None:
-        self.fence = fence
+    def __init__(self, frame: LocalFrame, fence: UploadedFence, rules: TransferRules) -> None:
+        self._fence = fence
         self._frame = frame
+        self._rules = rules
         self._upload: _Upload | None = None
 
-    def hear(self, now_s: float, message: Message) -> CommandReply:
+    def hear(self, now_s: float, message: Message) -> tuple[Message, ...]:
         """Takes a message of the mission protocol; any other is none of its business."""
         about_fence = getattr(message, "mission_type", None) == _FENCE
         match message.get_type():
             case "MISSION_REQUEST_LIST":
-                count = len(self.fence.items) if about_fence else 0
+                count = len(self._fence.items) if about_fence else 0
                 return _to_sender(message, mavlink.MAVLink_mission_count_message, count, message.mission_type)
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
-                if about_fence and message.seq < len(self.fence.items):
-                    return CommandReply(to_sender=(_item(self.fence.items[message.seq], message),))
+                if about_fence and message.seq < len(self._fence.items):
+                    return (_item(self._fence.items[message.seq], message),)
                 return acknowledged(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)
             case "MISSION_CLEAR_ALL":
                 if about_fence or message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
-                    self.fence.set(())
+                    self._fence.set(())
                 return acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
             case "MISSION_COUNT":
                 if not about_fence:
@@ -139,37 +127,34 @@ class FenceTransfer(ABC):
                 return self._begin(now_s, message)
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 return self._take(now_s, message, about_fence=about_fence)
-        return NOTHING
+        return ()
 
     def missing(self, now_s: float) -> tuple[Message, ...]:
         """Asks once more for an item that has not come."""
-        late = self._upload is not None and now_s >= self._upload.asked_s + self.asks_again_s
+        late = self._upload is not None and now_s >= self._upload.asked_s + self._rules.asks_again_s
         return (self._ask(now_s, self._upload),) if self._upload and late else ()
 
-    @abstractmethod
-    def refused(self, message: Message, error: ValueError) -> CommandReply:
-        """The reply to an upload whose items describe no fence."""
-
-    def _begin(self, now_s: float, message: Message) -> CommandReply:
+    def _begin(self, now_s: float, message: Message) -> tuple[Message, ...]:
         self._upload = None
-        if message.count > self.most_items:
+        if message.count > self._rules.most_items:
             return acknowledged(message, mavlink.MAV_MISSION_NO_SPACE)
         if message.count == 0:
-            self.fence.set(())
+            self._fence.set(())
             return acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
         self._upload = _Upload(sender_of(message), message.count)
-        return CommandReply(to_sender=(self._ask(now_s, self._upload),))
+        return (self._ask(now_s, self._upload),)
 
     def _ask(self, now_s: float, upload: _Upload) -> Message:
         upload.asked_s = now_s
-        return self.request(*upload.sender, len(upload.items), _FENCE)
+        return self._rules.request(*upload.sender, len(upload.items), _FENCE)
 
-    def _take(self, now_s: float, message: Message, *, about_fence: bool) -> CommandReply:
+    def _take(self, now_s: float, message: Message, *, about_fence: bool) -> tuple[Message, ...]:
         upload = self._upload
         if upload is None or not about_fence:
-            return acknowledged(message, self.unasked)
+            return acknowledged(message, self._rules.unasked)
         if sender_of(message) != upload.sender or message.seq != len(upload.items):
-            return NOTHING if self.out_of_turn is None else acknowledged(message, self.out_of_turn)
+            result = self._rules.out_of_turn
+            return () if result is None else acknowledged(message, result)
         scale = 1 if message.get_type() == "MISSION_ITEM_INT" else 1e7
         latitude_e7, longitude_e7 = message.x * scale, message.y * scale
         if not (abs(latitude_e7) <= 900_000_000 and abs(longitude_e7) <= 1_800_000_000):
@@ -178,18 +163,18 @@ class FenceTransfer(ABC):
         place = self._frame.position(GeoPosition(latitude_e7 / 1e7, longitude_e7 / 1e7))
         upload.items.append(FenceItem(message.command, message.param1, place, latitude_e7, longitude_e7))
         if len(upload.items) < upload.count:
-            return CommandReply(to_sender=(self._ask(now_s, upload),))
+            return (self._ask(now_s, upload),)
         self._upload = None
         try:
             if upload.leaves_earth:
                 raise ValueError("Invalid vertex location")
-            self.fence.set(tuple(upload.items))
+            self._fence.set(tuple(upload.items))
         except ValueError as error:
-            return self.refused(message, error)
+            return acknowledged(message, self._rules.refuse(str(error)))
         return acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
 
 
-def acknowledged(message: Message, result: int) -> CommandReply:
+def acknowledged(message: Message, result: int) -> tuple[Message, ...]:
     """MISSION_ACK with that result, to the sender of the message."""
     return _to_sender(message, mavlink.MAVLink_mission_ack_message, result, message.mission_type)
 
@@ -205,5 +190,5 @@ def _item(item: FenceItem, request: Message) -> Message:
     return build(*sender, number, frame, item.command, 0, 0, item.number, 0, 0, 0, *place, 0, _FENCE)
 
 
-def _to_sender(message: Message, kind: Any, *fields: float) -> CommandReply:
-    return CommandReply(to_sender=(kind(*sender_of(message), *fields),))
+def _to_sender(message: Message, kind: Any, *fields: float) -> tuple[Message, ...]:
+    return (kind(*sender_of(message), *fields),)

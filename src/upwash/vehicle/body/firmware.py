@@ -5,42 +5,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Position
-from upwash.vehicle.body.copter import Multicopter
+from upwash.mavlink.packets import Message
+from upwash.vehicle.body.copter import Multicopter, Result
+from upwash.vehicle.body.fence import FenceTransfer
 
-Message: TypeAlias = Any  # pymavlink's messages are not typed
 Report: TypeAlias = Callable[[float], Message | None]
 AnyCopter = TypeVar("AnyCopter", bound=Multicopter)
 
 _ABOVE_SEA = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT
 _ABOVE_HOME = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-
-
-class Result(IntEnum):
-    """MAV_RESULT."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-
-
-@dataclass(frozen=True, slots=True)
-class CommandReply:
-    """The MAV_RESULTs of a command, each to be acknowledged, and the messages for its sender or for all."""
-
-    results: tuple[int, ...] = ()
-    to_sender: tuple[Message, ...] = ()
-    to_all: tuple[Message, ...] = ()
-
-
-NOTHING = CommandReply()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +30,9 @@ class VehicleCommand:
     place: tuple[float, float, float]
     frame: int
     shoots: bool = False  # parameter 5, as DO_DIGICAM_CONTROL means it
+
+
+Handler: TypeAlias = Callable[[Any, float, VehicleCommand], Result]
 
 
 def read_command(message: Message) -> VehicleCommand:
@@ -84,11 +65,6 @@ def position_in_frame(
     return copter.frame.position(GeoPosition(latitude_deg, longitude_deg, altitude_m))
 
 
-def sender_of(message: Message) -> tuple[int, int]:
-    """The system and the component that sent the message."""
-    return message.get_srcSystem(), message.get_srcComponent()
-
-
 class StandInFirmware(ABC, Generic[AnyCopter]):
     """What a stand-in's connections need of an autopilot."""
 
@@ -103,8 +79,12 @@ class StandInFirmware(ABC, Generic[AnyCopter]):
     texts_only_to_ground_stations = False
     """Whether STATUSTEXT is only sent to peers that send a ground station's heartbeats."""
 
-    def __init__(self, copter: AnyCopter, reports: Mapping[float, Report]) -> None:
+    listeners: ClassVar[Mapping[str, Callable[..., Iterable[Message] | None]]]
+    """The methods that take messages, by their kind. All others are about its fence."""
+
+    def __init__(self, copter: AnyCopter, reports: Mapping[float, Report], fence: FenceTransfer) -> None:
         self.copter = copter
+        self._fence = fence
         self.reports = reports  # by message number; a request's number arrives as a float
 
     def report(self, now_s: float, number: float) -> tuple[Message, ...]:
@@ -120,17 +100,34 @@ class StandInFirmware(ABC, Generic[AnyCopter]):
 
     @abstractmethod
     def live(self, now_s: float) -> Iterable[Message]:
+        """What it does by itself; the messages for everyone since then."""
+
+    @abstractmethod
+    def said(self) -> Iterable[Message]:
         """The messages for everyone since it was last asked."""
 
     @abstractmethod
-    def obey(self, now_s: float, message: Message) -> CommandReply:
-        """Carries out a COMMAND_LONG or COMMAND_INT as far as it can."""
+    def obey(self, now_s: float, message: Message) -> tuple[int, ...]:
+        """Carries out a COMMAND_LONG or COMMAND_INT as far as it can; returns each MAV_RESULT to be acknowledged."""
 
-    @abstractmethod
-    def hear(self, now_s: float, message: Message) -> CommandReply:
-        """Takes any other message."""
+    def hear(self, now_s: float, message: Message) -> Iterable[Message]:
+        """Takes any other message; returns the answers for its sender."""
+        listener = self.listeners.get(message.get_type())
+        return (listener(self, now_s, message) or ()) if listener else self._fence.hear(now_s, message)
 
     def set_parameter(self, now_s: float, name: str, value: float) -> Iterable[Message]:
         """Changes a parameter if it has it and the value fits; returns the messages to everyone about it."""
         self.copter.parameters.receive(name, value)
         return ()
+
+
+def arming(arms_anyway: int, disarms_anyway: int) -> Handler:
+    """What MAV_CMD_COMPONENT_ARM_DISARM does, where those numbers override the vehicle's objections."""
+
+    def obey(copter: Multicopter, now_s: float, command: VehicleCommand) -> Result:
+        wish, magic = command.parameters[:2]
+        if wish == 1:
+            return copter.arm(now_s, forced=magic == arms_anyway)
+        return copter.disarm(now_s, forced=magic == disarms_anyway) if wish == 0 else Result.UNSUPPORTED
+
+    return obey

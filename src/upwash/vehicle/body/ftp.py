@@ -17,20 +17,6 @@ class _RefusedError(Exception):
         self.trouble = trouble
 
 
-@dataclass(frozen=True, slots=True)
-class _Request:
-    session: int
-    offset: int
-    size: int
-    data: bytes
-
-    @property
-    def path(self) -> str:
-        if not self.data:
-            raise _RefusedError(Trouble.INVALID_DATA_SIZE)
-        return self.data.rstrip(b"\0").decode("latin-1").strip("/")
-
-
 @dataclass(slots=True)
 class _Open:
     session: int
@@ -54,23 +40,23 @@ class Files:
         """The answer to a request. A repeated request gets the same answer and is not carried out again."""
         if len(payload) < HEAD.size:
             return None
-        number, session, opcode, size, _, _, offset = HEAD.unpack_from(payload)
+        number, session, opcode, size, asked, _, offset = HEAD.unpack_from(payload)
         if self._last is not None and self._last[:3] == (sender, session, number):
             return self._last[3]
         data = payload[HEAD.size : HEAD.size + size]
-        request = _Request(session, offset, size, data)
+        request = Packet(number, session, opcode, asked, offset, data, size)
         try:
             if size > MOST_DATA_BYTES:
                 raise _RefusedError(Trouble.INVALID_DATA_SIZE)
-            result, reply = Opcode.ACK, self._carry_out(opcode, request, now_s)
+            result, reply = Opcode.ACK, self._carry_out(request, now_s)
         except _RefusedError as refused:
             result, reply = Opcode.NAK, bytes([refused.trouble])
         answer = Packet((number + 1) % 2**16, session, result, opcode, offset, reply).payload()
         self._last = sender, session, number, answer
         return answer
 
-    def _carry_out(self, opcode: int, request: _Request, now_s: float) -> bytes:
-        is_open = self._open
+    def _carry_out(self, request: Packet, now_s: float) -> bytes:
+        is_open, opcode = self._open, request.opcode
         if opcode in (Opcode.TERMINATE_SESSION, Opcode.RESET_SESSIONS):
             if is_open is not None and is_open.session == request.session:
                 self._open = None
@@ -85,7 +71,7 @@ class Files:
             case Opcode.LIST_DIRECTORY:
                 return self._listing(request)
             case Opcode.CREATE_DIRECTORY:
-                return self._make_directory(request.path)
+                return self._make_directory(_path(request))
             case Opcode.OPEN_FILE_READ_ONLY | Opcode.CREATE_FILE:
                 return self._open_file(request, now_s, writing=opcode == Opcode.CREATE_FILE)
             case Opcode.READ_FILE:
@@ -93,13 +79,13 @@ class Files:
             case Opcode.WRITE_FILE:
                 return self._write(request, now_s)
             case Opcode.REMOVE_FILE:
-                if self.content.pop(request.path, None) is None:
+                if self.content.pop(_path(request), None) is None:
                     raise _RefusedError(Trouble.FILE_NOT_FOUND)
                 return b""
         raise _RefusedError(Trouble.FAIL)
 
-    def _listing(self, request: _Request) -> bytes:
-        path = request.path
+    def _listing(self, request: Packet) -> bytes:
+        path = _path(request)
         if path not in self.directories:
             raise _RefusedError(Trouble.FILE_NOT_FOUND)
         names = sorted(name for name in self.content if name.rpartition("/")[0] == path)
@@ -124,8 +110,8 @@ class Files:
         self.directories.add(path)
         return b""
 
-    def _open_file(self, request: _Request, now_s: float, *, writing: bool) -> bytes:
-        path = request.path
+    def _open_file(self, request: Packet, now_s: float, *, writing: bool) -> bytes:
+        path = _path(request)
         if self._open is not None:
             raise _RefusedError(Trouble.FAIL)
         if writing:
@@ -138,14 +124,14 @@ class Files:
         self._open = _Open(request.session, path, writing, now_s)
         return b"" if writing else struct.pack("<I", len(self.content[path]))
 
-    def _read(self, request: _Request, now_s: float) -> bytes:
+    def _read(self, request: Packet, now_s: float) -> bytes:
         content = self._opened(now_s, writing=False)
-        part = bytes(content[request.offset : request.offset + min(request.size, MOST_DATA_BYTES)])
+        part = bytes(content[request.offset : request.offset + min(request.size or 0, MOST_DATA_BYTES)])
         if not part:
             raise _RefusedError(Trouble.END_OF_FILE)
         return part
 
-    def _write(self, request: _Request, now_s: float) -> bytes:
+    def _write(self, request: Packet, now_s: float) -> bytes:
         content = self._opened(now_s, writing=True)
         end = request.offset + len(request.data)
         if end > _MOST_FILE_BYTES:
@@ -161,3 +147,9 @@ class Files:
             raise _RefusedError(Trouble.FAIL)
         self._open.used_s = now_s
         return self.content[self._open.path]
+
+
+def _path(request: Packet) -> str:
+    if not request.data:
+        raise _RefusedError(Trouble.INVALID_DATA_SIZE)
+    return request.data.rstrip(b"\0").decode("latin-1").strip("/")

@@ -226,19 +226,20 @@ def pause(place: Position, duration_s: float) -> Phase:
     return Phase(place, Velocity(), 0.0, 0.0, duration_s)
 
 
-def smooth_phase(
-    start: Position, heading: Velocity, *, length_m: float, from_m_s: float, to_m_s: float, duration_s: float
-) -> Phase:
-    """The phase of that length, with those speeds at its ends."""
-    mean_m_s = length_m / duration_s
-    return Phase(
-        start,
-        heading,
-        from_m_s,
-        (6 * mean_m_s - 4 * from_m_s - 2 * to_m_s) / duration_s,
-        duration_s,
-        6 * (from_m_s + to_m_s - 2 * mean_m_s) / duration_s**2,
-    )
+def along(
+    start: Position, ahead: Velocity, stretches: Iterable[tuple[float, float, float, float]]
+) -> tuple[Phase, ...]:
+    """Phases along a line: of each the length and the speeds at its ends, below 0 on the way back, and its time."""
+    back = Velocity(-ahead.east_m_s, -ahead.north_m_s, -ahead.up_m_s)
+    phases: list[Phase] = []
+    for length_m, from_m_s, to_m_s, lasts_s in stretches:
+        heading, sign = (ahead, 1) if length_m > 0 or (length_m == 0 and from_m_s >= 0) else (back, -1)
+        begins_m_s, ends_m_s, mean_m_s = sign * from_m_s, sign * to_m_s, sign * length_m / lasts_s
+        acceleration_m_s2 = (6 * mean_m_s - 4 * begins_m_s - 2 * ends_m_s) / lasts_s
+        jerk_m_s3 = 6 * (begins_m_s + ends_m_s - 2 * mean_m_s) / lasts_s**2
+        phases.append(Phase(start, heading, begins_m_s, acceleration_m_s2, lasts_s, jerk_m_s3))
+        start = phases[-1].end
+    return tuple(phases)
 
 
 def steadily(start: Position, end: Position, *, duration_s: float) -> tuple[Phase, ...]:

@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Generic
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position
+from upwash.mavlink.packets import Message
 from upwash.vehicle.body.copter import HOME
-from upwash.vehicle.body.firmware import AnyCopter, Message, Report
+from upwash.vehicle.body.firmware import AnyCopter, Report
 
 _ONLY_POSITION, _NO_POSITION = 0b110111111000, 0b110000000111
 _UNKNOWN_MV = 0xFFFF
@@ -48,29 +49,23 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
     def reports(self) -> dict[float, Report]:
         """The reports on request, by message number."""
         return {
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self.sys_status,
-            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self.system_time,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self.gps_raw,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE: self.attitude,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.local_position,
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self.global_position,
-            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self.mission_current,
-            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self.gps_global_origin,
-            mavlink.MAVLINK_MSG_ID_VFR_HUD: self.vfr_hud,
-            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self.position_target,
-            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self.position_target_local,
-            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self.battery_status,
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.autopilot_version,
-            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self.extended_sys_state,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._gps_global_origin,
+            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self._position_target_local,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery_status,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home_position,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
         }
 
     # --- what the autopilots tell differently ---------------------------------------------------------------
-
-    @abstractmethod
-    def heartbeat(self, now_s: float) -> Message | None:
-        """HEARTBEAT: the mode, and whether it is armed."""
 
     @abstractmethod
     def _sensors(self, now_s: float) -> tuple[int, int, int]:
@@ -82,8 +77,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
 
     # --- reports --------------------------------------------------------------------------------------------
 
-    def sys_status(self, now_s: float) -> Message:
-        """SYS_STATUS: the sensors and the battery."""
+    def _sys_status(self, now_s: float) -> Message:
         present, enabled, healthy = self._sensors(now_s)
         return made(
             mavlink.MAVLink_sys_status_message,
@@ -96,8 +90,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             battery_remaining=math.floor(self.copter.battery_percent(now_s)),
         )
 
-    def battery_status(self, now_s: float) -> Message:
-        """BATTERY_STATUS: the charge, and the voltage as that of one cell."""
+    def _battery_status(self, now_s: float) -> Message:
         return made(
             mavlink.MAVLink_battery_status_message,
             battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
@@ -111,14 +104,12 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             charge_state=self.copter.battery_level(now_s),
         )
 
-    def system_time(self, now_s: float) -> Message:
-        """SYSTEM_TIME: the date, and the time since boot."""
+    def _system_time(self, now_s: float) -> Message:
         return mavlink.MAVLink_system_time_message(
             round(self.copter.unix_s(now_s) * 1e6), self._boot_ms(now_s)
         )
 
-    def gps_raw(self, now_s: float) -> Message:
-        """GPS_RAW_INT: the receiver's fix."""
+    def _gps_raw(self, now_s: float) -> Message:
         place, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
         geo = self.copter.frame.geo(place)
         fields = {
@@ -130,13 +121,12 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
         }
         return made(mavlink.MAVLink_gps_raw_int_message, **fields | self._receiver(now_s))
 
-    def attitude(self, now_s: float) -> Message:
+    def _attitude(self, now_s: float) -> Message:
         """ATTITUDE: always level, nose ahead."""
         yaw = math.remainder(math.radians(self.copter.heading_deg(now_s)), math.tau)
         return made(mavlink.MAVLink_attitude_message, time_boot_ms=self._boot_ms(now_s), yaw=yaw)
 
-    def local_position(self, now_s: float) -> Message | None:
-        """LOCAL_POSITION_NED: metres from where it was switched on."""
+    def _local_position(self, now_s: float) -> Message | None:
         position, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
         return mavlink.MAVLink_local_position_ned_message(
             self._boot_ms(now_s),
@@ -148,12 +138,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             -velocity.up_m_s,
         )
 
-    @abstractmethod
-    def global_position(self, now_s: float) -> Message | None:
-        """GLOBAL_POSITION_INT: place and velocity."""
-
     def _global_position_of(self, now_s: float, *, above_home_mm: int, known: bool) -> Message:
-        """GLOBAL_POSITION_INT with that height; latitude and longitude are 0 where they are not known."""
         position, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
         geo = self.copter.frame.geo(position)
         return mavlink.MAVLink_global_position_int_message(
@@ -168,12 +153,10 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             hdg=self._heading_cdeg(now_s),
         )
 
-    def mission_current(self, _now_s: float) -> Message:
-        """MISSION_CURRENT: it has no mission."""
+    def _mission_current(self, _now_s: float) -> Message:
         return mavlink.MAVLink_mission_current_message(0)
 
-    def gps_global_origin(self, now_s: float) -> Message | None:
-        """GPS_GLOBAL_ORIGIN: where local positions count from."""
+    def _gps_global_origin(self, now_s: float) -> Message | None:
         home = self.copter.settings.home
         if not self.copter.has_origin(now_s):
             return None
@@ -181,8 +164,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             degrees_e7(home.latitude_deg), degrees_e7(home.longitude_deg), self._above_sea_mm(HOME)
         )
 
-    def home_position(self, now_s: float) -> Message | None:
-        """HOME_POSITION: where it returns to."""
+    def _home_position(self, now_s: float) -> Message | None:
         return (
             made(mavlink.MAVLink_home_position_message, q=[1, 0, 0, 0], **self._home(now_s))
             if self.copter.has_origin(now_s)
@@ -193,8 +175,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
     def _home(self, now_s: float) -> dict[str, int]:
         """The fields of HOME_POSITION."""
 
-    def vfr_hud(self, now_s: float) -> Message:
-        """VFR_HUD: speeds, heading and height, as a pilot reads them."""
+    def _vfr_hud(self, now_s: float) -> Message:
         velocity = self.copter.velocity(now_s)
         return mavlink.MAVLink_vfr_hud_message(
             velocity.ground_m_s,
@@ -205,8 +186,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             velocity.up_m_s,
         )
 
-    def position_target(self, now_s: float) -> Message | None:
-        """POSITION_TARGET_GLOBAL_INT: the target in force."""
+    def _position_target(self, now_s: float) -> Message | None:
         target = self.copter.target(now_s)
         if target is None:
             return None
@@ -221,8 +201,7 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             alt=self._above_sea_mm(target) / 1e3,
         )
 
-    def position_target_local(self, now_s: float) -> Message | None:
-        """POSITION_TARGET_LOCAL_NED: the target in force, in metres."""
+    def _position_target_local(self, now_s: float) -> Message | None:
         target = self.copter.target(now_s)
         return None if target is None else self._local_target(now_s, target)
 
@@ -239,12 +218,10 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             z=-place.altitude_m,
         )
 
-    def extended_sys_state(self, now_s: float) -> Message:
-        """EXTENDED_SYS_STATE: on the ground, in the air, or between."""
+    def _extended_sys_state(self, now_s: float) -> Message:
         return mavlink.MAVLink_extended_sys_state_message(self.vtol_state, self.copter.landed_state(now_s))
 
-    def autopilot_version(self, _now_s: float) -> Message:
-        """AUTOPILOT_VERSION: the firmware's version and capabilities."""
+    def _autopilot_version(self, _now_s: float) -> Message:
         return made(
             mavlink.MAVLink_autopilot_version_message,
             capabilities=self.capabilities,
@@ -260,17 +237,13 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
     # --- as messages hold it --------------------------------------------------------------------------------
 
     def _boot_ms(self, now_s: float) -> int:
-        """The time since boot, in milliseconds."""
         return round(self.copter.uptime_s(now_s) * 1e3) % 2**32
 
     def _boot_us(self, now_s: float) -> int:
-        """The time since boot, in microseconds."""
         return round(self.copter.uptime_s(now_s) * 1e6)
 
     def _above_sea_mm(self, position: Position) -> int:
-        """The altitude of a position above the sea, in millimetres."""
         return round((self.copter.settings.home_altitude_m + position.altitude_m) * 1e3)
 
     def _heading_cdeg(self, now_s: float) -> int:
-        """The direction of its nose, in hundredths of a degree."""
         return round(self.copter.heading_deg(now_s) * 100) % 36_000

@@ -3,8 +3,7 @@
 - `body`: a point under drag with PX4's speed controllers, in steps of 50 ms. `airframe`: whole flights in advance.
 - `navigator`, `inputs`, `flight`: where it flies by itself, by setpoints or by sticks, and how it meets the ground.
 - `failsafe`: causes, actions and their order of severity; `vehicle`: modes, arming, and the dangers that it watches.
-- `events`: PX4 speaks in numbered events, which `firmware` sends again on request and also tells as texts.
-- `commands`, `telemetry`: the messages.
+- `commands`, `telemetry`, `firmware`: the messages. PX4 speaks in numbered events, and tells some as texts too.
 
 A mode is intended by a command and chosen by the fail-safe: `intended` and `mode` differ while one acts.
 

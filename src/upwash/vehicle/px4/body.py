@@ -125,7 +125,7 @@ class Body:
             return self._ramped(0j, _STOPPING_M_S2)
         way_m = complex(steering.place.east_m, steering.place.north_m) - self.place_m
         left_m = _length(way_m)
-        speed_m_s = _STIFFNESS_1_S * left_m if steering.stiffly else approach_m_s(left_m)
+        speed_m_s = _STIFFNESS_1_S * left_m if steering.stiffly else _approach_m_s(left_m)
         wanted_m_s = way_m * (min(steering.cap_m_s, speed_m_s) / left_m if left_m else 0.0)
         if steering.stiffly:
             self._told = self.ground_m_s
@@ -170,7 +170,7 @@ def landing_sink_m_s(altitude_m: float) -> float:
     return _SINKING_LOW_M_S + (SINKING_M_S - _SINKING_LOW_M_S) * max(0.0, min(1.0, share))
 
 
-def approach_m_s(left_m: float) -> float:
+def _approach_m_s(left_m: float) -> float:
     """The highest speed that still lets it stop at a place `left_m` away."""
     lead = _BRAKING_M_S2 * _BRAKING_LEAD_S
     return math.sqrt(lead**2 + 2 * _BRAKING_M_S2 * left_m) - lead

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
 from upwash.core.vehicle.payload import PAYLOAD_COMMANDS
+from upwash.mavlink.packets import Message
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.body.firmware import Message, Result, VehicleCommand, read_command
+from upwash.vehicle.body.copter import Result
+from upwash.vehicle.body.firmware import Handler, VehicleCommand, arming, read_command
 from upwash.vehicle.px4.navigator import Reposition
 from upwash.vehicle.px4.vehicle import FORCED, Quadrotor
 
@@ -72,15 +72,6 @@ def _read(message: Message) -> VehicleCommand | None:
     return command
 
 
-def _arm_or_disarm(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
-    wish, magic = command.parameters[:2]
-    if wish == 1:
-        return copter.arm(now_s, forced=magic == FORCED)
-    if wish == 0:
-        return copter.disarm(now_s, forced=magic == FORCED)
-    return Result.UNSUPPORTED
-
-
 def _take_off(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
     return copter.take_off(now_s, command.place[2] - copter.settings.home_altitude_m)
 
@@ -125,10 +116,8 @@ def _byte(number: float) -> int:
     return int(number) if math.isfinite(number) and 0 <= number <= 255 else 0
 
 
-Handler: TypeAlias = Callable[[Quadrotor, float, VehicleCommand], Result]
-
 _HANDLERS: dict[int, Handler] = {
-    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: arming(FORCED, FORCED),
     mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _enter(Mode.RTL),
     mavlink.MAV_CMD_NAV_LAND: _enter(Mode.LAND),

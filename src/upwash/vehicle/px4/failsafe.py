@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
 
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.px4.events import Tell
 
 
 class Cause(Enum):
@@ -90,17 +89,12 @@ class FailsafeChange:
     waits: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class _Known:
-    danger: Danger
-    overruled: bool = False
-
-
 class Failsafe:
     """What is dangerous now, and what is done about it."""
 
     def __init__(self) -> None:
-        self._known: dict[Cause, _Known] = {}
+        self._known: dict[Cause, Danger] = {}
+        self._overruled: set[Cause] = set()
         self._acts_s = 0.0
         self._announced: FailsafeChange | None = None
         self.action: Action | None = None
@@ -118,23 +112,21 @@ class Failsafe:
         self, dangers: Mapping[Cause, Danger], now_s: float, *, delay_s: float
     ) -> Iterator[FailsafeChange]:
         """Takes note of what is dangerous now; yields what is begun because of it."""
-        for cause in [cause for cause, known in self._known.items() if cause not in dangers]:
-            if not self._known[cause].danger.sticks or self._known[cause].overruled:
+        for cause in self._known.keys() - dangers.keys():
+            if not self._known[cause].sticks or cause in self._overruled:
                 del self._known[cause]
+                self._overruled.discard(cause)
         for cause, danger in dangers.items():
-            if cause not in self._known:
-                self._known[cause] = _Known(danger)
-                if danger.action is Action.WARN:
-                    yield FailsafeChange(cause, danger.action)
-            elif self._known[cause].danger != danger:
-                self._known[cause] = replace(self._known[cause], danger=danger)
+            if cause not in self._known and danger.action is Action.WARN:
+                yield FailsafeChange(cause, danger.action)
+            self._known[cause] = danger
         yield from self._choose(now_s, delay_s)
 
     def _choose(self, now_s: float, delay_s: float) -> Iterator[FailsafeChange]:
         acting = {
-            cause: known.danger
-            for cause, known in self._known.items()
-            if known.danger.action > Action.WARN and not known.overruled
+            cause: danger
+            for cause, danger in self._known.items()
+            if danger.action > Action.WARN and cause not in self._overruled
         }
         if not acting:
             self.action, self._announced = None, None
@@ -155,18 +147,19 @@ class Failsafe:
     def overrule(self) -> bool:
         """A person has given another command; whether that ended an action."""
         acted = self.action is not None
-        self._known = {cause: replace(known, overruled=True) for cause, known in self._known.items()}
+        self._overruled = set(self._known)
         self.action, self._announced = None, None
         return acted
 
     def clear(self) -> None:
         """Forgets everything, as at disarming."""
         self._known.clear()
+        self._overruled.clear()
         self.action, self._announced = None, None
 
 
 def announce(
-    change: FailsafeChange, intended: Mode, breaches: list[str], *, delay_s: float, tell: Tell
+    change: FailsafeChange, intended: Mode, breaches: list[str], *, delay_s: float, tell: Callable[..., None]
 ) -> None:
     """Tells what a fail-safe begins, after a delay in Hold where it waits."""
     if change.action is Action.WARN:

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import Position
+from upwash.core.geo import Position, Velocity
+from upwash.mavlink.packets import Message
 from upwash.mavlink.px4 import (
     AVAILABLE_MODES,
     CURRENT_MODE,
     CUSTOM_MODE_FLAG,
-    ResponseEventErrorMessage,
     event_text,
 )
 from upwash.mavlink.version import Version
 from upwash.vehicle.body.copter import is_sensible
-from upwash.vehicle.body.fence import FenceTransfer, acknowledged
-from upwash.vehicle.body.firmware import (
-    NOTHING,
-    CommandReply,
-    Message,
-    StandInFirmware,
-    position_in_frame,
-    sender_of,
-)
+from upwash.vehicle.body.fence import FenceTransfer, TransferRules
+from upwash.vehicle.body.firmware import StandInFirmware, position_in_frame
 from upwash.vehicle.px4.commands import obey, set_mode
-from upwash.vehicle.px4.flight import turned
 from upwash.vehicle.px4.inputs import InputSource, Setpoint, Sticks
 from upwash.vehicle.px4.navigator import LOWEST_M
 from upwash.vehicle.px4.telemetry import UNASKED_S, UNMODELLED, Px4Telemetry, available_modes
@@ -58,11 +51,11 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         known = Px4Telemetry(copter).reports()
         if copter.settings.version < _TELLS_MODES_FROM:
             del known[AVAILABLE_MODES], known[CURRENT_MODE]
-        super().__init__(copter, known | dict.fromkeys(UNMODELLED, lambda _now_s: None))
+        known |= dict.fromkeys(UNMODELLED, lambda _now_s: None)
+        super().__init__(copter, known, FenceTransfer(copter.frame, copter.fence, _FENCE_RULES))
         self._beats_s: float | None = None
         self._checked: tuple[object, bool] | None = None
         self._checks_s = -math.inf
-        self._fence = Px4FenceTransfer(copter.frame, copter.fence)
 
     def live(self, now_s: float) -> Iterator[Message]:
         """That it is alive, and what happened."""
@@ -72,15 +65,15 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
             self._beats_s = max(begun_s + _HEARTBEAT_S, now_s)
             yield from self.report(now_s, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         self._check(now_s)
-        yield from self._said()
+        yield from self.said()
         yield from self._fence.missing(now_s)
 
-    def obey(self, now_s: float, message: Message) -> CommandReply:
+    def obey(self, now_s: float, message: Message) -> tuple[int, ...]:
         """One answer, or two; events tell everyone the reasons."""
         results = obey(self.copter, now_s, message)
         if message.command == mavlink.MAV_CMD_RUN_PREARM_CHECKS and results[0] == 0:
             self._tell_checks(now_s)
-        return CommandReply(tuple(int(result) for result in results), to_all=tuple(self._said()))
+        return results
 
     def requested(self, now_s: float, message: Message) -> Iterable[Message]:
         """The report of that number; AVAILABLE_MODES by index, 0 for all."""
@@ -88,13 +81,6 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
             index = message.param2
             return available_modes(int(index)) if math.isfinite(index) and 0 <= index < 2**16 else ()
         return self.report(now_s, message.param1)
-
-    def hear(self, now_s: float, message: Message) -> CommandReply:
-        """Heartbeats, setpoints, sticks, fences, and modes set the old way."""
-        listener = _LISTENERS.get(message.get_type())
-        reply = listener(self, now_s, message) if listener else self._fence.hear(now_s, message)
-        said = tuple(self._said())
-        return CommandReply(reply.results, reply.to_sender, reply.to_all + said) if said else reply
 
     def set_parameter(self, now_s: float, name: str, value: float) -> Iterable[Message]:
         """Changes it, and those that must not be above it."""
@@ -109,12 +95,13 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
                 if self.copter.parameters[limited] > most and self.copter.parameters.change(limited, most):
                     self.copter.happened(event, most)
                     yield self.copter.parameters.named(limited)
-        yield from self._said()
+        yield from self.said()
 
     # --- what happened --------------------------------------------------------------------------------------
 
-    def _said(self) -> Iterator[Message]:
-        for event in self.copter.events.said():
+    def said(self) -> Iterator[Message]:
+        """Its events, and those for people as texts too."""
+        for event in self.copter.said():
             yield event
             text = event_text(event)
             if event.severity < _SEVERITY_OF_PROGRAMS and text:
@@ -157,86 +144,65 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         breaches = () if self.copter.armed else self.copter.breaches()  # in flight the fail-safe tells them
         return objections | dict.fromkeys(breaches, (_ALL_MODES, 20))
 
-    def _hear_event_request(self, _now_s: float, message: Message) -> CommandReply:
-        events, missed = self.copter.events, message.first_sequence
-        event = events.numbered(missed)
-        if event is not None:
-            return CommandReply(to_sender=(event,))
-        system, component = sender_of(message)
-        gone = ResponseEventErrorMessage(
-            sequence=missed,
-            sequence_oldest_available=events.oldest,
-            target_system=system,
-            target_component=component,
-            reason=0,
-        )
-        return CommandReply(to_sender=(gone,))
-
     # --- who is there, and what they want -------------------------------------------------------------------
 
-    def _hear_heartbeat(self, now_s: float, message: Message) -> CommandReply:
+    def _hear_heartbeat(self, now_s: float, message: Message) -> None:
         if message.type == mavlink.MAV_TYPE_GCS:
             self.copter.hear(InputSource.GROUND_STATION, now_s)
         elif message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
             self.copter.hear(InputSource.COMPANION, now_s)
-        return NOTHING
 
-    def _hear_mode(self, now_s: float, message: Message) -> CommandReply:
+    def _hear_mode(self, now_s: float, message: Message) -> None:
         number = message.custom_mode
         if message.base_mode & CUSTOM_MODE_FLAG:
             main, sub = number >> 16 & 0xFF, number >> 24
             set_mode(self.copter, now_s, base_mode=message.base_mode, main=main, sub=sub)
-        return NOTHING
 
-    def _hear_sticks(self, now_s: float, message: Message) -> CommandReply:
+    def _hear_sticks(self, now_s: float, message: Message) -> None:
         axes = [axis / _STICK_FULL for axis in (message.x, message.y, message.r)]
         if message.target in (0, 1) and all(abs(axis) <= 1 for axis in axes):
             throttle = min(max(message.z, 0.0), _STICK_FULL)
             self.copter.move_sticks(now_s, Sticks(axes[0], axes[1], axes[2], throttle))
-        return NOTHING
 
-    def _hear_local_setpoint(self, now_s: float, message: Message) -> CommandReply:
-        by_body = message.coordinate_frame == mavlink.MAV_FRAME_BODY_NED
-        if by_body or message.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED:
-            place = Position(message.y, message.x, -message.z)
-            mask = message.type_mask | (_NO_EAST_NORTH | _NO_ALTITUDE if by_body else 0)
-            heading = math.radians(self.copter.heading_deg(now_s)) if by_body else 0.0
-            self._follow(now_s, message, mask, place, heading)
-        return NOTHING
+    def _hear_local_setpoint(self, now_s: float, message: Message) -> None:
+        if message.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED:
+            self._follow(now_s, message, Position(message.y, message.x, -message.z))
 
-    def _hear_global_setpoint(self, now_s: float, message: Message) -> CommandReply:
+    def _hear_global_setpoint(self, now_s: float, message: Message) -> None:
         home_m = self.copter.home_altitude_m() - self.copter.settings.home_altitude_m
         told = message.lat_int / 1e7, message.lon_int / 1e7, message.alt
         place = position_in_frame(self.copter, message.coordinate_frame, told, home_m=home_m)
         if place is not None:
-            self._follow(now_s, message, message.type_mask, place, 0.0)
-        return NOTHING
+            self._follow(now_s, message, place)
 
-    def _follow(self, now_s: float, message: Message, mask: int, place: Position, heading: float) -> None:
-        velocity = None
-        if not mask & _NO_VELOCITY:
-            velocity = turned(message.vx, message.vy, -message.vz, heading)
+    def _follow(self, now_s: float, message: Message, place: Position) -> None:
+        mask = message.type_mask
         setpoint = Setpoint(
             east_north_m=None if mask & _NO_EAST_NORTH else (place.east_m, place.north_m),
             altitude_m=None if mask & _NO_ALTITUDE else place.altitude_m,
-            velocity=velocity,
+            velocity=None if mask & _NO_VELOCITY else Velocity(message.vy, message.vx, -message.vz),
             yaw_deg=None if mask & _NO_YAW else math.degrees(message.yaw),
         )
         if _makes_sense(setpoint):
             self.copter.follow(now_s, setpoint)
 
+    listeners: ClassVar = {
+        "HEARTBEAT": _hear_heartbeat,
+        "SET_MODE": _hear_mode,
+        "MANUAL_CONTROL": _hear_sticks,
+        "SET_POSITION_TARGET_LOCAL_NED": _hear_local_setpoint,
+        "SET_POSITION_TARGET_GLOBAL_INT": _hear_global_setpoint,
+    }
 
-class Px4FenceTransfer(FenceTransfer):
-    """As PX4 takes a fence: wrong items change nothing, and a missing item is requested again."""
 
-    most_items = 100
-    request = mavlink.MAVLink_mission_request_int_message
-    asks_again_s = 0.25
-    unasked, out_of_turn = mavlink.MAV_MISSION_ERROR, None
-
-    def refused(self, message: Message, _error: ValueError) -> CommandReply:
-        """Keeps the fence that it has."""
-        return acknowledged(message, mavlink.MAV_MISSION_INVALID)
+_FENCE_RULES = TransferRules(
+    most_items=100,
+    request=mavlink.MAVLink_mission_request_int_message,
+    unasked=mavlink.MAV_MISSION_ERROR,
+    out_of_turn=None,
+    refuse=lambda _: mavlink.MAV_MISSION_INVALID,  # it keeps the fence that it has
+    asks_again_s=0.25,
+)
 
 
 def _makes_sense(setpoint: Setpoint) -> bool:
@@ -251,13 +217,3 @@ def _makes_sense(setpoint: Setpoint) -> bool:
         return False
     there = Position(*(place or (0.0, 0.0)), setpoint.altitude_m or 0.0)
     return is_sensible(there, lowest_m=LOWEST_M)
-
-
-_LISTENERS: dict[str, Callable[[Px4Firmware, float, Message], CommandReply]] = {
-    "HEARTBEAT": Px4Firmware._hear_heartbeat,
-    "SET_MODE": Px4Firmware._hear_mode,
-    "MANUAL_CONTROL": Px4Firmware._hear_sticks,
-    "SET_POSITION_TARGET_LOCAL_NED": Px4Firmware._hear_local_setpoint,
-    "SET_POSITION_TARGET_GLOBAL_INT": Px4Firmware._hear_global_setpoint,
-    "REQUEST_EVENT": Px4Firmware._hear_event_request,
-}

@@ -6,12 +6,11 @@ import math
 from collections import deque
 
 from upwash.core.geo import Position, Velocity
-from upwash.mavlink.px4 import Mode
+from upwash.mavlink.px4 import EventMessage, Mode, px4_events
 from upwash.vehicle.body.copter import GRAVITY_M_S2, Multicopter
 from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.airframe import BELIEVES_GROUND_S, FOLLOWING_LAG_S, spool_up_s
 from upwash.vehicle.px4.body import BLIND_SINKING_M_S, STEP_S, Body, Steering
-from upwash.vehicle.px4.events import Events
 from upwash.vehicle.px4.inputs import THROTTLE_MIDDLE, InputSource, Px4Inputs, Setpoint, past_deadzone
 from upwash.vehicle.px4.navigator import LEAST_LIFT_M, Navigator, within_limits
 from upwash.vehicle.px4.settings import Px4Settings
@@ -22,6 +21,7 @@ _DISARMS_LATE_S = 1.0  # after COM_DISARM_PRFLT
 _TAKEOFF_SEEN_S, _TAKEOFF_SHOWN_S = 1.0, 1.2  # after the command, long before it lifts
 _TOUCHING_M = 0.02
 _THROTTLE_UP = 700
+_FIRST_EVENT = 65_526  # soon after that the count begins anew
 
 
 class Px4Flight(Multicopter):
@@ -33,7 +33,8 @@ class Px4Flight(Multicopter):
     def __init__(self, settings: Px4Settings, *, now_s: float) -> None:
         super().__init__(settings, ParameterTable("px4", int_bytes=True), now_s=now_s)
         self.mode = Mode.LOITER
-        self.events = Events()
+        self._unsaid: list[EventMessage] = []
+        self._event = _FIRST_EVENT
         self.inputs = Px4Inputs(self.parameters)
         self._time_s = now_s
         self._body = Body()
@@ -60,8 +61,24 @@ class Px4Flight(Multicopter):
         return self._armed_s is not None
 
     def happened(self, name: str, *arguments: float, log_levels: int | None = None) -> None:
-        """Notes an event by its name in PX4."""
-        self.events.note(name, self.uptime_s(self._time_s), *arguments, log_levels=log_levels)
+        """Tells everyone of an event, by its name in PX4."""
+        number, kind = next((number, kind) for number, kind in px4_events().items() if kind.name == name)
+        event = EventMessage(
+            id_of_event=number,
+            event_time_boot_ms=round(self.uptime_s(self._time_s) * 1e3) % 2**32,
+            sequence=self._event,
+            destination_component=0,
+            destination_system=0,
+            log_levels=kind.log_levels if log_levels is None else log_levels,
+            arguments=kind.packed(*arguments),
+        )
+        self._event = (self._event + 1) % 2**16
+        self._unsaid.append(event)
+
+    def said(self) -> list[EventMessage]:
+        """Its events since it was last asked."""
+        unsaid, self._unsaid = self._unsaid, []
+        return unsaid
 
     # --- on the ground --------------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
@@ -12,7 +13,6 @@ from upwash.vehicle.body.copter import HOME
 from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.airframe import ALTITUDE_REACHED_M, REACTION_S
 from upwash.vehicle.px4.body import CLIMB_M_S, CLIMBING_M_S2, Body, Steering, landing_sink_m_s
-from upwash.vehicle.px4.events import Tell
 
 LEAST_LIFT_M = 0.3
 LOWEST_M, _HIGHEST_M = -200.0, 1_000.0
@@ -48,7 +48,13 @@ class Navigator:
     """The place that it flies to or holds, how fast, and how far it has come in a return."""
 
     def __init__(
-        self, parameters: ParameterTable, body: Body, tell: Tell, *, home_altitude_m: float, now_s: float
+        self,
+        parameters: ParameterTable,
+        body: Body,
+        tell: Callable[..., None],
+        *,
+        home_altitude_m: float,
+        now_s: float,
     ) -> None:
         self.takeoff_altitude_m: float | None = None
         self._parameters = parameters

@@ -7,8 +7,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.mavlink.packets import Message
 from upwash.mavlink.px4 import AVAILABLE_MODES, CURRENT_MODE, AvailableModesMessage, CurrentModeMessage, Mode
-from upwash.vehicle.body.firmware import Message, Report
+from upwash.vehicle.body.firmware import Report
 from upwash.vehicle.body.telemetry import StandInTelemetry, degrees_e7, made
 from upwash.vehicle.px4.inputs import InputSource
 from upwash.vehicle.px4.vehicle import Quadrotor
@@ -69,14 +70,15 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
     def reports(self) -> dict[float, Report]:
         """The reports on request, by message number."""
         return super().reports() | {
-            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self.attitude_quaternion,
-            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self.estimator_status,
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
             AVAILABLE_MODES: lambda _now_s: available_modes(1)[0],
-            CURRENT_MODE: self.current_mode,
+            CURRENT_MODE: self._current_mode,
         }
 
-    def heartbeat(self, now_s: float) -> Message | None:
-        """HEARTBEAT: the mode, whether armed, and how it is; nothing in its first second."""
+    def _heartbeat(self, now_s: float) -> Message | None:
         copter = self.copter
         if copter.booting(now_s):
             return None
@@ -90,8 +92,7 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
             mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base_mode, copter.mode, status, 3
         )
 
-    def current_mode(self, _now_s: float) -> Message:
-        """CURRENT_MODE: the mode that it flies, and the one commanded; different in a fail-safe."""
+    def _current_mode(self, _now_s: float) -> Message:
         mode, intended = int(self.copter.mode), int(self.copter.intended)
         standard = 0 if self.copter.descends_blindly else _MODES[self.copter.mode][2]
         return CurrentModeMessage(custom_mode=mode, intended_custom_mode=intended, standard_mode=standard)
@@ -125,13 +126,11 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
             "satellites_visible": round(self.copter.parameters["SIM_GPS_USED"]) % 255 if fix else 0,
         }
 
-    def estimator_status(self, now_s: float) -> Message:
-        """ESTIMATOR_STATUS: what it knows of itself, as ESTIMATOR_STATUS_FLAGS."""
+    def _estimator_status(self, now_s: float) -> Message:
         flags = _ESTIMATES_ALL if self.copter.gps.placed else _ESTIMATES_WITHOUT_GPS
         return mavlink.MAVLink_estimator_status_message(self._boot_us(now_s), flags, *[0.02] * 6, 0.3, 0.4)
 
-    def attitude_quaternion(self, now_s: float) -> Message:
-        """ATTITUDE_QUATERNION: the same as ATTITUDE."""
+    def _attitude_quaternion(self, now_s: float) -> Message:
         half = math.radians(self.copter.heading_deg(now_s)) / 2
         return made(
             mavlink.MAVLink_attitude_quaternion_message,
@@ -140,12 +139,10 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
             q4=math.sin(half),
         )
 
-    def local_position(self, now_s: float) -> Message | None:
-        """LOCAL_POSITION_NED, once it has had a fix."""
-        return super().local_position(now_s) if self.copter.has_origin(now_s) else None
+    def _local_position(self, now_s: float) -> Message | None:
+        return super()._local_position(now_s) if self.copter.has_origin(now_s) else None
 
-    def global_position(self, now_s: float) -> Message | None:
-        """GLOBAL_POSITION_INT, once it has had a fix."""
+    def _global_position(self, now_s: float) -> Message | None:
         if not self.copter.has_origin(now_s):
             return None
         above_sea_mm = self._above_sea_mm(self.copter.position(now_s))
@@ -161,8 +158,7 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
             "time_usec": self._boot_us(now_s),
         }
 
-    def mission_current(self, _now_s: float) -> Message:
-        """MISSION_CURRENT: it has no mission."""
+    def _mission_current(self, _now_s: float) -> Message:
         return mavlink.MAVLink_mission_current_message(0, total=0xFFFF)
 
     def _build(self) -> dict[str, int]:

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 
 from upwash.core.geo import Position, Velocity, ground_distance_m
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.body.copter import HOME, FaultKind, LandedState, is_sensible
+from upwash.vehicle.body.copter import HOME, FaultKind, LandedState, Result, is_sensible
 from upwash.vehicle.body.fence import UploadedFence
-from upwash.vehicle.body.firmware import Result
 from upwash.vehicle.px4.body import STEP_S
 from upwash.vehicle.px4.failsafe import (
     FENCE_ACTIONS,
