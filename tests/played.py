@@ -1,13 +1,10 @@
-"""Tests that are coroutines: each is played in a world that a function makes for it."""
+"""Tests that are coroutines, each in a world that a function makes with arguments of the test."""
 
 from __future__ import annotations
 
-import asyncio
 import inspect
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeAlias
-
-from upwash.sim.loop import run_virtually
 
 Scenario: TypeAlias = Callable[..., Awaitable[None]]
 Test: TypeAlias = Callable[..., None]
@@ -42,21 +39,3 @@ def played(world: Callable[..., object] | str, *arguments: Any, **named: Any) ->
         return test
 
     return made
-
-
-def _on_virtual_time(scenario: Scenario) -> None:
-    async def run() -> None:
-        await scenario()
-
-    run_virtually(run())
-
-
-def _in_real_time(scenario: Scenario) -> None:
-    async def run() -> None:
-        await scenario()
-
-    asyncio.run(run())
-
-
-on_virtual_time = played(_on_virtual_time)
-in_real_time = played(_in_real_time)

@@ -226,13 +226,10 @@ def test_a_cancelled_call_leaves_the_service_usable(services: Path, tmp_path: Pa
     with_started(services, tmp_path, use)
 
 
-def test_a_service_that_cannot_start_is_said_at_the_start(services: Path, tmp_path: Path) -> None:
-    async def run() -> None:
-        async with onboard(services, tmp_path, "Unstartable") as drone:
-            with pytest.raises(InstanceError, match=r"model\.onnx is missing"):
-                await drone.services.start()
-
-    asyncio.run(run())
+async def test_a_service_that_cannot_start_is_said_at_the_start(services: Path, tmp_path: Path) -> None:
+    async with onboard(services, tmp_path, "Unstartable") as drone:
+        with pytest.raises(InstanceError, match=r"model\.onnx is missing"):
+            await drone.services.start()
 
 
 def test_services_end_while_they_are_being_restarted(services: Path, tmp_path: Path) -> None:
@@ -243,12 +240,9 @@ def test_services_end_while_they_are_being_restarted(services: Path, tmp_path: P
     with_started(services, tmp_path, use)
 
 
-def test_services_that_were_never_started_can_be_closed(services: Path, tmp_path: Path) -> None:
-    async def run() -> None:
-        async with onboard(services, tmp_path):
-            """Nothing."""
-
-    asyncio.run(run())
+async def test_services_that_were_never_started_can_be_closed(services: Path, tmp_path: Path) -> None:
+    async with onboard(services, tmp_path):
+        """Nothing."""
 
 
 def test_a_crash_without_a_usable_temporary_folder_is_survived(

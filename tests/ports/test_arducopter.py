@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import on_virtual_time, played
+from tests.played import played
 from tests.ports.memory import AGILE, HASTY, HOME, Air, Bench, bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
@@ -572,7 +572,7 @@ class Half:
         self.write: Callable[[bytes], None]
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_two_vehicles_with_one_identity_are_not_armed() -> None:
     async with bench() as one, bench(replace(AGILE, home=FRAME.geo(Position(89.0, 0.0)))) as other:
         sent: list[bytes] = []
@@ -636,8 +636,8 @@ def beat(mode: int = 0, autopilot: int = 3, kind: int = 2) -> Any:
 
 
 @pytest.mark.parametrize(("autopilot", "kind"), [(12, 1), (4, 2), (3, 1), (3, 10)])
-@on_virtual_time
-async def test_what_cannot_be_flown_is_refused(*, autopilot: int, kind: int) -> None:
+@pytest.mark.virtual
+async def test_what_cannot_be_flown_is_refused(autopilot: int, kind: int) -> None:
     other = Scripted(lambda _: [beat(autopilot=autopilot, kind=kind)])
     with pytest.raises(AutopilotError, match="only multicopters with ArduCopter or PX4"):
         await connect_autopilot(other.open, frame=FRAME, ground_speed_m_s=4.0)
@@ -685,7 +685,7 @@ async def doubtful_vehicle() -> AsyncIterator[tuple[list[int], MavlinkAutopilot]
     await autopilot.close()
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_vehicle_without_a_position_is_not_armed_and_its_refusal_of_a_target_is_explained() -> None:
     async with doubtful_vehicle() as (_, autopilot):
         news = news_of(autopilot)
@@ -698,7 +698,7 @@ async def test_a_vehicle_without_a_position_is_not_armed_and_its_refusal_of_a_ta
             await autopilot.goto(Position(10.0, 0.0, 5.0))
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_reports_that_never_come_are_asked_for_ever_more_rarely() -> None:
     async with doubtful_vehicle() as (asked, _):
         await turns_true(lambda: asked.count(mavlink.MAVLINK_MSG_ID_FENCE_STATUS) >= 11, within_s=60.0)
@@ -708,7 +708,7 @@ async def test_reports_that_never_come_are_asked_for_ever_more_rarely() -> None:
         assert not asked.count(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_what_arrives_late_or_twice_changes_nothing() -> None:
     sender = Scripted(lambda _: [])
     vehicle = MavlinkVehicle(sender.open, Patience(quiet_after_s=0.3), [ARDUCOPTER])

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import in_real_time
 from tests.ports.memory import AGILE, HASTY, HOME
 from tests.ports.steps import claim_and_arm, take_off
 
@@ -63,8 +62,7 @@ def near(position: Position, expected: Position) -> bool:
 
 
 @pytest.mark.parametrize("listen", ["udp:127.0.0.1:0", "tcp:127.0.0.1:0"])
-@in_real_time
-async def test_a_mission_from_take_off_to_disarming(*, listen: str) -> None:
+async def test_a_mission_from_take_off_to_disarming(listen: str) -> None:
     async with connected(listen) as (_, autopilot):
         pilot: Autopilot = autopilot
         await take_off(pilot)
@@ -78,8 +76,7 @@ async def test_a_mission_from_take_off_to_disarming(*, listen: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["udpout", "udpin", "tcp"])
-@in_real_time
-async def test_nobody_there_names_the_connection_and_what_to_check(*, kind: str) -> None:
+async def test_nobody_there_names_the_connection_and_what_to_check(kind: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as free:
         free.bind(("127.0.0.1", 0))
         there = f"{kind}:127.0.0.1:{free.getsockname()[1]}"
@@ -100,13 +97,11 @@ async def test_nobody_there_names_the_connection_and_what_to_check(*, kind: str)
         "serial:/dev/ttyAMA0:921",
     ],
 )
-@in_real_time
-async def test_a_connection_that_cannot_be_meant_is_refused_at_once(*, wrong: str) -> None:
+async def test_a_connection_that_cannot_be_meant_is_refused_at_once(wrong: str) -> None:
     with pytest.raises(UsageError):
         await connect_autopilot(wrong, frame=FRAME, ground_speed_m_s=4.0)
 
 
-@in_real_time
 async def test_over_tcp_it_comes_back_after_the_connection_broke() -> None:
     async with connected("tcp:127.0.0.1:0", settings=IMPATIENT) as (vehicle, autopilot):
         address = vehicle.address
@@ -117,7 +112,6 @@ async def test_over_tcp_it_comes_back_after_the_connection_broke() -> None:
         await again.close()
 
 
-@in_real_time
 async def test_a_connection_on_which_nothing_comes_any_more_is_made_anew() -> None:
     connections: list[asyncio.StreamWriter] = []
     codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -141,7 +135,6 @@ async def test_a_connection_on_which_nothing_comes_any_more_is_made_anew() -> No
     server.close()
 
 
-@in_real_time
 async def test_udpin_answers_the_vehicle_that_speaks_first() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
         reserved.bind(("127.0.0.1", 0))
@@ -162,7 +155,6 @@ async def test_udpin_answers_the_vehicle_that_speaks_first() -> None:
     await other.close()
 
 
-@in_real_time
 async def test_an_autopilot_that_cannot_be_flown_is_named() -> None:
     plane = mavlink.MAVLink_heartbeat_message(1, 3, 81, 4, 3, 3)
     said = bytes(plane.pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1)))
@@ -184,7 +176,6 @@ async def test_an_autopilot_that_cannot_be_flown_is_named() -> None:
     await server.wait_closed()
 
 
-@in_real_time
 async def test_a_serial_port_carries_messages_both_ways() -> None:
     vehicle, drone = os.openpty()
     os.set_blocking(vehicle, False)

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import on_virtual_time, played
+from tests.played import played
 from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
@@ -226,8 +226,8 @@ async def test_a_px4_falls_where_its_fence_ends_the_flight(sky: Bench, autopilot
 
 
 @pytest.mark.parametrize(("armable_after_s", "told"), [(0.0, 0), (60.0, 1)])
-@on_virtual_time
-async def test_how_high_its_home_lies_is_waited_for(*, armable_after_s: float, told: int) -> None:
+@pytest.mark.virtual
+async def test_how_high_its_home_lies_is_waited_for(armable_after_s: float, told: int) -> None:
     settings = VehicleSettings(HOME, home_altitude_m=488.0, armable_after_s=armable_after_s)
     async with driven(settings) as (sky, autopilot):
         delays: list[float] = []
@@ -236,7 +236,7 @@ async def test_how_high_its_home_lies_is_waited_for(*, armable_after_s: float, t
         assert sky.commands() == []
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_home_that_is_never_told_is_refused() -> None:
     settings = VehicleSettings(HOME, faults=(VehicleFault(FaultKind.GPS),))
     async with driven(settings) as (sky, autopilot):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import on_virtual_time, played
+from tests.played import played
 from tests.ports.memory import AGILE, AT_ONCE, Bench, driven
 from tests.ports.steps import claim_and_arm, take_off
 
@@ -133,7 +133,7 @@ def test_a_firmware_that_only_knows_the_old_question_is_asked_that(monkeypatch: 
         (Version(0, 0, 0, 0), "PX4 of a version that it does not tell, does not report CURRENT_MODE"),
     ],
 )
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_px4_that_does_not_report_its_intended_mode_is_refused_before_arming(
     *, version: Version, refusal: str
 ) -> None:
@@ -144,7 +144,7 @@ async def test_a_px4_that_does_not_report_its_intended_mode_is_refused_before_ar
         assert sky.commands() == []
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_px4_in_development_without_a_version_is_flown_by_what_it_reports() -> None:
     async with driven(PX4, before=keep_version_back) as (sky, autopilot):
         assert autopilot.vehicle.version is None

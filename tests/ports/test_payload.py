@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import on_virtual_time
 from tests.ports.memory import Bench, driven
 from tests.ports.steps import take_off
 
@@ -24,7 +23,7 @@ def of_kind(sky: Bench, kind: str) -> list[Any]:
     return [message for message in sky.heard if message.get_type() == kind]
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_heading_is_part_of_the_setpoints_until_the_next_leg() -> None:
     async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
         await take_off(autopilot)
@@ -64,7 +63,7 @@ def test_a_text_arrives_whole_in_as_many_chunks_as_it_takes(size: int) -> None:
     run_virtually(mission())
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_payload_command_carries_its_parameters_and_zeros() -> None:
     async with driven(SETTINGS, FlightSettings(), ground_speed_m_s=5.0) as (sky, autopilot):
         await autopilot.claim(resumes=False)

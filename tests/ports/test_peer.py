@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import in_real_time
 from tests.ports.memory import AGILE
 from tests.ports.steps import take_off
 from tests.ports.test_autopilot import FRAME, IMPATIENT
@@ -172,7 +171,6 @@ def test_a_long_datagram_introduces_nobody() -> None:
     assert port.peer.answered is None
 
 
-@in_real_time
 async def test_a_router_that_goes_on_from_another_port_is_found_again() -> None:
     port = free_port()
     patience = replace(IMPATIENT.patience, dead_after_s=0.6, lost_after_s=5.0)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import on_virtual_time, played
+from tests.played import played
 from tests.ports.memory import AGILE, Air, Bench, bench, driven
 from tests.ports.steps import take_off
 
@@ -198,7 +198,7 @@ async def test_a_parameter_that_is_not_there_cannot_be_set(_: Bench, autopilot: 
         await set_parameter(autopilot.vehicle, "NOWHERE", 1.0)
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_flight_that_is_taken_up_in_the_air_knows_the_way_home(
     *, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,7 +211,7 @@ async def test_a_flight_that_is_taken_up_in_the_air_knows_the_way_home(
             assert autopilot.energy.way_home.altitude_m == 100.0
 
 
-@on_virtual_time
+@pytest.mark.virtual
 async def test_a_px4_without_its_parameters_is_told_of() -> None:
     settings = Px4Settings(GeoPosition(39.3666, 22.9507), parameters={"COM_OBL_RC_ACT": 3.0})
     async with driven(settings) as (sky, autopilot):

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import in_real_time
 from tests.ports.memory import AGILE, HASTY, HOME
 from tests.ports.steps import claim_and_arm
 from tests.ports.test_autopilot import FRAME, connection
@@ -43,8 +42,7 @@ async def connected(to: str, signing: Signing | None, *, within_s: float = 20.0)
     [(Signing(KEY), Signing(KEY)), (late(), Signing(KEY)), (Signing(KEY), late())],
     ids=["clocks agree", "ours is behind", "the vehicle's is behind"],
 )
-@in_real_time
-async def test_with_one_key_the_vehicle_is_flown(*, listen: str, ours: Signing, theirs: Signing) -> None:
+async def test_with_one_key_the_vehicle_is_flown(listen: str, ours: Signing, theirs: Signing) -> None:
     vehicle = await serve_vehicle(listen, AGILE, signing=theirs)
     autopilot = await connected(connection(vehicle), ours)
     await claim_and_arm(autopilot)
@@ -54,7 +52,6 @@ async def test_with_one_key_the_vehicle_is_flown(*, listen: str, ours: Signing, 
     await vehicle.close()
 
 
-@in_real_time
 async def test_over_udpin_a_vehicle_whose_clock_is_behind_is_found() -> None:
     port = free_port()
     vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=late())
@@ -66,7 +63,6 @@ async def test_over_udpin_a_vehicle_whose_clock_is_behind_is_found() -> None:
     await vehicle.close()
 
 
-@in_real_time
 async def test_a_px4_is_flown_with_signatures_though_pymavlink_does_not_know_all_that_it_says() -> None:
     settings = Px4Settings(home=HOME, armable_after_s=0.0, parameters={"COM_OBL_RC_ACT": 5})
     vehicle = await serve_vehicle("udp:127.0.0.1:0", settings, signing=Signing(KEY))
@@ -88,7 +84,6 @@ async def test_a_px4_is_flown_with_signatures_though_pymavlink_does_not_know_all
         (Signing(KEY), Signing(OTHER_KEY), r"its messages are signed with another key; give it the key"),
     ],
 )
-@in_real_time
 async def test_a_vehicle_without_the_key_is_told_from_one_that_is_not_there(
     *, ours: Signing, theirs: Signing | None, said: str
 ) -> None:
@@ -98,7 +93,6 @@ async def test_a_vehicle_without_the_key_is_told_from_one_that_is_not_there(
     await vehicle.close()
 
 
-@in_real_time
 async def test_a_program_without_the_key_is_told_that_the_vehicle_signs() -> None:
     vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
     said = r"system 1.*signs its messages and answers none that is not signed: .*autopilot.signing_key"
@@ -107,7 +101,6 @@ async def test_a_program_without_the_key_is_told_that_the_vehicle_signs() -> Non
     await vehicle.close()
 
 
-@in_real_time
 async def test_a_vehicle_with_a_key_obeys_nobody_without_it() -> None:
     vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
     reader, writer = await asyncio.open_connection("127.0.0.1", int(vehicle.address.rpartition(":")[2]))

@@ -10,6 +10,7 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
+from tests.played import played
 
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings
 from upwash.core.admission.clients import Client, DroneUsage, InstanceStatus, Role, TeamUsage
@@ -194,338 +195,195 @@ def serve(story: Callable[[Daemon], Coroutine[Any, Any, T]], *, looks: bool = Tr
     return run_virtually(run())
 
 
-def test_a_cold_start_is_answered_when_the_service_is_ready() -> None:
-    async def story(daemon: Daemon) -> None:
-        assert (await daemon.ask()).endpoints == {}
-        reply = await daemon.start()
-        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S)
-        assert (await daemon.ask()).endpoints == {"detector": reply.endpoint}
-
-    serve(story)
+@played(serve)
+async def test_a_cold_start_is_answered_when_the_service_is_ready(daemon: Daemon) -> None:
+    assert (await daemon.ask()).endpoints == {}
+    reply = await daemon.start()
+    assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S)
+    assert (await daemon.ask()).endpoints == {"detector": reply.endpoint}
 
 
-def test_two_starts_at_once_make_one_instance() -> None:
-    async def story(daemon: Daemon) -> None:
-        first, second = await asyncio.gather(daemon.start("d1"), daemon.start("d2"))
-        assert first.endpoint == second.endpoint != ""
-        assert len(daemon.runtime.instances) == 1
-
-    serve(story, slots=2)
+@played(serve, slots=2)
+async def test_two_starts_at_once_make_one_instance(daemon: Daemon) -> None:
+    first, second = await asyncio.gather(daemon.start("d1"), daemon.start("d2"))
+    assert first.endpoint == second.endpoint != ""
+    assert len(daemon.runtime.instances) == 1
 
 
-def test_an_instance_admits_exactly_those_with_a_lease() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        (instance,) = daemon.runtime.instances
-        assert instance.admitted == {"d1"}
-        await daemon.ask("d2")
-        assert instance.admitted == {"d1", "d2"}
-        await daemon.leave("d1")
-        assert instance.admitted == {"d2"}
-        await asyncio.sleep(31)
-        assert instance.admitted == frozenset(), "the lease of a silent drone ends by itself"
-
-    serve(story, slots=2)
+@played(serve, slots=2)
+async def test_an_instance_admits_exactly_those_with_a_lease(daemon: Daemon) -> None:
+    await daemon.start("d1")
+    (instance,) = daemon.runtime.instances
+    assert instance.admitted == {"d1"}
+    await daemon.ask("d2")
+    assert instance.admitted == {"d1", "d2"}
+    await daemon.leave("d1")
+    assert instance.admitted == {"d2"}
+    await asyncio.sleep(31)
+    assert instance.admitted == frozenset(), "the lease of a silent drone ends by itself"
 
 
-def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_less_than_a_leases() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        assert (await daemon.hold("d2", for_s=5.0)).held
-        (instance,) = daemon.runtime.instances
-        assert instance.admitted == {"d1", "d2"}
-        await asyncio.sleep(5.0)
-        await asyncio.sleep(1.1)  # the least between two looks
-        assert instance.admitted == {"d1"}
-
-    serve(story, slots=2)
-
-
-@pytest.mark.parametrize("request_", ["ask", "start", "prepare", "hold", "leave"])
-def test_each_request_ends_the_leases_whose_time_is_over(request_: str) -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        await daemon.ask("d2")
-        (instance,) = daemon.runtime.instances
-        for _ in range(2):
-            await asyncio.sleep(0.6 * LEASE_S)
-            assert instance.admitted == {"d1", "d2"}
-            daemon.edge.seen("s1", "d1")
-        requests: dict[str, Callable[[], Coroutine[Any, Any, Any]]] = {
-            "ask": daemon.ask,
-            "start": daemon.start,
-            "prepare": lambda: daemon.prepare("s2"),
-            "hold": lambda: daemon.hold("d1", for_s=5.0),
-            "leave": lambda: daemon.leave("d2"),
-        }
-        await requests[request_]()
-        assert instance.admitted == {"d1"}
-
-    serve(story, looks=False, slots=2)
-
-
-def test_a_daemon_without_leases_and_instances_looks_at_nothing() -> None:
-    async def story(daemon: Daemon) -> int:
-        looks = 0
-
-        def look(*, now_s: float) -> list[Command]:
-            nonlocal looks
-            looks += 1
-            return AdmissionController.look(daemon.core, now_s=now_s)
-
-        with patch.object(daemon.core, "look", look):
-            await daemon.start()
-            await daemon.leave()
-            await asyncio.sleep(105.0)
-            assert daemon.runtime.living() == []
-            before = looks
-            await asyncio.sleep(1000.0)
-            return looks - before
-
-    assert serve(story) <= 1
-
-
-def test_a_daemon_is_empty_once_no_drone_has_a_slot() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.edge.emptied()
-        assert asyncio.get_running_loop().time() == 0.0
-        await daemon.ask()
-        await daemon.edge.emptied()
-        assert LEASE_S <= asyncio.get_running_loop().time() <= LEASE_S + 2.0
-
-    serve(story)
-
-
-def test_a_daemon_continues_what_the_former_one_counted() -> None:
-    async def story(daemon: Daemon) -> None:
-        used = DroneUsage("heron-1", "heron", None, 60.0, 7, 3.5, 1.0)
-        daemon.edge.take_up_usage("s1", [used], [TeamUsage("heron", 0, 60.0, 7, 3.5, 1.0)])
-        (server,) = daemon.edge.standing().servers
-        assert [(each.drone, each.calls) for each in server.drones] == [("heron-1", 7)]
-        assert [(each.team, each.slot_s) for each in server.teams] == [("heron", 60.0)]
-
-    serve(story)
-
-
-def test_starts_failures_and_answers_are_observed() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1))
-        await daemon.leave()
-        await asyncio.sleep(105.0)
-        daemon.runtime.broken = "no such model"
-        await daemon.start()
-        assert daemon.observed == [
-            f"detector@s1 started in {COLD_START_S:.1f} s",
-            "detector@s1 answered d1",
-            "detector@s1 failed",
-        ]
-
-    serve(story)
-
-
-def test_where_a_peer_holds_no_slot_another_peer_may() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        assert (await daemon.prepare("s2")).reason == "s2 is full"
-        assert (await daemon.prepare("s3")).reason == "s3 is full"
-
-    serve(story)
-
-
-def test_what_the_daemon_sees_keeps_a_lease_alive_and_what_an_instance_says_does_not() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        for _ in range(10):
-            await asyncio.sleep(20)
-            daemon.edge.seen("s1", "d1")
-        assert daemon.runtime.instances[0].admitted == {"d1"}
-        for _ in range(2):
-            await asyncio.sleep(20)
-            daemon.runtime.called[0]("d1")
-        assert daemon.runtime.instances[0].admitted == set()
-
-    serve(story)
-
-
-def test_an_instance_that_confirms_slowly_holds_up_no_other() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        await daemon.start("d1", "counter")
-        for instance in daemon.runtime.instances:
-            instance.admits_in_s = 4.0
-        began_s = asyncio.get_running_loop().time()
-        assert (await daemon.ask("d2")).available
-        assert asyncio.get_running_loop().time() - began_s == pytest.approx(4.0)
-
-    serve(story, slots=2)
-
-
-def test_without_a_free_slot_the_answer_is_no_with_the_reason() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        refused = await daemon.ask("d2")
-        assert not refused.available
-        assert "no free slot" in refused.reason
-        assert "no free slot" in (await daemon.start("d2")).reason
-        await daemon.leave("d1")
-        assert (await daemon.ask("d2")).available
-
-    serve(story)
-
-
-def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_again() -> None:
-    async def story(daemon: Daemon) -> None:
-        daemon.runtime.broken = "no such model"
-        failed = await daemon.start()
-        assert (failed.reason, failed.pause_s) == ("no such model", 10.0)
-        daemon.runtime.broken = ""
-        paused = await daemon.ask()
-        assert (paused.available, paused.pause_s) == (False, 10.0)
-        await asyncio.sleep(10.0)
-        assert (await daemon.start()).endpoint
-
-    serve(story)
-
-
-def test_a_start_that_fails_again_and_again_is_tried_in_growing_pauses() -> None:
-    async def story(daemon: Daemon) -> None:
-        daemon.runtime.broken = "no such model"
-        pauses_s = []
-        for _ in range(4):
-            pauses_s.append((await daemon.start()).pause_s)
-            assert (await daemon.start()).pause_s == pauses_s[-1], "nothing was tried meanwhile"
-            await asyncio.sleep(pauses_s[-1])
-        assert pauses_s == [10.0, 20.0, 40.0, 80.0]
-
-    serve(story)
-
-
-def test_a_start_that_takes_too_long_is_given_up() -> None:
-    async def story(daemon: Daemon) -> None:
-        reply = await daemon.start()
-        assert "not ready within 5 s" in reply.reason
-        assert asyncio.get_running_loop().time() == pytest.approx(5.0)
-
-    serve(story, start_timeout_s=5.0)
-
-
-def test_a_crashed_instance_is_absent_and_started_again_on_request() -> None:
-    async def story(daemon: Daemon) -> None:
-        first = await daemon.start()
-        daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
-        await asyncio.sleep(0.1)
-        assert (await daemon.ask()).endpoints == {}
-        second = await daemon.start()
-        assert second.endpoint not in ("", first.endpoint)
-
-    serve(story)
-
-
-def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(
-    caplog: pytest.LogCaptureFixture,
+@played(serve, slots=2)
+async def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_less_than_a_leases(
+    daemon: Daemon,
 ) -> None:
-    async def story(daemon: Daemon) -> None:
-        first = await daemon.start()
-        daemon.runtime.called[0]("d1")
-        daemon.runtime.instances[0].call_ends_in_s = 1e6
-        await daemon.keep_asking(CALL_LIMIT_S + 5.1)
-        assert daemon.runtime.instances[0].refuses.startswith(
-            "detector of s1 is replaced: a call has kept it"
-        )
-        await daemon.keep_asking(2.0 + 1.0 + COLD_START_S)
-        assert (await daemon.ask()).endpoints["detector"] not in ("", first.endpoint)
-        assert daemon.edge.standing().servers[0].instances[1].replaced == 1
-        assert "stopping detector@s1: detector of s1 is replaced: a call has kept it" in caplog.text
-        await daemon.keep_asking(200.0)
-        assert len(daemon.runtime.instances) == 2, "one that is well stays"
-
-    serve(story)
+    await daemon.start("d1")
+    assert (await daemon.hold("d2", for_s=5.0)).held
+    (instance,) = daemon.runtime.instances
+    assert instance.admitted == {"d1", "d2"}
+    await asyncio.sleep(5.0)
+    await asyncio.sleep(1.1)  # the least between two looks
+    assert instance.admitted == {"d1"}
 
 
-def test_a_drone_that_waits_for_the_next_instance_gets_it_also_where_the_former_crashes_in_its_last_call() -> (
-    None
-):
-    async def story(daemon: Daemon) -> None:
-        first = await daemon.start()
-        daemon.runtime.called[0]("d1")
-        daemon.runtime.instances[0].call_ends_in_s = 1e6
-        while not daemon.runtime.instances[0].refuses:
-            await daemon.keep_asking(1.0)
-        starting = asyncio.create_task(daemon.start())
-        await asyncio.sleep(0.1)
-        daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
-        assert (await starting).endpoint not in ("", first.endpoint)
-
-    serve(story)
-
-
-def test_an_instance_without_a_sign_of_life_is_replaced() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        await daemon.keep_asking(1000.0)
-        daemon.runtime.instances[0].is_frozen = True
-        await daemon.keep_asking(CALL_LIMIT_S - 5.0)
-        assert len(daemon.runtime.living()) == 1, "it may be busy"
-        await daemon.keep_asking(30.0)
-        assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
-
-    serve(story)
-
-
-def test_an_instance_that_raises_what_drones_deny_is_replaced() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        for _ in range(DENIALS):
-            assert len(daemon.runtime.living()) == 1
-            daemon.runtime.called[0]("d1")
-            daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1, "raised"))
-            await daemon.deny()
-        await daemon.keep_asking(1.0 + COLD_START_S)
-        assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
-
-    serve(story)
-
-
-def test_an_instance_that_does_not_end_is_left_behind_and_another_one_started(
-    caplog: pytest.LogCaptureFixture,
+@played(serve)
+async def test_what_the_daemon_sees_keeps_a_lease_alive_and_what_an_instance_says_does_not(
+    daemon: Daemon,
 ) -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        stuck = daemon.runtime.instances[0]
-        stuck.stops_in_s = 1e6
+    await daemon.start("d1")
+    for _ in range(10):
+        await asyncio.sleep(20)
+        daemon.edge.seen("s1", "d1")
+    assert daemon.runtime.instances[0].admitted == {"d1"}
+    for _ in range(2):
+        await asyncio.sleep(20)
         daemon.runtime.called[0]("d1")
-        await daemon.keep_asking(CALL_LIMIT_S + 5.1)
-        await daemon.keep_asking(STOP_S + COLD_START_S)
-        assert daemon.runtime.living()[1:], "another one runs"
-        assert "is left behind" in caplog.text
-        stuck.ended.set_result("at last")
-
-    serve(story)
+    assert daemon.runtime.instances[0].admitted == set()
 
 
-def test_an_idle_instance_is_stopped_and_a_start_meanwhile_waits_for_a_new_one() -> None:
-    async def story(daemon: Daemon) -> None:
-        first = await daemon.start()
-        await daemon.leave()
-        await asyncio.sleep(100.5)  # idle_stop_s, and a look; it takes another second to stop
+@played(serve, slots=2)
+async def test_an_instance_that_confirms_slowly_holds_up_no_other(daemon: Daemon) -> None:
+    await daemon.start("d1")
+    await daemon.start("d1", "counter")
+    for instance in daemon.runtime.instances:
+        instance.admits_in_s = 4.0
+    began_s = asyncio.get_running_loop().time()
+    assert (await daemon.ask("d2")).available
+    assert asyncio.get_running_loop().time() - began_s == pytest.approx(4.0)
+
+
+@played(serve)
+async def test_without_a_free_slot_the_answer_is_no_with_the_reason(daemon: Daemon) -> None:
+    await daemon.start("d1")
+    refused = await daemon.ask("d2")
+    assert not refused.available
+    assert "no free slot" in refused.reason
+    assert "no free slot" in (await daemon.start("d2")).reason
+    await daemon.leave("d1")
+    assert (await daemon.ask("d2")).available
+
+
+@played(serve)
+async def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_again(daemon: Daemon) -> None:
+    daemon.runtime.broken = "no such model"
+    failed = await daemon.start()
+    assert (failed.reason, failed.pause_s) == ("no such model", 10.0)
+    daemon.runtime.broken = ""
+    paused = await daemon.ask()
+    assert (paused.available, paused.pause_s) == (False, 10.0)
+    await asyncio.sleep(10.0)
+    assert (await daemon.start()).endpoint
+
+
+@played(serve)
+async def test_a_start_that_fails_again_and_again_is_tried_in_growing_pauses(daemon: Daemon) -> None:
+    daemon.runtime.broken = "no such model"
+    pauses_s = []
+    for _ in range(4):
+        pauses_s.append((await daemon.start()).pause_s)
+        assert (await daemon.start()).pause_s == pauses_s[-1], "nothing was tried meanwhile"
+        await asyncio.sleep(pauses_s[-1])
+    assert pauses_s == [10.0, 20.0, 40.0, 80.0]
+
+
+@played(serve, start_timeout_s=5.0)
+async def test_a_start_that_takes_too_long_is_given_up(daemon: Daemon) -> None:
+    reply = await daemon.start()
+    assert "not ready within 5 s" in reply.reason
+    assert asyncio.get_running_loop().time() == pytest.approx(5.0)
+
+
+@played(serve)
+async def test_a_crashed_instance_is_absent_and_started_again_on_request(daemon: Daemon) -> None:
+    first = await daemon.start()
+    daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
+    await asyncio.sleep(0.1)
+    assert (await daemon.ask()).endpoints == {}
+    second = await daemon.start()
+    assert second.endpoint not in ("", first.endpoint)
+
+
+@played(serve)
+async def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(daemon: Daemon) -> None:
+    first = await daemon.start()
+    daemon.runtime.called[0]("d1")
+    daemon.runtime.instances[0].call_ends_in_s = 1e6
+    await daemon.keep_asking(CALL_LIMIT_S + 5.1)
+    assert daemon.runtime.instances[0].refuses.startswith("detector of s1 is replaced: a call has kept it")
+    await daemon.keep_asking(2.0 + 1.0 + COLD_START_S)
+    assert (await daemon.ask()).endpoints["detector"] not in ("", first.endpoint)
+    assert daemon.edge.standing().servers[0].instances[1].replaced == 1
+    await daemon.keep_asking(200.0)
+    assert len(daemon.runtime.instances) == 2, "one that is well stays"
+
+
+@played(serve)
+async def test_an_instance_without_a_sign_of_life_is_replaced(daemon: Daemon) -> None:
+    await daemon.start()
+    await daemon.keep_asking(1000.0)
+    daemon.runtime.instances[0].is_frozen = True
+    await daemon.keep_asking(CALL_LIMIT_S - 5.0)
+    assert len(daemon.runtime.living()) == 1, "it may be busy"
+    await daemon.keep_asking(30.0)
+    assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
+
+
+@played(serve)
+async def test_an_instance_that_raises_what_drones_deny_is_replaced(daemon: Daemon) -> None:
+    await daemon.start()
+    request = msgspec.msgpack.encode(DenyRequest("s1", ["detector"]))
+    for _ in range(DENIALS):
         assert len(daemon.runtime.living()) == 1
-        second = await daemon.start()
-        assert second.endpoint not in ("", first.endpoint)
-        assert len(daemon.runtime.living()) == 1
+        daemon.runtime.called[0]("d1")
+        daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1, "raised"))
+        await daemon.edge.handle(DENY, request, Client("d1"))
+    await daemon.keep_asking(1.0 + COLD_START_S)
+    assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
 
-    serve(story)
+
+@played(serve)
+async def test_an_instance_that_does_not_end_is_left_behind_and_another_one_started(
+    daemon: Daemon, *, caplog: pytest.LogCaptureFixture
+) -> None:
+    await daemon.start()
+    stuck = daemon.runtime.instances[0]
+    stuck.stops_in_s = 1e6
+    daemon.runtime.called[0]("d1")
+    await daemon.keep_asking(CALL_LIMIT_S + 5.1)
+    await daemon.keep_asking(STOP_S + COLD_START_S)
+    assert daemon.runtime.living()[1:], "another one runs"
+    assert "is left behind" in caplog.text
+    stuck.ended.set_result("at last")
 
 
-def test_an_instance_that_cannot_be_told_whom_to_admit_is_stopped() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        daemon.runtime.instances[0].deaf = True
-        await daemon.ask("d2")
-        await asyncio.sleep(2)
-        assert daemon.runtime.living() == []
+@played(serve)
+async def test_an_idle_instance_is_stopped_and_a_start_meanwhile_waits_for_a_new_one(daemon: Daemon) -> None:
+    first = await daemon.start()
+    await daemon.leave()
+    await asyncio.sleep(100.5)  # idle_stop_s, and a look; it takes another second to stop
+    assert len(daemon.runtime.living()) == 1
+    second = await daemon.start()
+    assert second.endpoint not in ("", first.endpoint)
+    assert len(daemon.runtime.living()) == 1
 
-    serve(story, slots=2)
+
+@played(serve, slots=2)
+async def test_an_instance_that_cannot_be_told_whom_to_admit_is_stopped(daemon: Daemon) -> None:
+    await daemon.start("d1")
+    daemon.runtime.instances[0].deaf = True
+    await daemon.ask("d2")
+    await asyncio.sleep(2)
+    assert daemon.runtime.living() == []
 
 
 @pytest.mark.parametrize(
@@ -537,78 +395,65 @@ def test_an_instance_that_cannot_be_told_whom_to_admit_is_stopped() -> None:
         ("/upwash.Daemon/Reboot", b"", "d1", "no such request"),
     ],
 )
-def test_what_is_not_understood_is_refused(path: str, body: bytes, drone: str, reason: str) -> None:
-    async def story(daemon: Daemon) -> None:
-        with pytest.raises(Refused, match=reason):
-            await daemon.edge.handle(path, body, Client(drone))
+@played(serve)
+async def test_what_is_not_understood_is_refused(
+    daemon: Daemon, *, path: str, body: bytes, drone: str, reason: str
+) -> None:
+    with pytest.raises(Refused, match=reason):
+        await daemon.edge.handle(path, body, Client(drone))
 
-    serve(story)
 
-
-def test_a_server_that_is_not_here_is_named_with_those_that_are() -> None:
-    async def story(daemon: Daemon) -> None:
-        request = msgspec.msgpack.encode(AvailabilityRequest("s9", ["detector"]))
-        reply = msgspec.msgpack.decode(
-            await daemon.edge.handle(AVAILABILITY, request, Client("d1")), type=AvailabilityReply
-        )
-        assert not reply.available
-        assert "s9" in reply.reason and "s1" in reply.reason
-
-    serve(story)
+@played(serve)
+async def test_a_server_that_is_not_here_is_named_with_those_that_are(daemon: Daemon) -> None:
+    request = msgspec.msgpack.encode(AvailabilityRequest("s9", ["detector"]))
+    reply = msgspec.msgpack.decode(
+        await daemon.edge.handle(AVAILABILITY, request, Client("d1")), type=AvailabilityReply
+    )
+    assert not reply.available
+    assert "s9" in reply.reason and "s1" in reply.reason
 
 
 # ---- the operator
 
 
-def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        (instance,) = daemon.runtime.instances
-        instance.call_ends_in_s = 3.0
-        draining = asyncio.create_task(daemon.edge.drain("shutting down"))
-        await asyncio.sleep(1.0)
-        assert instance.refuses == "shutting down"
-        assert (await daemon.ask()).reason == "shutting down"
-        assert (await daemon.start()).reason == "shutting down"
-        assert not instance.ended.done(), "stopped in a call"
-        await draining
-        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + 3.0)
-        assert "stopping" not in caplog.text, "the operator knows"
-
-    serve(story)
+@played(serve)
+async def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new(daemon: Daemon) -> None:
+    await daemon.start()
+    (instance,) = daemon.runtime.instances
+    instance.call_ends_in_s = 3.0
+    draining = asyncio.create_task(daemon.edge.drain("shutting down"))
+    await asyncio.sleep(1.0)
+    assert instance.refuses == "shutting down"
+    assert (await daemon.ask()).reason == "shutting down"
+    assert (await daemon.start()).reason == "shutting down"
+    assert not instance.ended.done(), "stopped in a call"
+    await draining
+    assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + 3.0)
 
 
-def test_a_drain_waits_for_no_call_longer_than_it_may() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        daemon.runtime.instances[0].call_ends_in_s = 1000.0
-        await daemon.edge.drain("shutting down")
-        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + DRAIN_S)
-
-    serve(story)
+@played(serve)
+async def test_a_drain_waits_for_no_call_longer_than_it_may(daemon: Daemon) -> None:
+    await daemon.start()
+    daemon.runtime.instances[0].call_ends_in_s = 1000.0
+    await daemon.edge.drain("shutting down")
+    assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + DRAIN_S)
 
 
-def test_a_drain_gives_up_what_starts_and_says_why_to_the_drone_that_waits() -> None:
-    async def story(daemon: Daemon) -> None:
-        starting = asyncio.create_task(daemon.start())
-        await asyncio.sleep(1.0)
-        await daemon.edge.drain("shutting down")
-        assert (await starting).reason == "shutting down"
-        assert daemon.runtime.instances == []
-
-    serve(story)
+@played(serve)
+async def test_a_drain_gives_up_what_starts_and_says_why_to_the_drone_that_waits(daemon: Daemon) -> None:
+    starting = asyncio.create_task(daemon.start())
+    await asyncio.sleep(1.0)
+    await daemon.edge.drain("shutting down")
+    assert (await starting).reason == "shutting down"
+    assert daemon.runtime.instances == []
 
 
-def test_a_daemon_that_is_closed_while_a_drone_waits_starts_nothing_more() -> None:
-    async def story(daemon: Daemon) -> None:
-        starting = asyncio.create_task(daemon.start())
-        await asyncio.sleep(1.0)
-        await daemon.edge.close()
-        assert (await starting).reason == "this daemon has ended"
-
-    serve(story)
+@played(serve)
+async def test_a_daemon_that_is_closed_while_a_drone_waits_starts_nothing_more(daemon: Daemon) -> None:
+    starting = asyncio.create_task(daemon.start())
+    await asyncio.sleep(1.0)
+    await daemon.edge.close()
+    assert (await starting).reason == "this daemon has ended"
 
 
 async def reload(daemon: Daemon, version: str, services: tuple[str, ...] = ("detector",)) -> None:
@@ -622,163 +467,145 @@ def detector_of(daemon: Daemon) -> InstanceStatus:
     return status
 
 
-def test_another_version_takes_over_once_it_is_ready_and_the_former_ends_when_drones_know_its_address() -> (
-    None
-):
-    async def story(daemon: Daemon) -> None:
-        running = (await daemon.start()).endpoint
-        (former,) = daemon.runtime.instances
-        await reload(daemon, "2")
-        await daemon.keep_asking(COLD_START_S - 1.0)
-        assert (await daemon.ask()).endpoints == {"detector": running}
-        await asyncio.sleep(2.0)
-        (_, latter) = daemon.runtime.instances
-        assert (await daemon.ask()).endpoints == {"detector": latter.endpoint}
-        assert latter.admitted == former.admitted == {"d1"}
-        await daemon.keep_asking(LEASE_S / 2)
-        assert not former.refuses, "a drone may not have asked yet"
-        await daemon.keep_asking(LEASE_S)
-        assert "another version of detector" in former.refuses
-        assert daemon.runtime.living() == [latter]
-        assert detector_of(daemon).renewed == 1
-        await reload(daemon, "2")
-        await daemon.keep_asking(COLD_START_S + 1.0)
-        assert daemon.runtime.living() == [latter], "nothing has changed"
-
-    serve(story)
+@played(serve)
+async def test_another_version_takes_over_once_it_is_ready_and_the_former_ends_when_drones_know_its_address(
+    daemon: Daemon,
+) -> None:
+    running = (await daemon.start()).endpoint
+    (former,) = daemon.runtime.instances
+    await reload(daemon, "2")
+    await daemon.keep_asking(COLD_START_S - 1.0)
+    assert (await daemon.ask()).endpoints == {"detector": running}
+    await asyncio.sleep(2.0)
+    (_, latter) = daemon.runtime.instances
+    assert (await daemon.ask()).endpoints == {"detector": latter.endpoint}
+    assert latter.admitted == former.admitted == {"d1"}
+    await daemon.keep_asking(LEASE_S / 2)
+    assert not former.refuses, "a drone may not have asked yet"
+    await daemon.keep_asking(LEASE_S)
+    assert "another version of detector" in former.refuses
+    assert daemon.runtime.living() == [latter]
+    assert detector_of(daemon).renewed == 1
+    await reload(daemon, "2")
+    await daemon.keep_asking(COLD_START_S + 1.0)
+    assert daemon.runtime.living() == [latter], "nothing has changed"
 
 
-def test_a_drone_meets_no_instance_of_another_version_that_does_not_know_it_yet() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        daemon.runtime.admits_in_s = 3.0
-        await reload(daemon, "2")
-        for _ in range(100):
-            await asyncio.sleep(0.5)
-            (endpoint,) = (await daemon.ask()).endpoints.values()
-            (instance,) = [each for each in daemon.runtime.instances if each.endpoint == endpoint]
-            assert instance.admitted == {"d1"}
-        assert len(daemon.runtime.instances) == 2
-
-    serve(story)
+@played(serve)
+async def test_a_drone_meets_no_instance_of_another_version_that_does_not_know_it_yet(daemon: Daemon) -> None:
+    await daemon.start()
+    daemon.runtime.admits_in_s = 3.0
+    await reload(daemon, "2")
+    for _ in range(100):
+        await asyncio.sleep(0.5)
+        (endpoint,) = (await daemon.ask()).endpoints.values()
+        (instance,) = [each for each in daemon.runtime.instances if each.endpoint == endpoint]
+        assert instance.admitted == {"d1"}
+    assert len(daemon.runtime.instances) == 2
 
 
-def test_a_version_that_does_not_start_leaves_the_former_and_is_tried_again_at_the_next_reload() -> None:
-    async def story(daemon: Daemon) -> None:
-        running = (await daemon.start()).endpoint
-        daemon.runtime.broken = "detector@s1 did not start: a typing error"
-        await reload(daemon, "2")
-        await daemon.keep_asking(2 * LEASE_S)
-        assert (await daemon.ask()).endpoints == {"detector": running}
-        status = detector_of(daemon)
-        assert (status.renewed, status.not_renewed) == (0, daemon.runtime.broken)
-        assert (status.failures, status.paused_s) == (0, 0.0), "what serves did not fail"
-        daemon.runtime.broken = ""
-        await reload(daemon, "2")
-        await daemon.keep_asking(COLD_START_S + 1.0)
-        assert (await daemon.ask()).endpoints["detector"] != running
-        status = detector_of(daemon)
-        assert (status.renewed, status.not_renewed) == (1, "")
-
-    serve(story)
-
-
-def test_of_several_versions_in_a_row_the_last_one_takes_over() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        for version in ("2", "3", "4"):
-            await reload(daemon, version)
-            await asyncio.sleep(COLD_START_S / 2)
-        await daemon.keep_asking(2 * LEASE_S)
-        assert len(daemon.runtime.instances) == 2
-        assert detector_of(daemon).renewed == 1
-
-    serve(story)
+@played(serve)
+async def test_a_version_that_does_not_start_leaves_the_former_and_is_tried_again_at_the_next_reload(
+    daemon: Daemon,
+) -> None:
+    running = (await daemon.start()).endpoint
+    daemon.runtime.broken = "detector@s1 did not start: a typing error"
+    await reload(daemon, "2")
+    await daemon.keep_asking(2 * LEASE_S)
+    assert (await daemon.ask()).endpoints == {"detector": running}
+    status = detector_of(daemon)
+    assert (status.renewed, status.not_renewed) == (0, daemon.runtime.broken)
+    assert (status.failures, status.paused_s) == (0, 0.0), "what serves did not fail"
+    daemon.runtime.broken = ""
+    await reload(daemon, "2")
+    await daemon.keep_asking(COLD_START_S + 1.0)
+    assert (await daemon.ask()).endpoints["detector"] != running
+    status = detector_of(daemon)
+    assert (status.renewed, status.not_renewed) == (1, "")
 
 
-def test_where_the_former_crashes_its_drone_waits_for_the_version_that_starts() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        (former,) = daemon.runtime.instances
-        await reload(daemon, "2")
+@played(serve)
+async def test_of_several_versions_in_a_row_the_last_one_takes_over(daemon: Daemon) -> None:
+    await daemon.start()
+    for version in ("2", "3", "4"):
+        await reload(daemon, version)
         await asyncio.sleep(COLD_START_S / 2)
-        former.ended.set_result("it was killed")
-        await asyncio.sleep(0.1)
-        reply = await daemon.start()
-        assert reply.endpoint == daemon.runtime.instances[1].endpoint
-        assert len(daemon.runtime.instances) == 2
-
-    serve(story)
+    await daemon.keep_asking(2 * LEASE_S)
+    assert len(daemon.runtime.instances) == 2
+    assert detector_of(daemon).renewed == 1
 
 
-def test_a_service_that_is_withdrawn_ends_in_every_version() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start()
-        await reload(daemon, "2")
-        await asyncio.sleep(COLD_START_S + 1.0)
-        await reload(daemon, "3")
-        assert len(daemon.runtime.living()) == 2
-        await reload(daemon, "3", ("counter",))
-        await asyncio.sleep(COLD_START_S + 1.0)
-        assert daemon.runtime.living() == []
-
-    serve(story)
-
-
-def test_no_daemon_takes_anothers_place_without_a_service_that_ran_there() -> None:
-    async def story(daemon: Daemon) -> None:
-        daemon.runtime.broken = "detector@s1 did not start: no such model"
-        with pytest.raises(
-            InstanceError, match=r"the daemon before stays, whose services run: .* no such model"
-        ):
-            await daemon.edge.take_up("s1", [Client("d1")], ["detector"])
-        daemon.runtime.broken = ""
-        await daemon.edge.take_up("s1", [Client("d1")], ["counter"])
-
-    serve(story)
+@played(serve)
+async def test_where_the_former_crashes_its_drone_waits_for_the_version_that_starts(daemon: Daemon) -> None:
+    await daemon.start()
+    (former,) = daemon.runtime.instances
+    await reload(daemon, "2")
+    await asyncio.sleep(COLD_START_S / 2)
+    former.ended.set_result("it was killed")
+    await asyncio.sleep(0.1)
+    reply = await daemon.start()
+    assert reply.endpoint == daemon.runtime.instances[1].endpoint
+    assert len(daemon.runtime.instances) == 2
 
 
-def test_an_instance_that_starts_is_stopped_for_another_version_and_its_drone_waits_for_that() -> None:
-    async def story(daemon: Daemon) -> None:
-        waiting = asyncio.create_task(daemon.start())
-        await asyncio.sleep(COLD_START_S / 2)
-        await reload(daemon, "2")
-        reply = await waiting
-        assert [each.endpoint for each in daemon.runtime.living()] == [reply.endpoint]
-
-    serve(story)
-
-
-def test_a_certificate_that_is_revoked_is_admitted_to_no_instance_any_more() -> None:
-    async def story(daemon: Daemon) -> None:
-        request = msgspec.msgpack.encode(StartRequest("s1", "detector"))
-        await daemon.edge.handle(START, request, Client("d1", "0a"))
-        (instance,) = daemon.runtime.instances
-        assert instance.admitted == {"0a"}
-        offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
-        await daemon.edge.reload(offers, images=IMAGES, revoked=frozenset({"0a"}))
-        assert instance.admitted == frozenset()
-
-    serve(story)
+@played(serve)
+async def test_a_service_that_is_withdrawn_ends_in_every_version(daemon: Daemon) -> None:
+    await daemon.start()
+    await reload(daemon, "2")
+    await asyncio.sleep(COLD_START_S + 1.0)
+    await reload(daemon, "3")
+    assert len(daemon.runtime.living()) == 2
+    await reload(daemon, "3", ("counter",))
+    await asyncio.sleep(COLD_START_S + 1.0)
+    assert daemon.runtime.living() == []
 
 
-def test_its_status_is_for_operators() -> None:
-    async def story(daemon: Daemon) -> None:
-        await daemon.start("d1")
-        await daemon.ask("d2")
-        request = msgspec.msgpack.encode(StatusRequest())
-        with pytest.raises(Refused, match="d1 is no operator"):
-            await daemon.edge.handle(STATUS, request, Client("d1", "0a"))
-        reply = await daemon.edge.handle(STATUS, request, Client("alice", "0c", role=Role.OPERATOR))
-        status = msgspec.msgpack.decode(reply, type=StatusReply)
-        assert status.up_s == pytest.approx(COLD_START_S)
-        assert [lease.drone for lease in status.servers[0].leases] == ["d1"]
-        assert [refusal.why for refusal in status.refusals] == [
-            "d1 is no operator: show a certificate of `upwash keys DIR --operator NAME`",
-            "s1 has no free slot: 1 of 1 in use",
-        ]
+@played(serve)
+async def test_no_daemon_takes_anothers_place_without_a_service_that_ran_there(daemon: Daemon) -> None:
+    daemon.runtime.broken = "detector@s1 did not start: no such model"
+    with pytest.raises(InstanceError, match=r"the daemon before stays, whose services run: .* no such model"):
+        await daemon.edge.take_up("s1", [Client("d1")], ["detector"])
+    daemon.runtime.broken = ""
+    await daemon.edge.take_up("s1", [Client("d1")], ["counter"])
 
-    serve(story)
+
+@played(serve)
+async def test_an_instance_that_starts_is_stopped_for_another_version_and_its_drone_waits_for_that(
+    daemon: Daemon,
+) -> None:
+    waiting = asyncio.create_task(daemon.start())
+    await asyncio.sleep(COLD_START_S / 2)
+    await reload(daemon, "2")
+    reply = await waiting
+    assert [each.endpoint for each in daemon.runtime.living()] == [reply.endpoint]
+
+
+@played(serve)
+async def test_a_certificate_that_is_revoked_is_admitted_to_no_instance_any_more(daemon: Daemon) -> None:
+    request = msgspec.msgpack.encode(StartRequest("s1", "detector"))
+    await daemon.edge.handle(START, request, Client("d1", "0a"))
+    (instance,) = daemon.runtime.instances
+    assert instance.admitted == {"0a"}
+    offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
+    await daemon.edge.reload(offers, images={}, revoked=frozenset({"0a"}))
+    assert instance.admitted == frozenset()
+
+
+@played(serve)
+async def test_its_status_is_for_operators(daemon: Daemon) -> None:
+    await daemon.start("d1")
+    await daemon.ask("d2")
+    request = msgspec.msgpack.encode(StatusRequest())
+    with pytest.raises(Refused, match="d1 is no operator"):
+        await daemon.edge.handle(STATUS, request, Client("d1", "0a"))
+    reply = await daemon.edge.handle(STATUS, request, Client("alice", "0c", role=Role.OPERATOR))
+    status = msgspec.msgpack.decode(reply, type=StatusReply)
+    assert status.up_s == pytest.approx(COLD_START_S)
+    assert [lease.drone for lease in status.servers[0].leases] == ["d1"]
+    assert [refusal.why for refusal in status.refusals] == [
+        "d1 is no operator: show a certificate of `upwash keys DIR --operator NAME`",
+        "s1 has no free slot: 1 of 1 in use",
+    ]
 
 
 @pytest.mark.parametrize("defective", ["start", "exited", "drain"])

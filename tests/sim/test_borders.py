@@ -10,7 +10,6 @@ from upwash.config import FaultConfig
 from upwash.core.geo import Circle, Position
 from upwash.errors import AutopilotOverruled
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.sim.loop import run_virtually
 from upwash.sim.vehicle import Plain
 
 AREA = [Circle(Position(100.0, 0.0), 20.0)]
@@ -25,45 +24,39 @@ async def hovering(**other: object) -> ModelAutopilot:
     return autopilot
 
 
-def test_a_border_is_told_to_who_has_waited_since_before_the_leg_that_crosses_it() -> None:
-    async def fly() -> None:
-        autopilot = await hovering()
-        crossing = asyncio.create_task(autopilot.border_crossed(AREA))
-        await autopilot.goto(Position(50.0, 0.0, 5.0))
-        assert not crossing.done()
-        leg = asyncio.create_task(autopilot.goto(Position(100.0, 0.0, 5.0)))
-        await crossing
-        assert autopilot.position.east_m == pytest.approx(80.0, abs=0.01)
-        await leg
-
-    run_virtually(fly())
+@pytest.mark.virtual
+async def test_a_border_is_told_to_who_has_waited_since_before_the_leg_that_crosses_it() -> None:
+    autopilot = await hovering()
+    crossing = asyncio.create_task(autopilot.border_crossed(AREA))
+    await autopilot.goto(Position(50.0, 0.0, 5.0))
+    assert not crossing.done()
+    leg = asyncio.create_task(autopilot.goto(Position(100.0, 0.0, 5.0)))
+    await crossing
+    assert autopilot.position.east_m == pytest.approx(80.0, abs=0.01)
+    await leg
 
 
-def test_a_border_that_the_vehicle_turns_away_from_is_not_told() -> None:
-    async def fly() -> None:
-        autopilot = await hovering()
-        crossing = asyncio.create_task(autopilot.border_crossed(AREA))
-        leg = asyncio.create_task(autopilot.goto(Position(100.0, 0.0, 5.0)))
-        await asyncio.sleep(10.0)
-        leg.cancel()
-        await autopilot.hold()
-        await asyncio.sleep(60.0)
-        assert not crossing.done()
-        crossing.cancel()
-
-    run_virtually(fly())
+@pytest.mark.virtual
+async def test_a_border_that_the_vehicle_turns_away_from_is_not_told() -> None:
+    autopilot = await hovering()
+    crossing = asyncio.create_task(autopilot.border_crossed(AREA))
+    leg = asyncio.create_task(autopilot.goto(Position(100.0, 0.0, 5.0)))
+    await asyncio.sleep(10.0)
+    leg.cancel()
+    await autopilot.hold()
+    await asyncio.sleep(60.0)
+    assert not crossing.done()
+    crossing.cancel()
 
 
-def test_a_pilot_who_lands_before_the_border_crosses_none() -> None:
-    async def fly() -> None:
-        pilot = FaultConfig(target="autopilot", kind="pilot", from_s=12.0, to_s=20.0)
-        autopilot = await hovering(incidents=[pilot])
-        crossing = asyncio.create_task(autopilot.border_crossed(AREA))
-        with pytest.raises(AutopilotOverruled):
-            await autopilot.goto(Position(100.0, 0.0, 5.0))
-        assert asyncio.get_running_loop().time() == pytest.approx(12.0)
-        await asyncio.sleep(60.0)
-        assert not crossing.done(), "it has landed before the border"
-        crossing.cancel()
-
-    run_virtually(fly())
+@pytest.mark.virtual
+async def test_a_pilot_who_lands_before_the_border_crosses_none() -> None:
+    pilot = FaultConfig(target="autopilot", kind="pilot", from_s=12.0, to_s=20.0)
+    autopilot = await hovering(incidents=[pilot])
+    crossing = asyncio.create_task(autopilot.border_crossed(AREA))
+    with pytest.raises(AutopilotOverruled):
+        await autopilot.goto(Position(100.0, 0.0, 5.0))
+    assert asyncio.get_running_loop().time() == pytest.approx(12.0)
+    await asyncio.sleep(60.0)
+    assert not crossing.done(), "it has landed before the border"
+    crossing.cancel()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.played import played
 
 from upwash.config import EnergyConfig
 from upwash.core.geo import Position, Velocity
@@ -151,12 +152,10 @@ def test_calls_and_transfers_add_to_the_computer_and_the_radio(
     assert used.radio_wh == pytest.approx((8.0 + 0.5 * sum(transfers_s)) / 3600, abs=1e-6)
 
 
-def test_an_endless_battery_is_not_reported() -> None:
-    async def look(autopilot: ModelAutopilot, meter: EnergyMeter) -> None:
-        assert autopilot.battery_percent is None
-        assert meter.lasts_s(0.0) == math.inf
-
-    metered(look)
+@played(metered)
+async def test_an_endless_battery_is_not_reported(autopilot: ModelAutopilot, meter: EnergyMeter) -> None:
+    assert autopilot.battery_percent is None
+    assert meter.lasts_s(0.0) == math.inf
 
 
 async def hover_until_it_is_lost(autopilot: ModelAutopilot) -> None:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 import pytest
+from tests.played import played
 from tests.scenarios import fault, scenario
 
 from upwash.config import FaultConfig
@@ -75,117 +76,101 @@ def fly(story: Callable[[], Awaitable[None]]) -> None:
     run_virtually(told())
 
 
-def test_a_ground_station_that_sends_it_elsewhere_has_it_and_no_command_follows() -> None:
-    async def story() -> None:
-        flight = Flight(befalls("diverted", 12.0, moved_m=(0.0, 30.0, -5.0)))
-        autopilot = await flight.take_off()
-        with pytest.raises(AutopilotOverruled, match="sent to"):
-            await autopilot.goto(THERE)
-        sent = len(flight.commands)
-        assert (autopilot.control.owner, flight.taken) == (Owner.GROUND_STATION, ["ground station"])
-        here = autopilot.position
-        await asyncio.sleep(15.0)
-        assert distance_m(autopilot.position, Position(here.east_m, 30.0, 15.0)) < 0.01
-        with pytest.raises(AutopilotOverruled):
-            await autopilot.hold()
-        await autopilot.stood()
-        assert len(flight.commands) == sent
-
-    fly(story)
+@played(fly)
+async def test_a_ground_station_that_sends_it_elsewhere_has_it_and_no_command_follows() -> None:
+    flight = Flight(befalls("diverted", 12.0, moved_m=(0.0, 30.0, -5.0)))
+    autopilot = await flight.take_off()
+    with pytest.raises(AutopilotOverruled, match="sent to"):
+        await autopilot.goto(THERE)
+    sent = len(flight.commands)
+    assert (autopilot.control.owner, flight.taken) == (Owner.GROUND_STATION, ["ground station"])
+    here = autopilot.position
+    await asyncio.sleep(15.0)
+    assert distance_m(autopilot.position, Position(here.east_m, 30.0, 15.0)) < 0.01
+    with pytest.raises(AutopilotOverruled):
+        await autopilot.hold()
+    await autopilot.stood()
+    assert len(flight.commands) == sent
 
 
 @pytest.mark.parametrize("from_s", [0.0, 2.0])
-def test_nobody_is_sent_anywhere_on_the_ground(from_s: float) -> None:
-    async def story() -> None:
-        flight = Flight(befalls("diverted", from_s), befalls("home", from_s))
-        await asyncio.sleep(3.0)
-        autopilot = await flight.take_off()
-        await autopilot.goto(THERE)
-        assert autopilot.control.is_ours and not flight.taken
-        assert autopilot.energy.home == Position(0.0, 0.0)
-
-    fly(story)
+@played(fly)
+async def test_nobody_is_sent_anywhere_on_the_ground(*, from_s: float) -> None:
+    flight = Flight(befalls("diverted", from_s), befalls("home", from_s))
+    await asyncio.sleep(3.0)
+    autopilot = await flight.take_off()
+    await autopilot.goto(THERE)
+    assert autopilot.control.is_ours and not flight.taken
+    assert autopilot.energy.home == Position(0.0, 0.0)
 
 
-def test_a_home_that_is_moved_changes_no_altitude_and_is_where_it_returns_to() -> None:
-    async def story() -> None:
-        flight = Flight(befalls("home", 12.0, moved_m=(40.0, 50.0, -12.0)))
-        autopilot = await flight.take_off()
-        await autopilot.goto(THERE)
-        assert autopilot.position.altitude_m == pytest.approx(20.0)
-        await autopilot.goto(Position(0.0, 0.0, 15.0))
-        assert autopilot.position.altitude_m == pytest.approx(15.0)
-        told = [each for each in flight.news if isinstance(each, HomeMoved)]
-        assert told == [HomeMoved.of(Position(40.0, 50.0, -12.0))]
-        assert autopilot.energy.home == Position(40.0, 50.0)
-        await autopilot.return_home_and_land()
-        assert autopilot.position == Position(40.0, 50.0) and autopilot.stands
-
-    fly(story)
+@played(fly)
+async def test_a_home_that_is_moved_changes_no_altitude_and_is_where_it_returns_to() -> None:
+    flight = Flight(befalls("home", 12.0, moved_m=(40.0, 50.0, -12.0)))
+    autopilot = await flight.take_off()
+    await autopilot.goto(THERE)
+    assert autopilot.position.altitude_m == pytest.approx(20.0)
+    await autopilot.goto(Position(0.0, 0.0, 15.0))
+    assert autopilot.position.altitude_m == pytest.approx(15.0)
+    told = [each for each in flight.news if isinstance(each, HomeMoved)]
+    assert told == [HomeMoved.of(Position(40.0, 50.0, -12.0))]
+    assert autopilot.energy.home == Position(40.0, 50.0)
+    await autopilot.return_home_and_land()
+    assert autopilot.position == Position(40.0, 50.0) and autopilot.stands
 
 
-def test_in_doubt_nothing_counts_as_arrived_and_when_the_position_jumps_back_the_leg_ends_where_it_should() -> (
+@played(fly)
+async def test_in_doubt_nothing_counts_as_arrived_and_after_the_jump_back_the_leg_ends_where_it_should() -> (
     None
 ):
-    async def story() -> None:
-        flight = Flight(befalls("jump", 12.0, 40.0, moved_m=(30.0, -40.0, 0.0)))
-        autopilot = await flight.take_off()
-        leg = asyncio.create_task(autopilot.goto(THERE))
-        await asyncio.sleep(34.0)
-        assert distance_m(autopilot.position, THERE) < 0.01, "where it reports to be"
-        assert ground_distance_m(autopilot.true_position, THERE) == pytest.approx(50.0, abs=0.1)
-        assert not leg.done() and not flight.off_m
-        await leg
-        assert flight.off_m == [pytest.approx(0.0, abs=0.01)]
-        doubts = [each.jumped_m for each in flight.news if isinstance(each, PositionDoubted)]
-        assert doubts == [pytest.approx(50.0), pytest.approx(0.0, abs=1e-6)]
-
-    fly(story)
+    flight = Flight(befalls("jump", 12.0, 40.0, moved_m=(30.0, -40.0, 0.0)))
+    autopilot = await flight.take_off()
+    leg = asyncio.create_task(autopilot.goto(THERE))
+    await asyncio.sleep(34.0)
+    assert distance_m(autopilot.position, THERE) < 0.01, "where it reports to be"
+    assert ground_distance_m(autopilot.true_position, THERE) == pytest.approx(50.0, abs=0.1)
+    assert not leg.done() and not flight.off_m
+    await leg
+    assert flight.off_m == [pytest.approx(0.0, abs=0.01)]
+    doubts = [each.jumped_m for each in flight.news if isinstance(each, PositionDoubted)]
+    assert doubts == [pytest.approx(50.0), pytest.approx(0.0, abs=1e-6)]
 
 
-def test_a_position_that_never_jumps_back_ends_the_leg_in_words_that_name_the_jump() -> None:
-    async def story() -> None:
-        flight = Flight(befalls("jump", 12.0, moved_m=(30.0, -40.0, 0.0)))
-        autopilot = await flight.take_off()
-        with pytest.raises(
-            AutopilotTimeout, match=r"its reported position jumped 50 m, farther than it can fly"
-        ):
-            await autopilot.goto(THERE)
-        assert not flight.off_m
-        await autopilot.return_home_and_land()
-        assert autopilot.stands and autopilot.control.is_ours
-
-    fly(story)
+@played(fly)
+async def test_a_position_that_never_jumps_back_ends_the_leg_in_words_that_name_the_jump() -> None:
+    flight = Flight(befalls("jump", 12.0, moved_m=(30.0, -40.0, 0.0)))
+    autopilot = await flight.take_off()
+    with pytest.raises(AutopilotTimeout, match=r"its reported position jumped 50 m, farther than it can fly"):
+        await autopilot.goto(THERE)
+    assert not flight.off_m
+    await autopilot.return_home_and_land()
+    assert autopilot.stands and autopilot.control.is_ours
 
 
-def test_it_hovers_where_it_believes_to_be_and_a_landing_ends_on_the_ground_below() -> None:
-    async def story() -> None:
-        flight = Flight(befalls("jump", 7.0, 9.0, moved_m=(30.0, -40.0, 0.0)), befalls("jump", 60.0))
-        autopilot = await flight.take_off()
-        await asyncio.sleep(45.0)
-        assert distance_m(autopilot.position, Position(0.0, 0.0, 20.0)) < 0.01
-        await asyncio.sleep(5.0)
-        await autopilot.land()
-        assert autopilot.stands and autopilot.position == Position(40.0, 30.0)
-        assert autopilot.true_position == Position(0.0, 0.0)
-
-    fly(story)
+@played(fly)
+async def test_it_hovers_where_it_believes_to_be_and_a_landing_ends_on_the_ground_below() -> None:
+    flight = Flight(befalls("jump", 7.0, 9.0, moved_m=(30.0, -40.0, 0.0)), befalls("jump", 60.0))
+    autopilot = await flight.take_off()
+    await asyncio.sleep(45.0)
+    assert distance_m(autopilot.position, Position(0.0, 0.0, 20.0)) < 0.01
+    await asyncio.sleep(5.0)
+    await autopilot.land()
+    assert autopilot.stands and autopilot.position == Position(40.0, 30.0)
+    assert autopilot.true_position == Position(0.0, 0.0)
 
 
-def test_a_jump_within_a_silence_is_not_heard() -> None:
-    async def story() -> None:
-        silent: list[FaultConfig] = []
-        flight = Flight(befalls("jump", 12.0), fault=lambda: silent[0] if silent else None)
-        autopilot = await flight.take_off()
-        leg = asyncio.create_task(autopilot.goto(THERE))
-        await asyncio.sleep(1.0)
-        silent.append(befalls("off", 0.0))
-        await asyncio.sleep(10.0)
-        silent.clear()
-        await leg
-        assert flight.unheard == 1 and flight.off_m == [pytest.approx(50.0)]
-
-    fly(story)
+@played(fly)
+async def test_a_jump_within_a_silence_is_not_heard() -> None:
+    silent: list[FaultConfig] = []
+    flight = Flight(befalls("jump", 12.0), fault=lambda: silent[0] if silent else None)
+    autopilot = await flight.take_off()
+    leg = asyncio.create_task(autopilot.goto(THERE))
+    await asyncio.sleep(1.0)
+    silent.append(befalls("off", 0.0))
+    await asyncio.sleep(10.0)
+    silent.clear()
+    await leg
+    assert flight.unheard == 1 and flight.off_m == [pytest.approx(50.0)]
 
 
 @pytest.mark.parametrize(
@@ -196,62 +181,54 @@ def test_a_jump_within_a_silence_is_not_heard() -> None:
         (40.0, ["restarted autopilot"]),
     ],
 )
-def test_after_a_restart_in_flight_nothing_is_sent_and_no_person_is_named(
-    to_s: float, taken: list[str]
+@played(fly)
+async def test_after_a_restart_in_flight_nothing_is_sent_and_no_person_is_named(
+    *, to_s: float, taken: list[str]
 ) -> None:
-    async def story() -> None:
-        flight = Flight(befalls("restart", 12.0, to_s))
-        autopilot = await flight.take_off()
-        sent = len(flight.commands)
-        with pytest.raises(AutopilotError):
-            await autopilot.goto(THERE)
-        with pytest.raises(AutopilotError):
-            await autopilot.hold()
-        assert len(flight.commands) == sent + 1, "the leg that it was on"
-        await asyncio.sleep(max(0.0, to_s + 2.0 - asyncio.get_running_loop().time()))
-        assert autopilot.control.owner is Owner.UNKNOWN and "restarted" in autopilot.control.why
-        named = {each.owner for each in flight.news if hasattr(each, "owner")}
-        assert named == {Owner.PROGRAM, Owner.UNKNOWN}
-        await autopilot.stood()
-        assert autopilot.stands and not autopilot.telemetry.armed and flight.taken == taken
-
-    fly(story)
-
-
-def test_a_vehicle_that_falls_after_a_restart_falls_on_after_a_second_one() -> None:
-    async def story() -> None:
-        flight = Flight(befalls("restart", 12.0, 13.2), befalls("restart", 13.3, 13.6))
-        autopilot = await flight.take_off()
-        with pytest.raises(AutopilotError):
-            await autopilot.goto(THERE)
-        await autopilot.stood()
-        assert autopilot.stands and not autopilot.telemetry.armed
-
-    fly(story)
-
-
-def test_an_autopilot_that_restarts_on_the_ground_is_waited_for() -> None:
-    async def story() -> None:
-        flight = Flight(befalls("restart", 0.0, 7.0))
-        await asyncio.sleep(1.0)
-        autopilot = await flight.take_off()
-        assert asyncio.get_running_loop().time() == pytest.approx(12.0)
+    flight = Flight(befalls("restart", 12.0, to_s))
+    autopilot = await flight.take_off()
+    sent = len(flight.commands)
+    with pytest.raises(AutopilotError):
         await autopilot.goto(THERE)
-        assert autopilot.control.is_ours and not flight.taken
+    with pytest.raises(AutopilotError):
+        await autopilot.hold()
+    assert len(flight.commands) == sent + 1, "the leg that it was on"
+    await asyncio.sleep(max(0.0, to_s + 2.0 - asyncio.get_running_loop().time()))
+    assert autopilot.control.owner is Owner.UNKNOWN and "restarted" in autopilot.control.why
+    named = {each.owner for each in flight.news if hasattr(each, "owner")}
+    assert named == {Owner.PROGRAM, Owner.UNKNOWN}
+    await autopilot.stood()
+    assert autopilot.stands and not autopilot.telemetry.armed and flight.taken == taken
 
-    fly(story)
 
-
-def test_heartbeats_of_another_program_change_nothing() -> None:
-    async def story() -> None:
-        flight = Flight(befalls("impostor", 0.0, 60.0))
-        autopilot = await flight.take_off()
+@played(fly)
+async def test_a_vehicle_that_falls_after_a_restart_falls_on_after_a_second_one() -> None:
+    flight = Flight(befalls("restart", 12.0, 13.2), befalls("restart", 13.3, 13.6))
+    autopilot = await flight.take_off()
+    with pytest.raises(AutopilotError):
         await autopilot.goto(THERE)
-        await autopilot.return_home_and_land()
-        await autopilot.disarm()
-        assert autopilot.control.is_ours and not flight.taken
+    await autopilot.stood()
+    assert autopilot.stands and not autopilot.telemetry.armed
 
-    fly(story)
+
+@played(fly)
+async def test_an_autopilot_that_restarts_on_the_ground_is_waited_for() -> None:
+    flight = Flight(befalls("restart", 0.0, 7.0))
+    await asyncio.sleep(1.0)
+    autopilot = await flight.take_off()
+    assert asyncio.get_running_loop().time() == pytest.approx(12.0)
+    await autopilot.goto(THERE)
+    assert autopilot.control.is_ours and not flight.taken
+
+
+@played(fly)
+async def test_heartbeats_of_another_program_change_nothing() -> None:
+    flight = Flight(befalls("impostor", 0.0, 60.0))
+    autopilot = await flight.take_off()
+    await autopilot.goto(THERE)
+    await autopilot.return_home_and_land()
+    await autopilot.disarm()
+    assert autopilot.control.is_ours and not flight.taken
 
 
 def test_a_mission_tells_a_moved_home_once_and_ends_by_a_jump_in_the_action_that_is_configured() -> None:

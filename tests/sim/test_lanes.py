@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from tests.played import played
 from tests.scenarios import scenario, server
 
 from upwash.config import NoiseConfig, server_truth
@@ -131,14 +132,12 @@ def test_a_drained_instance_refuses_who_waits_and_ends_what_is_under_way() -> No
     )
 
 
-def test_an_instance_that_nobody_calls_is_drained_at_once() -> None:
-    async def visit(bench: Bench) -> None:
-        await bench.call("a")
-        now_s = asyncio.get_running_loop().time()
-        await bench.instance.drain("shutting down")
-        assert asyncio.get_running_loop().time() == now_s
-
-    at_bench(visit)
+@played(at_bench)
+async def test_an_instance_that_nobody_calls_is_drained_at_once(bench: Bench) -> None:
+    await bench.call("a")
+    now_s = asyncio.get_running_loop().time()
+    await bench.instance.drain("shutting down")
+    assert asyncio.get_running_loop().time() == now_s
 
 
 def test_a_crash_in_one_call_fails_those_beside_it_and_those_that_wait() -> None:

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from tests.played import in_real_time
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
@@ -81,7 +80,6 @@ async def vehicle_and_client() -> AsyncIterator[tuple[VehicleServer, Client]]:
         await vehicle.close()
 
 
-@in_real_time
 async def test_nothing_but_heartbeats_until_asked() -> None:
     async with vehicle_and_client() as (_, client):
         first = await client.answer("HEARTBEAT")
@@ -118,7 +116,6 @@ async def test_nothing_but_heartbeats_until_asked() -> None:
         (mavlink.MAV_CMD_REQUEST_MESSAGE, (math.inf,), 4),
     ],
 )
-@in_real_time
 async def test_commands_that_cannot_be_obeyed_are_answered(
     *, number: int, parameters: tuple[float, ...], result: int
 ) -> None:
@@ -126,7 +123,6 @@ async def test_commands_that_cannot_be_obeyed_are_answered(
         assert await client.command(number, *parameters) == result
 
 
-@in_real_time
 async def test_what_is_meant_for_another_vehicle_is_not_obeyed() -> None:
     async with vehicle_and_client() as (_, client):
         client.say(mavlink.MAVLink_command_long_message(2, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
@@ -137,7 +133,6 @@ async def test_what_is_meant_for_another_vehicle_is_not_obeyed() -> None:
         assert not beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
-@in_real_time
 async def test_garbage_does_not_stop_it() -> None:
     chance = random.Random(1)
     async with vehicle_and_client() as (vehicle, client), client_of(vehicle) as vandal:
@@ -151,8 +146,7 @@ async def test_garbage_does_not_stop_it() -> None:
 
 
 @pytest.mark.parametrize(("kind", "socket_type"), [("udp", socket.SOCK_DGRAM), ("tcp", socket.SOCK_STREAM)])
-@in_real_time
-async def test_an_address_in_use_is_named_with_the_remedy(*, kind: str, socket_type: int) -> None:
+async def test_an_address_in_use_is_named_with_the_remedy(kind: str, socket_type: int) -> None:
     with socket.socket(socket.AF_INET, socket_type) as taken:
         taken.bind(("127.0.0.1", 0))
         if kind == "tcp":
@@ -166,13 +160,11 @@ async def test_an_address_in_use_is_named_with_the_remedy(*, kind: str, socket_t
 @pytest.mark.parametrize(
     "listen", ["", "127.0.0.1:14550", "udpin:127.0.0.1:0", "tcp:127.0.0.1", "udp:h:99999"]
 )
-@in_real_time
-async def test_an_address_that_cannot_be_meant_is_refused(*, listen: str) -> None:
+async def test_an_address_that_cannot_be_meant_is_refused(listen: str) -> None:
     with pytest.raises(UsageError, match="udp:HOST:PORT or tcp:HOST:PORT"):
         await serve_vehicle(listen, SETTINGS)
 
 
-@in_real_time
 async def test_closing_frees_the_address() -> None:
     for kind in "udp", "tcp":
         vehicle = await serve_vehicle(f"{kind}:127.0.0.1:0", SETTINGS)

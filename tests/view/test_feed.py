@@ -110,17 +110,14 @@ def test_logs_of_several_drones_are_shown_together(
     asyncio.run(run())
 
 
-def test_a_page_is_sent_what_is_new_and_only_that(log: Path) -> None:
-    async def run() -> None:
-        async with following(log) as feed:
-            page = Page(feed)
-            await page.hear(lambda page: page.reached() == 1)
-            before = page.received
-            append(log, arrival(1))
-            await page.hear(lambda page: page.reached() == 2)
-            assert page.received - before == len(page.facts[0]) - before <= 3
-
-    asyncio.run(run())
+async def test_a_page_is_sent_what_is_new_and_only_that(log: Path) -> None:
+    async with following(log) as feed:
+        page = Page(feed)
+        await page.hear(lambda page: page.reached() == 1)
+        before = page.received
+        append(log, arrival(1))
+        await page.hear(lambda page: page.reached() == 2)
+        assert page.received - before == len(page.facts[0]) - before <= 3
 
 
 def test_what_a_long_log_has_told_is_sent_in_pieces_of_which_the_last_is_known(log: Path) -> None:
@@ -157,56 +154,44 @@ def test_half_a_line_waits_for_its_other_half(log: Path) -> None:
     asyncio.run(run())
 
 
-def test_a_page_that_was_away_is_sent_what_it_missed(log: Path) -> None:
-    async def run() -> None:
-        async with following(log) as feed:
-            page = Page(feed)
-            await page.hear(lambda page: page.reached() == 1)
-            append(log, arrival(1))
-            again = Page(feed, after=page.id)
-            await again.hear(lambda page: page.reached() == 2)
-            assert again.received <= 3
-            whole = Page(feed)
-            await whole.hear(lambda page: page.reached() == 2)
-            assert whole.facts[0] == page.facts[0] + again.facts[0]
-
-    asyncio.run(run())
+async def test_a_page_that_was_away_is_sent_what_it_missed(log: Path) -> None:
+    async with following(log) as feed:
+        page = Page(feed)
+        await page.hear(lambda page: page.reached() == 1)
+        append(log, arrival(1))
+        again = Page(feed, after=page.id)
+        await again.hear(lambda page: page.reached() == 2)
+        assert again.received <= 3
+        whole = Page(feed)
+        await whole.hear(lambda page: page.reached() == 2)
+        assert whole.facts[0] == page.facts[0] + again.facts[0]
 
 
 @pytest.mark.parametrize("identity", ["", "another.1-3", "x.y.z", "\N{SNOWMAN}"])
-def test_a_page_of_another_program_begins_anew(log: Path, identity: str) -> None:
-    async def run() -> None:
-        async with following(log) as feed:
-            page = Page(feed, after=identity)
-            await page.hear(lambda page: page.reached() == 1)
-            assert page.facts[0][0]["fact"] == "opened"
-
-    asyncio.run(run())
+async def test_a_page_of_another_program_begins_anew(log: Path, identity: str) -> None:
+    async with following(log) as feed:
+        page = Page(feed, after=identity)
+        await page.hear(lambda page: page.reached() == 1)
+        assert page.facts[0][0]["fact"] == "opened"
 
 
 @pytest.mark.parametrize("numbers", ["1-x", "1", "7-0", "1-99999"])
-def test_an_id_that_was_never_given_does_no_harm(log: Path, numbers: str) -> None:
-    async def run() -> None:
-        async with following(log) as feed:
-            page = Page(feed)
-            await page.hear(lambda page: page.reached() == 1)
-            odd = Page(feed, after=f"{page.id.partition('.')[0]}.{numbers}")
-            append(log, arrival(1))
-            await odd.hear(lambda page: bool(page.facts))
-
-    asyncio.run(run())
+async def test_an_id_that_was_never_given_does_no_harm(log: Path, numbers: str) -> None:
+    async with following(log) as feed:
+        page = Page(feed)
+        await page.hear(lambda page: page.reached() == 1)
+        odd = Page(feed, after=f"{page.id.partition('.')[0]}.{numbers}")
+        append(log, arrival(1))
+        await odd.hear(lambda page: bool(page.facts))
 
 
-def test_another_run_in_the_same_log_begins_anew(log: Path) -> None:
-    async def run() -> None:
-        async with following(log) as feed:
-            page = Page(feed)
-            await page.hear(lambda page: page.reached() == 1)
-            append(log, OPENED, STARTED, arrival(0), arrival(1))
-            await page.hear(lambda page: page.reached() == 2)
-            assert [fact["fact"] for fact in page.facts[0]].count("began") == 1
-
-    asyncio.run(run())
+async def test_another_run_in_the_same_log_begins_anew(log: Path) -> None:
+    async with following(log) as feed:
+        page = Page(feed)
+        await page.hear(lambda page: page.reached() == 1)
+        append(log, OPENED, STARTED, arrival(0), arrival(1))
+        await page.hear(lambda page: page.reached() == 2)
+        assert [fact["fact"] for fact in page.facts[0]].count("began") == 1
 
 
 def test_a_log_that_was_put_in_the_place_of_another_begins_anew(log: Path, tmp_path: Path) -> None:

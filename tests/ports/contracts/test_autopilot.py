@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import pytest
+from tests.played import played
 from tests.ports.memory import AGILE, HASTY, HOME, driven
 from tests.ports.steps import take_off
 
@@ -74,109 +75,95 @@ def fly(request: pytest.FixtureRequest) -> Fly:
     return flown
 
 
-def test_each_verb_returns_when_it_is_true(fly: Fly) -> None:
-    async def mission(autopilot: Autopilot) -> None:
-        assert not await autopilot.in_the_air()
-        assert autopilot.stands and not autopilot.telemetry.armed
-        await take_off(autopilot)
-        assert await autopilot.in_the_air()
-        assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
-        for waypoint in Position(10.0, 0.0, 5.0), Position(10.0, -10.0, 7.0):
-            await autopilot.goto(waypoint)
-            assert distance_m(autopilot.position, waypoint) <= 1.01
-        await autopilot.return_home_and_land()
-        assert distance_m(autopilot.position, Position(0.0, 0.0, 0.0)) <= 1.0
-        assert not await autopilot.in_the_air()
-        await autopilot.disarm()
-
-    fly(mission)
+@played("fly")
+async def test_each_verb_returns_when_it_is_true(autopilot: Autopilot) -> None:
+    assert not await autopilot.in_the_air()
+    assert autopilot.stands and not autopilot.telemetry.armed
+    await take_off(autopilot)
+    assert await autopilot.in_the_air()
+    assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
+    for waypoint in Position(10.0, 0.0, 5.0), Position(10.0, -10.0, 7.0):
+        await autopilot.goto(waypoint)
+        assert distance_m(autopilot.position, waypoint) <= 1.01
+    await autopilot.return_home_and_land()
+    assert distance_m(autopilot.position, Position(0.0, 0.0, 0.0)) <= 1.0
+    assert not await autopilot.in_the_air()
+    await autopilot.disarm()
 
 
-def test_it_turns_its_nose_until_the_next_leg_and_tells_how_it_flies(fly: Fly) -> None:
-    async def mission(autopilot: Autopilot) -> None:
-        await take_off(autopilot)
-        for heading_deg in 200.0, 30.0:
-            await autopilot.turn_to(heading_deg)
-            told = autopilot.telemetry
-            assert told.heading_deg == pytest.approx(heading_deg, abs=6.0)
-            assert told.attitude is not None
-            assert told.attitude.yaw_deg == pytest.approx(heading_deg, abs=25.0)  # told four times a second
-        assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
-        assert told.armed
-        assert told.mode == autopilot.telemetry.mode != ""
-        assert told.ground_speed_m_s == pytest.approx(0.0, abs=0.5)
-        assert told.gps is not None
-        assert told.gps.kind != "none"
-        assert told.gps.satellites is not None
-        await autopilot.goto(Position(30.0, 0.0, 5.0))  # east
-        assert autopilot.telemetry.position == autopilot.position
-        await autopilot.return_home_and_land()
-
-    fly(mission)
+@played("fly")
+async def test_it_turns_its_nose_until_the_next_leg_and_tells_how_it_flies(autopilot: Autopilot) -> None:
+    await take_off(autopilot)
+    for heading_deg in 200.0, 30.0:
+        await autopilot.turn_to(heading_deg)
+        told = autopilot.telemetry
+        assert told.heading_deg == pytest.approx(heading_deg, abs=6.0)
+        assert told.attitude is not None
+        assert told.attitude.yaw_deg == pytest.approx(heading_deg, abs=25.0)  # told four times a second
+    assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
+    assert told.armed
+    assert told.mode == autopilot.telemetry.mode != ""
+    assert told.ground_speed_m_s == pytest.approx(0.0, abs=0.5)
+    assert told.gps is not None
+    assert told.gps.kind != "none"
+    assert told.gps.satellites is not None
+    await autopilot.goto(Position(30.0, 0.0, 5.0))  # east
+    assert autopilot.telemetry.position == autopilot.position
+    await autopilot.return_home_and_land()
 
 
-def test_what_it_carries_obeys_while_the_vehicle_is_the_programs(fly: Fly) -> None:
-    async def mission(autopilot: Autopilot) -> None:
-        for verb in autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0)), autopilot.turn_to(90.0):
-            with pytest.raises(AutopilotOverruled, match="the program has not taken the vehicle"):
-                await verb
-        autopilot.say(
-            6, "a text that takes more than one chunk of fifty bytes on its way to the ground station"
-        )
-        await autopilot.claim(resumes=False)
-        await autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0))
-        with pytest.raises(AutopilotRefused, match="on the ground"):
-            await autopilot.turn_to(90.0)
-
-    fly(mission)
-
-
-def test_it_lands_where_it_is(fly: Fly) -> None:
-    async def mission(autopilot: Autopilot) -> None:
-        await take_off(autopilot)
-        await autopilot.goto(Position(8.0, 6.0, 5.0))
-        await autopilot.land()
-        assert distance_m(autopilot.position, Position(8.0, 6.0, 0.0)) <= 1.01
-        await autopilot.disarm()
-
-    fly(mission)
-
-
-def test_what_cannot_be_is_refused(fly: Fly) -> None:
-    async def mission(autopilot: Autopilot) -> None:
+@played("fly")
+async def test_what_it_carries_obeys_while_the_vehicle_is_the_programs(autopilot: Autopilot) -> None:
+    for verb in autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0)), autopilot.turn_to(90.0):
         with pytest.raises(AutopilotOverruled, match="the program has not taken the vehicle"):
-            await autopilot.arm()
-        await autopilot.claim(resumes=False)
-        with pytest.raises(AutopilotRefused):
-            await autopilot.takeoff(5.0)
-        with pytest.raises(AutopilotRefused):
-            await autopilot.goto(Position(10.0, 0.0, 5.0))
-        await take_off(autopilot)
-        with pytest.raises(AutopilotRefused):
-            await autopilot.disarm()
-        await autopilot.land()
+            await verb
+    autopilot.say(6, "a text that takes more than one chunk of fifty bytes on its way to the ground station")
+    await autopilot.claim(resumes=False)
+    await autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0))
+    with pytest.raises(AutopilotRefused, match="on the ground"):
+        await autopilot.turn_to(90.0)
+
+
+@played("fly")
+async def test_it_lands_where_it_is(autopilot: Autopilot) -> None:
+    await take_off(autopilot)
+    await autopilot.goto(Position(8.0, 6.0, 5.0))
+    await autopilot.land()
+    assert distance_m(autopilot.position, Position(8.0, 6.0, 0.0)) <= 1.01
+    await autopilot.disarm()
+
+
+@played("fly")
+async def test_what_cannot_be_is_refused(autopilot: Autopilot) -> None:
+    with pytest.raises(AutopilotOverruled, match="the program has not taken the vehicle"):
+        await autopilot.arm()
+    await autopilot.claim(resumes=False)
+    with pytest.raises(AutopilotRefused):
+        await autopilot.takeoff(5.0)
+    with pytest.raises(AutopilotRefused):
+        await autopilot.goto(Position(10.0, 0.0, 5.0))
+    await take_off(autopilot)
+    with pytest.raises(AutopilotRefused):
         await autopilot.disarm()
+    await autopilot.land()
+    await autopilot.disarm()
 
-    fly(mission)
 
-
-def test_a_leg_can_be_broken_off_and_held(fly: Fly) -> None:
-    async def mission(autopilot: Autopilot) -> None:
-        await take_off(autopilot)
-        await autopilot.set_ground_speed(10.0)
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(1.5):
-                await autopilot.goto(Position(500.0, 0.0, 5.0))
-        left, stop = autopilot.position, autopilot.stopping_place
-        await autopilot.hold()
-        here = autopilot.position
-        assert 0.5 < here.east_m < 100.0
-        assert left.east_m < here.east_m <= stop.east_m + 1.5, "it stops where it said, or before"
-        await asyncio.sleep(0.3)
-        assert distance_m(autopilot.position, here) <= 1.0
-        await autopilot.goto(Position(here.east_m + 3.0, 0.0, 5.0))
-
-    fly(mission)
+@played("fly")
+async def test_a_leg_can_be_broken_off_and_held(autopilot: Autopilot) -> None:
+    await take_off(autopilot)
+    await autopilot.set_ground_speed(10.0)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(1.5):
+            await autopilot.goto(Position(500.0, 0.0, 5.0))
+    left, stop = autopilot.position, autopilot.stopping_place
+    await autopilot.hold()
+    here = autopilot.position
+    assert 0.5 < here.east_m < 100.0
+    assert left.east_m < here.east_m <= stop.east_m + 1.5, "it stops where it said, or before"
+    await asyncio.sleep(0.3)
+    assert distance_m(autopilot.position, here) <= 1.0
+    await autopilot.goto(Position(here.east_m + 3.0, 0.0, 5.0))
 
 
 def test_a_border_is_reported_when_it_is_crossed_and_not_before(fly: Fly) -> None:
@@ -204,19 +191,17 @@ def test_a_border_is_reported_when_it_is_crossed_and_not_before(fly: Fly) -> Non
     fly(mission)
 
 
-def test_it_says_where_on_the_earth_it_is(fly: Fly) -> None:
-    async def mission(autopilot: Autopilot) -> None:
-        await take_off(autopilot)
-        place = Position(30.0, -40.0, 8.0)
-        await autopilot.goto(place)
-        told = autopilot.earth_position
-        assert told is not None
-        expected = LocalFrame(HOME).geo(autopilot.position)
-        assert abs(told.latitude_deg - expected.latitude_deg) < 1e-6
-        assert abs(told.longitude_deg - expected.longitude_deg) < 1e-6
-        if told.above_sea_m is not None:  # a model does not know how high its ground is
-            ground_m = told.above_sea_m - autopilot.position.altitude_m
-            home_m = 488.0 if autopilot.telemetry.mode == "OFFBOARD" else 0.0
-            assert abs(ground_m - home_m) < 1.0  # a PX4's home is where it was armed, by its estimate
-
-    fly(mission)
+@played("fly")
+async def test_it_says_where_on_the_earth_it_is(autopilot: Autopilot) -> None:
+    await take_off(autopilot)
+    place = Position(30.0, -40.0, 8.0)
+    await autopilot.goto(place)
+    told = autopilot.earth_position
+    assert told is not None
+    expected = LocalFrame(HOME).geo(autopilot.position)
+    assert abs(told.latitude_deg - expected.latitude_deg) < 1e-6
+    assert abs(told.longitude_deg - expected.longitude_deg) < 1e-6
+    if told.above_sea_m is not None:  # a model does not know how high its ground is
+        ground_m = told.above_sea_m - autopilot.position.altitude_m
+        home_m = 488.0 if autopilot.telemetry.mode == "OFFBOARD" else 0.0
+        assert abs(ground_m - home_m) < 1.0  # a PX4's home is where it was armed, by its estimate

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 import pytest
+from tests.played import played
 from tests.system.fake_networkmanager import FakeDevice, FakeProfile, running
 
 from upwash.core.geo import Circle, Position
@@ -74,62 +75,52 @@ def play(request: pytest.FixtureRequest) -> Callable[[Scene], None]:
     return on_networkmanager
 
 
-def test_networks_are_joined_and_left_one_after_the_other(play: Callable[[Scene], None]) -> None:
-    async def scene(stage: Stage) -> None:
-        await stage.network.leave()  # none is joined
-        for name in ("a", "b", "a"):
-            await stage.network.join(name, timeout_s=10.0)
-            await stage.network.leave()
-            await stage.network.leave()
-
-    play(scene)
-
-
-def test_a_join_that_was_given_up_joined_nothing(play: Callable[[Scene], None]) -> None:
-    async def scene(stage: Stage) -> None:
-        joining = asyncio.create_task(stage.network.join("a", timeout_s=10.0))
-        await asyncio.sleep(0)
-        joining.cancel()
-        await asyncio.gather(joining, return_exceptions=True)
+@played("play")
+async def test_networks_are_joined_and_left_one_after_the_other(stage: Stage) -> None:
+    await stage.network.leave()  # none is joined
+    for name in ("a", "b", "a"):
+        await stage.network.join(name, timeout_s=10.0)
         await stage.network.leave()
-        await stage.network.join("b", timeout_s=10.0)
-
-    play(scene)
-
-
-def test_one_radio_joins_one_network(play: Callable[[Scene], None]) -> None:
-    async def scene(stage: Stage) -> None:
-        await stage.network.join("a", timeout_s=10.0)
-        with pytest.raises(NetworkError, match="cannot join b while a is joined"):
-            await stage.network.join("b", timeout_s=10.0)
-
-    play(scene)
-
-
-def test_what_is_not_joined_in_time_is_not_joined(play: Callable[[Scene], None]) -> None:
-    async def scene(stage: Stage) -> None:
-        with pytest.raises(NetworkError, match=r"a was not joined within 0\.0 s"):
-            await stage.network.join("a", timeout_s=0.0)
-        await stage.network.join("b", timeout_s=10.0)
-
-    play(scene)
-
-
-def test_a_network_that_goes_off_the_air_is_lost_and_then_left(play: Callable[[Scene], None]) -> None:
-    async def scene(stage: Stage) -> None:
-        await stage.network.join("a", timeout_s=10.0)
-        lost = asyncio.create_task(stage.network.lost())
-        await asyncio.sleep(0)
-        assert not lost.done()
-        stage.take_off_the_air()
-        assert await lost
-        assert await stage.network.lost(), "and stays so"
         await stage.network.leave()
-        with pytest.raises(NetworkError):
-            await stage.network.join("a", timeout_s=10.0)
+
+
+@played("play")
+async def test_a_join_that_was_given_up_joined_nothing(stage: Stage) -> None:
+    joining = asyncio.create_task(stage.network.join("a", timeout_s=10.0))
+    await asyncio.sleep(0)
+    joining.cancel()
+    await asyncio.gather(joining, return_exceptions=True)
+    await stage.network.leave()
+    await stage.network.join("b", timeout_s=10.0)
+
+
+@played("play")
+async def test_one_radio_joins_one_network(stage: Stage) -> None:
+    await stage.network.join("a", timeout_s=10.0)
+    with pytest.raises(NetworkError, match="cannot join b while a is joined"):
         await stage.network.join("b", timeout_s=10.0)
 
-    play(scene)
+
+@played("play")
+async def test_what_is_not_joined_in_time_is_not_joined(stage: Stage) -> None:
+    with pytest.raises(NetworkError, match=r"a was not joined within 0\.0 s"):
+        await stage.network.join("a", timeout_s=0.0)
+    await stage.network.join("b", timeout_s=10.0)
+
+
+@played("play")
+async def test_a_network_that_goes_off_the_air_is_lost_and_then_left(stage: Stage) -> None:
+    await stage.network.join("a", timeout_s=10.0)
+    lost = asyncio.create_task(stage.network.lost())
+    await asyncio.sleep(0)
+    assert not lost.done()
+    stage.take_off_the_air()
+    assert await lost
+    assert await stage.network.lost(), "and stays so"
+    await stage.network.leave()
+    with pytest.raises(NetworkError):
+        await stage.network.join("a", timeout_s=10.0)
+    await stage.network.join("b", timeout_s=10.0)
 
 
 # --- the model ----------------------------------------------------------------------------------------------
