@@ -133,6 +133,10 @@ class Autopilot(Protocol):
         """The switch that returns or lands the vehicle when the program falls silent."""
 
     @property
+    def armed(self) -> bool:
+        """Whether its motors run, by its last report."""
+
+    @property
     def stands(self) -> bool:
         """Whether the vehicle stands on the ground, by the last report."""
 

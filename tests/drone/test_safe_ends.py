@@ -333,7 +333,7 @@ def test_a_vehicle_that_somebody_else_takes_is_left_to_them_and_followed_to_the_
     owners = [(event["t"], event["owner"]) for event in scene.events("control")]
     assert owners[:2] == [(0.0, "program"), (at_s, owner)]
     assert {then for _, then in owners[1:]} == {owner}
-    assert scene.autopilot.stands and not scene.autopilot.telemetry.armed
+    assert scene.autopilot.stands and not scene.autopilot.armed
 
 
 class Talkative(ModelAutopilot):
@@ -405,7 +405,7 @@ def test_a_vehicle_that_has_not_left_the_ground_is_disarmed() -> None:
 
     scene, _ = fly(scenario(), ponder)
     assert scene.events("safe_end")[0]["action"] == "disarm"
-    assert not scene.autopilot.telemetry.armed
+    assert not scene.autopilot.armed
 
 
 def test_a_vehicle_that_refuses_at_first_is_asked_again() -> None:

@@ -223,7 +223,7 @@ def test_what_its_last_checks_object_to_is_told_and_it_is_armed_once_they_pass(
         news = news_of(autopilot)
         await claim_and_arm(autopilot)
         assert news.count(ArmingDelayed(reasons=("Throttle is not low",))) == 1
-        assert autopilot.telemetry.armed
+        assert autopilot.armed
 
     fly(mission, settings=HASTY)
 

@@ -95,7 +95,7 @@ async def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
     await autopilot.claim(resumes=False)
     made.copter.arm(made.now_s, forced=True)
     await asyncio.sleep(0.07)  # no heartbeat comes meanwhile
-    assert not autopilot.telemetry.armed
+    assert not autopilot.armed
     with pytest.raises(AutopilotOverruled):
         await autopilot.arm()
     assert made.commands() == []

@@ -167,64 +167,70 @@ told = st.sampled_from(
 
 @given(lines=st.lists(told | st.binary(max_size=40).map(lambda text: text + b"\n"), max_size=5))
 @example(lines=[b'{"type":"called","drone":"heron","x":' + b"[" * 50_000 + b"\n"])
-async def test_an_instance_that_says_anything_is_heard_out_or_hung_up_on(lines: list[bytes]) -> None:
-    reports = asyncio.StreamReader(limit=2**17)
-    reports.feed_data(line(Ready("127.0.0.1:1")) + b"".join(lines))
-    reports.feed_eof()
-    called: list[str] = []
-    control = InstanceControl(
-        SPEC,
-        Output("test@s1"),
-        called=called.append,
-        answered=ignored,
-        reports=reports,
-        orders=Silent(),  # type: ignore[arg-type]
-    )
-    begin: Any = ServiceEnded(0)  # whatever it is told
-    assert await control.begin(begin) == "127.0.0.1:1"
-    async with asyncio.timeout(5.0):
+def test_an_instance_that_says_anything_is_heard_out_or_hung_up_on(lines: list[bytes]) -> None:
+    async def hear() -> None:
+        reports = asyncio.StreamReader(limit=2**17)
+        reports.feed_data(line(Ready("127.0.0.1:1")) + b"".join(lines))
+        reports.feed_eof()
+        called: list[str] = []
+        control = InstanceControl(
+            SPEC,
+            Output("test@s1"),
+            called=called.append,
+            answered=ignored,
+            reports=reports,
+            orders=Silent(),  # type: ignore[arg-type]
+        )
+        begin: Any = ServiceEnded(0)  # whatever it is told
+        assert await control.begin(begin) == "127.0.0.1:1"
+        async with asyncio.timeout(5.0):
+            await control.ended()
+        assert control.is_over
+        assert control._listening is not None
+        assert control._listening.exception() is None
+        assert set(called) <= {"heron"}
+
+    asyncio.run(hear())
+
+
+def test_an_instance_is_believed_only_what_can_be_so() -> None:
+    async def hear() -> None:
+        reports = asyncio.StreamReader()
+        reports.feed_data(line(Ready("127.0.0.1:1")))
+        called: list[str] = []
+        answered: list[AnsweredCall] = []
+        control = InstanceControl(
+            SPEC,
+            Output("test@s1"),
+            called=called.append,
+            answered=answered.append,
+            reports=reports,
+            orders=Silent(),  # type: ignore[arg-type]
+        )
+        begin: Any = ServiceEnded(0)  # whatever it is told
+        await control.begin(begin)
+        admitting = asyncio.create_task(control.admit(frozenset({"heron"})))
+        await asyncio.sleep(0)
+        said: list[FromInstance] = [
+            Admitted(),
+            Called("stork"),
+            Called("heron"),
+            Answered(drone="heron", method="work", queued_s=0.0, took_s=0.0),
+            Answered(drone="heron", method="rest", queued_s=0.0, took_s=0.0),
+            Answered(drone="stork", method="work", queued_s=0.0, took_s=0.0),
+        ]
+        said += [
+            Answered(drone="heron", method="work", queued_s=queued_s, took_s=took_s)
+            for queued_s, took_s in itertools.permutations((0.0, -1.0, 1e300), 2)
+        ]
+        reports.feed_data(b"".join(map(line, said)))
+        reports.feed_eof()
+        await admitting
         await control.ended()
-    assert control.is_over
-    assert control._listening is not None
-    assert control._listening.exception() is None
-    assert set(called) <= {"heron"}
+        assert called == ["heron"]
+        assert answered == [AnsweredCall("heron", "work", 0.0, 0.0)]
 
-
-async def test_an_instance_is_believed_only_what_can_be_so() -> None:
-    reports = asyncio.StreamReader()
-    reports.feed_data(line(Ready("127.0.0.1:1")))
-    called: list[str] = []
-    answered: list[AnsweredCall] = []
-    control = InstanceControl(
-        SPEC,
-        Output("test@s1"),
-        called=called.append,
-        answered=answered.append,
-        reports=reports,
-        orders=Silent(),  # type: ignore[arg-type]
-    )
-    begin: Any = ServiceEnded(0)  # whatever it is told
-    await control.begin(begin)
-    admitting = asyncio.create_task(control.admit(frozenset({"heron"})))
-    await asyncio.sleep(0)
-    said: list[FromInstance] = [
-        Admitted(),
-        Called("stork"),
-        Called("heron"),
-        Answered(drone="heron", method="work", queued_s=0.0, took_s=0.0),
-        Answered(drone="heron", method="rest", queued_s=0.0, took_s=0.0),
-        Answered(drone="stork", method="work", queued_s=0.0, took_s=0.0),
-    ]
-    said += [
-        Answered(drone="heron", method="work", queued_s=queued_s, took_s=took_s)
-        for queued_s, took_s in itertools.permutations((0.0, -1.0, 1e300), 2)
-    ]
-    reports.feed_data(b"".join(map(line, said)))
-    reports.feed_eof()
-    await admitting
-    await control.ended()
-    assert called == ["heron"]
-    assert answered == [AnsweredCall("heron", "work", 0.0, 0.0)]
+    asyncio.run(hear())
 
 
 class Silent:

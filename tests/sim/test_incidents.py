@@ -198,7 +198,7 @@ async def test_after_a_restart_in_flight_nothing_is_sent_and_no_person_is_named(
     named = {each.owner for each in flight.news if hasattr(each, "owner")}
     assert named == {Owner.PROGRAM, Owner.UNKNOWN}
     await autopilot.stood()
-    assert autopilot.stands and not autopilot.telemetry.armed and flight.taken == taken
+    assert autopilot.stands and not autopilot.armed and flight.taken == taken
 
 
 @played(fly)
@@ -208,7 +208,7 @@ async def test_a_vehicle_that_falls_after_a_restart_falls_on_after_a_second_one(
     with pytest.raises(AutopilotError):
         await autopilot.goto(THERE)
     await autopilot.stood()
-    assert autopilot.stands and not autopilot.telemetry.armed
+    assert autopilot.stands and not autopilot.armed
 
 
 @played(fly)

@@ -24,31 +24,6 @@ def flying(altitude_m: float = 20.0) -> tuple[Copter, float]:
     return copter, 60.0
 
 
-def test_it_arms_only_when_its_checks_pass_and_says_why_not() -> None:
-    copter = Copter(SETTINGS, now_s=0.0)
-    copter.change_mode(0.0, CopterMode.GUIDED)
-    refusal = copter.arm(29.9)
-    assert refusal is Result.FAILED
-    assert copter.said()
-    assert not copter.armed(29.9)
-    assert copter.arm(30.0) is Result.ACCEPTED
-    assert copter.armed(30.0)
-
-
-def test_it_takes_off_only_armed_in_guided_and_from_the_ground() -> None:
-    copter = Copter(SETTINGS, now_s=0.0)
-    assert copter.take_off(40.0, 20.0) is Result.FAILED
-    copter.arm(40.0)
-    assert copter.take_off(40.0, 20.0) is Result.FAILED
-    copter.change_mode(40.0, CopterMode.GUIDED)
-    assert copter.take_off(40.0, math.nan) is Result.FAILED
-    assert copter.take_off(40.0, 20.0) is Result.ACCEPTED
-    assert copter.take_off(45.0, 20.0) is Result.FAILED
-    assert copter.landed_state(45.0) is LandedState.TAKEOFF
-    assert copter.landed_state(60.0) is LandedState.IN_AIR
-    assert copter.position(60.0) == Position(0.0, 0.0, 20.0)
-
-
 def test_a_leg_takes_its_time() -> None:
     copter, now_s = flying()
     target = Position(20.0, 0.0, 20.0)
@@ -81,26 +56,6 @@ def test_it_does_not_move_for_a_target_that_makes_no_sense(target: Position) -> 
     assert copter.position(now_s + 30.0) == Position(0.0, 0.0, 20.0)
 
 
-@pytest.mark.parametrize("mode", [CopterMode.LOITER, CopterMode.BRAKE, CopterMode.STABILIZE])
-def test_outside_guided_it_ignores_targets(mode: CopterMode) -> None:
-    copter, now_s = flying()
-    copter.change_mode(now_s, mode)
-    copter.steer(now_s, Position(20.0, 0.0, 20.0))
-    assert copter.position(now_s + 30.0) == Position(0.0, 0.0, 20.0)
-
-
-def test_a_speed_before_the_first_target_is_accepted_and_lost() -> None:
-    copter, now_s = flying()
-    assert copter.change_speed(now_s, 10.0) is Result.ACCEPTED
-    copter.steer(now_s, Position(100.0, 0.0, 20.0))
-    assert copter.velocity(now_s + 12.0).speed_m_s == pytest.approx(4.0)
-    assert copter.change_speed(now_s + 40.0, 10.0) is Result.ACCEPTED
-    copter.steer(now_s + 40.0, Position(0.0, 0.0, 20.0))
-    assert copter.velocity(now_s + 50.0).speed_m_s == pytest.approx(10.0)
-    assert copter.change_speed(now_s, 0.0) is Result.DENIED
-    assert copter.change_speed(now_s, math.nan) is Result.DENIED
-
-
 def test_a_higher_speed_on_the_way_does_not_stop_it() -> None:
     copter, now_s = flying()
     target = Position(100.0, 0.0, 20.0)
@@ -131,38 +86,6 @@ def test_a_new_target_on_the_way_brakes_first() -> None:
     assert distance_m(copter.position(turn_s), before[0]) < 1e-9
     assert copter.velocity(turn_s) == before[1]
     assert copter.position(turn_s + 4.0).east_m == pytest.approx(before[0].east_m + 8.0)
-
-
-def test_it_returns_lands_and_disarms_by_itself() -> None:
-    copter, now_s = flying(altitude_m=10.0)
-    copter.steer(now_s, Position(30.0, 40.0, 10.0))
-    copter.change_mode(now_s + 60.0, CopterMode.RTL)
-    seen: list[tuple[float, tuple[LandedState, bool]]] = []
-    for tenth_s in range(1000):
-        then_s = now_s + 60.0 + tenth_s / 10
-        state = copter.landed_state(then_s), copter.armed(then_s)
-        if not seen or seen[-1][1] != state:
-            seen.append((then_s, state))
-    assert [state for _, state in seen] == [
-        (LandedState.IN_AIR, True),
-        (LandedState.LANDING, True),
-        (LandedState.ON_GROUND, True),
-        (LandedState.ON_GROUND, False),
-    ]
-    assert seen[3][0] - seen[2][0] == pytest.approx(0.3, abs=0.11)
-    landing_place = copter.position(seen[1][0])
-    assert (landing_place.east_m, landing_place.north_m) == pytest.approx((0.0, 0.0))
-    assert landing_place.altitude_m == pytest.approx(15.0, abs=0.1)
-    assert copter.position(seen[2][0]) == Position(0.0, 0.0, 0.0)
-
-
-def test_it_lands_where_it_is_and_refuses_to_disarm_before() -> None:
-    copter, now_s = flying()
-    copter.steer(now_s, Position(20.0, 0.0, 20.0))
-    copter.change_mode(now_s + 20.0, CopterMode.LAND)
-    assert copter.disarm(now_s + 21.0) is Result.FAILED
-    assert copter.position(now_s + 100.0) == Position(20.0, 0.0, 0.0)
-    assert copter.disarm(now_s + 100.0) is Result.ACCEPTED
 
 
 def test_it_can_fly_again_after_landing() -> None:

@@ -301,7 +301,7 @@ class Flight:
         autopilot = self._ports.autopilot
         if self._vehicle.in_the_air or not (autopilot.stands and autopilot.control.is_ours):
             return False
-        if autopilot.telemetry.armed:
+        if autopilot.armed:
             try:
                 await autopilot.disarm()
             except AutopilotError:
@@ -347,7 +347,7 @@ class Flight:
 
     async def _end(self, why: str) -> None:
         autopilot, journal = self._ports.autopilot, self._ports.journal
-        if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.telemetry.armed):
+        if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.armed):
             self._stop_following.clear()
             action = self._config.autopilot.on_failure
             self._ends = None if action == "hold" else action

@@ -159,6 +159,11 @@ class ModelAutopilot:
         return ModelDeadMan()
 
     @property
+    def armed(self) -> bool:
+        """Whether its motors run."""
+        return self._vehicle.armed
+
+    @property
     def stands(self) -> bool:
         """Whether the vehicle is on the ground, by its altitude."""
         return not self._vehicle.flies

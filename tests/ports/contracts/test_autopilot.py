@@ -78,7 +78,7 @@ def fly(request: pytest.FixtureRequest) -> Fly:
 @played("fly")
 async def test_each_verb_returns_when_it_is_true(autopilot: Autopilot) -> None:
     assert not await autopilot.in_the_air()
-    assert autopilot.stands and not autopilot.telemetry.armed
+    assert autopilot.stands and not autopilot.armed
     await take_off(autopilot)
     assert await autopilot.in_the_air()
     assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0

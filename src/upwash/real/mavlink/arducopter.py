@@ -149,14 +149,11 @@ class ArduCopterAutopilot(MavlinkAutopilot):
             self.vehicle.news.tell(VehicleSetting(name=_AVOIDANCE, value=avoids, advice=advice))
         return await arducopter_limits(self.vehicle, self._frame, limits, parameters)
 
-    async def _prepare_arming(self) -> None:
-        await require_reposition(self.vehicle)
-
-    async def _arm_once(self) -> None:
-        await self._change_mode("arm", _GUIDED)
-        self._obeys_speed = False
-        await super()._arm_once()
-        self.vehicle.beat()  # from here on its dead man counts what it hears
+    async def arm(self) -> None:
+        """Once it is known to take targets."""
+        async with self.vehicle.limited("arm", self._settings.margin_s):
+            await require_reposition(self.vehicle)
+        await super().arm()
 
     async def _climb(self, step: str, altitude_m: float) -> None:
         self._obeys_speed = False

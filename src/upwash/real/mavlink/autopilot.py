@@ -121,7 +121,6 @@ class MavlinkAutopilot(ReportingAutopilot):
         vehicle, settings = self.vehicle, self._settings
         deadline_s = vehicle.now_s + settings.ready_timeout_s
         async with vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
-            await self._prepare_arming()
             while True:
                 begun_s = vehicle.now_s
                 try:
@@ -135,11 +134,10 @@ class MavlinkAutopilot(ReportingAutopilot):
                 await asyncio.sleep(settings.arm_again_s)
             await self._while_ours("arm", lambda: self._telemetry.position is not None)
 
-    @abstractmethod
-    async def _prepare_arming(self) -> None: ...
-
     async def _arm_once(self) -> None:
+        await self._change_mode("arm", self.vehicle.firmware.own_mode)
         await self.vehicle.arm("arm", armed=True)
+        self.vehicle.beat()  # from here on a dead man counts what it hears
 
     async def takeoff(self, altitude_m: float) -> None:
         """Takes off straight up to the altitude above home; returns when it is reached."""

@@ -96,9 +96,6 @@ class Px4Autopilot(MavlinkAutopilot):
         parameters = await read_parameters(self.vehicle, PX4_FENCE)
         return await px4_limits(self.vehicle, self._frame, limits, parameters)
 
-    async def _prepare_arming(self) -> None:
-        await self._change_mode("arm", LOITER)
-
     def _may_be_armed(self) -> bool:
         """Whether the vehicle's checks for AUTO.LOITER pass, in any mode."""
         telemetry = self._telemetry

@@ -115,6 +115,11 @@ class ReportingAutopilot(ABC):
         return self.vehicle.latch.control
 
     @property
+    def armed(self) -> bool:
+        """Whether its motors run."""
+        return self._telemetry.armed
+
+    @property
     def stands(self) -> bool:
         """Whether the vehicle stands: by its landed state unless it falls, else if it is low with stopped motors."""
         stands = self._telemetry.stands

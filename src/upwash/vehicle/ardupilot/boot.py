@@ -6,7 +6,9 @@ stand-in that is ready sooner the same passes faster; one that is ready later on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 RECORDED_S = 41.4
 CRITICAL, WARNING, NOTICE, INFORMATION = 2, 4, 5, 6  # MAV_SEVERITY
@@ -31,6 +33,26 @@ class Text:
 
     words: str
     severity: int = CRITICAL
+
+
+_T = TypeVar("_T")
+
+
+class Story(Generic[_T]):
+    """What happens at recorded times after its beginning."""
+
+    def __init__(self, parts: Sequence[tuple[float, _T]]) -> None:
+        self._parts = parts
+        self.begin()
+
+    def begin(self) -> None:
+        """Has it told anew."""
+        self.told_s = -1.0
+
+    def next(self, elapsed_s: float) -> list[_T]:
+        """What has happened since it was last asked."""
+        told_s, self.told_s = self.told_s, elapsed_s
+        return [part for at_s, part in self._parts if told_s < at_s <= elapsed_s]
 
 
 _TEXTS = tuple(
@@ -72,8 +94,7 @@ class Boot:
         self._share = min(1.0, ready_s / RECORDED_S)
         self._without_gps_s = 0.0
         self._looked_s = 0.0
-        self._said_s = -1.0
-        self._said_by_gps_s = -1.0
+        self._said, self._said_by_gps = Story(_TEXTS), Story(_TEXTS_BY_GPS)
         self._complains_s = self._scaled(_FIRST_COMPLAINT_S)
 
     def look(self, uptime_s: float, *, gps: bool) -> None:
@@ -110,12 +131,8 @@ class Boot:
     def texts(self, uptime_s: float) -> tuple[Text, ...]:
         """What it says by itself, once."""
         by_gps_s = uptime_s - self._without_gps_s
-        said = _between(_TEXTS, self._said_s, self._recorded_s(uptime_s)) + _between(
-            _TEXTS_BY_GPS, self._said_by_gps_s, self._recorded_s(by_gps_s)
-        )
-        self._said_s = max(self._said_s, self._recorded_s(uptime_s))
-        self._said_by_gps_s = max(self._said_by_gps_s, self._recorded_s(by_gps_s))
-        return said
+        said = self._said.next(self._recorded_s(uptime_s))
+        return (*said, *self._said_by_gps.next(self._recorded_s(by_gps_s)))
 
     def sensors_object(self, uptime_s: float) -> tuple[str, ...]:
         """Why its sensors are not ready yet."""
@@ -152,7 +169,3 @@ class Boot:
         if uptime_s >= self._ready_s:
             return RECORDED_S + uptime_s - self._ready_s
         return min(uptime_s / self._share, _READIES_S)
-
-
-def _between(texts: tuple[tuple[float, Text], ...], after_s: float, until_s: float) -> tuple[Text, ...]:
-    return tuple(text for at_s, text in texts if after_s < at_s <= until_s)

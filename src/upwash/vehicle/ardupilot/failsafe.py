@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
 
-from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Text
+from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Story, Text
 from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.body.parameters import ParameterTable
 
@@ -32,28 +31,31 @@ def _lane_switch(lane: int) -> tuple[Text, ...]:
     return Text(f"EKF3 lane switch {lane}"), Text(f"EKF primary changed:{lane}", WARNING)
 
 
-_Story: TypeAlias = tuple[tuple[float, FailsafeTrigger], ...]
 _CLEARED = FailsafeTrigger((Text("Glitch cleared"),))
 
 
-def _gps_jumps(jump_m: float, cleared_s: float) -> _Story:
+def _gps_jumps(jump_m: float, cleared_s: float) -> Story[FailsafeTrigger]:
     """The vehicle doubts its GPS, believes it, and takes the glitch for over, whether it is or not."""
-    return (
-        (0.2, FailsafeTrigger(_lane_switch(1))),
-        (0.4, FailsafeTrigger(_lane_switch(0))),
-        (_GLITCH_NOTICED_S, FailsafeTrigger((Text("GPS Glitch or Compass error"),))),
-        (_GLITCH_BELIEVED_S, FailsafeTrigger(_lane_switch(1), jump_m=jump_m)),
-        (cleared_s, _CLEARED),
+    return Story(
+        (
+            (0.2, FailsafeTrigger(_lane_switch(1))),
+            (0.4, FailsafeTrigger(_lane_switch(0))),
+            (_GLITCH_NOTICED_S, FailsafeTrigger((Text("GPS Glitch or Compass error"),))),
+            (_GLITCH_BELIEVED_S, FailsafeTrigger(_lane_switch(1), jump_m=jump_m)),
+            (cleared_s, _CLEARED),
+        )
     )
 
 
-def _glitch_ends(jump_m: float) -> _Story:
+def _glitch_ends(jump_m: float) -> Story[FailsafeTrigger]:
     """The GPS jumps back before the vehicle took the glitch for over."""
-    return (
-        (0.2, FailsafeTrigger(_lane_switch(0))),
-        (5.2, FailsafeTrigger(_lane_switch(1))),
-        (_GLITCH_BELIEVED_S, FailsafeTrigger(_lane_switch(0), jump_m=jump_m)),
-        (_GLITCH_OVER_S, _CLEARED),
+    return Story(
+        (
+            (0.2, FailsafeTrigger(_lane_switch(0))),
+            (5.2, FailsafeTrigger(_lane_switch(1))),
+            (_GLITCH_BELIEVED_S, FailsafeTrigger(_lane_switch(0), jump_m=jump_m)),
+            (_GLITCH_OVER_S, _CLEARED),
+        )
     )
 
 
@@ -82,7 +84,7 @@ class Failsafes:
         self.heard_ground_s: float | None = None
         self._landed = False
         self._lost_links: set[str] = set()
-        self._done: dict[tuple[FaultKind, bool], float] = {}  # how far in each story it is
+        self._no_gps = Story(_NO_GPS)
         self._glitch_s: float | None = None
         self._glitch_over_s: float | None = None
 
@@ -117,14 +119,14 @@ class Failsafes:
         if since_s is None:
             self.lost_place = self._landed = False
             self.ekf_flags = EKF_FLIES_BY_GPS
-            self._done.pop((FaultKind.GPS, True), None)
+            self._no_gps.begin()
             return
         lost_s = now_s - since_s
         if lost_s >= _STANDS_STILL_S:
             self.ekf_flags = EKF_HOLDS_STILL
         elif lost_s >= _DOUBTS_S:
             self.ekf_flags = _LOST_EKF_FLAGS
-        for trigger in self._story((FaultKind.GPS, True), _NO_GPS, lost_s):
+        for trigger in self._no_gps.next(lost_s):
             if trigger.mode is not None:
                 self._landed = flying and by_position
             if self._landed:
@@ -132,12 +134,11 @@ class Failsafes:
         self.lost_place = lost_s >= _LANDS_S
 
     def _glitching(self, now_s: float, since_s: float | None) -> Iterator[FailsafeTrigger]:
-        begins, ends = (FaultKind.GLITCH, True), (FaultKind.GLITCH, False)
         if since_s is not None:
             if self._glitch_s is None:
-                self._done.pop(begins, None)
+                self._glitch_begins.begin()
             self._glitch_s, self._glitch_over_s = since_s, None
-            yield from self._story(begins, self._glitch_begins, now_s - since_s)
+            yield from self._glitch_begins.next(now_s - since_s)
             if _GLITCH_NOTICED_S <= now_s - since_s < self._cleared_s:
                 self.ekf_flags = _GLITCHING_EKF_FLAGS
             return
@@ -146,13 +147,14 @@ class Failsafes:
         if self._glitch_over_s is None:
             self._glitch_over_s = now_s
             self._cleared_early = now_s - self._glitch_s >= self._cleared_s
-            self._done.pop(ends, None)
-        believed = self._done.get((FaultKind.GLITCH, True), 0.0) >= _GLITCH_BELIEVED_S
+            self._glitch_ends.begin()
+            self._glitch_ends_later.begin()
+        believed = self._glitch_begins.told_s >= _GLITCH_BELIEVED_S
         ended_s = now_s - self._glitch_over_s
         if not self._cleared_early or ended_s >= _GLITCH_NOTICED_S:
             self.ekf_flags = _GLITCHING_EKF_FLAGS
         story = self._glitch_ends_later if self._cleared_early else self._glitch_ends
-        for trigger in self._story(ends, story, ended_s):
+        for trigger in story.next(ended_s):
             yield trigger if believed or not trigger.jump_m else FailsafeTrigger(trigger.texts)
         if ended_s >= _GLITCH_OVER_S:
             self._glitch_s, self.ekf_flags = None, EKF_FLIES_BY_GPS
@@ -188,13 +190,3 @@ class Failsafes:
         elif not lost and name in self._lost_links:
             self._lost_links.remove(name)
             yield FailsafeTrigger((Text(f"{name} Failsafe Cleared", WARNING),))
-
-    def _story(
-        self, name: tuple[FaultKind, bool], story: tuple[tuple[float, FailsafeTrigger], ...], elapsed_s: float
-    ) -> Iterator[FailsafeTrigger]:
-        """What of a story comes next, up to now."""
-        told_s = self._done.get(name, -1.0)
-        self._done[name] = elapsed_s
-        for at_s, trigger in story:
-            if told_s < at_s <= elapsed_s:
-                yield trigger
