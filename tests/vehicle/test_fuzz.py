@@ -42,17 +42,21 @@ async def vandalise(connection: str, chance: random.Random, count_bytes: int) ->
         vandal.send_bytes(piece)
         await asyncio.sleep(0)  # the vehicle reads as fast as it is written to
     for message in (*every_message(chance), *absurd_orders(chance), *orders_for_others()):
-        if not is_take_off_to_the_usual_altitude(message):
+        if not is_sense(message):
             vandal.send(message)
             await asyncio.sleep(0)
     await asyncio.sleep(0.3)
     await vandal.close()
 
 
-def is_take_off_to_the_usual_altitude(message: Any) -> bool:
-    """PX4 obeys a take-off to NaN, and climbs for as long as the next order takes to come."""
-    takes_off = getattr(message, "command", None) == mavlink.MAV_CMD_NAV_TAKEOFF
-    return takes_off and math.isnan(getattr(message, "param7", getattr(message, "z", 0.0)))
+def is_sense(message: Any) -> bool:
+    """PX4 obeys a take-off to NaN, and climbs until the next order. Mode 0 is STABILIZE of ArduCopter."""
+    match getattr(message, "command", None):
+        case mavlink.MAV_CMD_NAV_TAKEOFF:
+            return math.isnan(getattr(message, "param7", getattr(message, "z", 0.0)))
+        case mavlink.MAV_CMD_DO_SET_MODE:
+            return bool(message.param2 == 0)
+    return False
 
 
 class Flown(NamedTuple):
