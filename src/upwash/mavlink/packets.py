@@ -46,5 +46,5 @@ def packed(message: Message, codec: Any, signing: Signing | None) -> bytes:
 
 
 def sender_of(message: Message) -> tuple[int, int]:
-    """Its system and component."""
+    """The system and component of a message's sender."""
     return message.get_srcSystem(), message.get_srcComponent()

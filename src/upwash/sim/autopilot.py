@@ -107,7 +107,7 @@ class ModelAutopilot:
 
     @property
     def telemetry(self) -> Telemetry:
-        """Always level, with a perfect receiver."""
+        """The vehicle's reports: always level, with a perfect satellite receiver."""
         vehicle = self._vehicle
         heading_deg = self._heading_deg(vehicle.velocity)
         return Telemetry(
@@ -122,7 +122,7 @@ class ModelAutopilot:
         )
 
     def _heading_deg(self, now: Velocity) -> float | None:
-        """It flies nose first; None where it stands or hovers, unless it was turned there."""
+        """Its heading, as it flies nose first; None if it stands or hovers, unless it was turned there."""
         if not (now.east_m_s or now.north_m_s):
             return self._turned_to_deg
         return math.degrees(math.atan2(now.east_m_s, now.north_m_s)) % 360.0
@@ -160,7 +160,7 @@ class ModelAutopilot:
 
     @property
     def armed(self) -> bool:
-        """Whether its motors run."""
+        """Whether the motors run."""
         return self._vehicle.armed
 
     @property

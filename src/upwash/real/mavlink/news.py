@@ -19,7 +19,7 @@ _log = logging.getLogger("upwash.mavlink")
 
 
 class VehicleNewsFeed:
-    """Passes news on to a listener, and keeps them until there is one."""
+    """Passes news to a listener, without all repetitions of troubles; keeps them until there is a listener."""
 
     def __init__(self) -> None:
         self._hear: Callable[[VehicleNews], None] | None = None
@@ -29,13 +29,13 @@ class VehicleNewsFeed:
         self._times: Counter[tuple[LinkTroubleName, str]] = Counter()
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """Has `hear` called with all news, and first with those that were kept."""
+        """Calls `hear` with all news from now on, and first with the news since the connection was made."""
         self._hear = hear
         while self._unheard:
             hear(self._unheard.popleft())
 
     def tell(self, news: VehicleNews) -> None:
-        """Passes news on; floods are cut to five a second."""
+        """Passes news to the listener, or keeps them for one; floods are cut to five a second."""
         if isinstance(news, _UNBOUNDED) and not self._unbounded.take(
             1, now_s=asyncio.get_running_loop().time()
         ):
@@ -47,13 +47,13 @@ class VehicleNewsFeed:
             self._unheard.append(news)
 
     def once(self, about: LinkTroubleName, why: str) -> None:
-        """Tells the first trouble of its kind."""
+        """Report the first trouble of its kind."""
         if about not in self._told:
             self._told.add(about)
             self.tell(LinkTrouble(about=about, why=why))
 
     def count(self, about: LinkTroubleName, what: str, why: str) -> bool:
-        """Tells the first, tenth, hundredth trouble with `what` and so on; whether it told this one."""
+        """Report the first, tenth, hundredth trouble about `what`, and so on; return whether it was reported."""
         self._times[about, what] += 1
         times = self._times[about, what]
         tells = str(times).rstrip("0") == "1"
@@ -62,7 +62,7 @@ class VehicleNewsFeed:
         return tells
 
     def spare(self, message: Message, step: Callable[[], object]) -> bool:
-        """Whether the step took the message in. An exception ends the step alone: it is logged and counted."""
+        """Run the step; return whether it succeeded. An exception ends only this step: it is logged and counted."""
         try:
             step()
         except Exception as error:  # noqa: BLE001 - a defect in one message's handling may not end the connection

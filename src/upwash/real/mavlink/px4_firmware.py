@@ -138,7 +138,7 @@ def _hear(telemetry: VehicleTelemetry, severity: int, text: str, now_s: float) -
 
 
 def words_of(number: int) -> str:
-    """What the event of that number is about."""
+    """The text of the event of that number."""
     if kind := px4_events().get(number):
         return kind.text
     name = _event_name(number)

@@ -116,7 +116,7 @@ class ReportingAutopilot(ABC):
 
     @property
     def armed(self) -> bool:
-        """Whether its motors run."""
+        """Whether the motors run, by the last heartbeat."""
         return self._telemetry.armed
 
     @property
