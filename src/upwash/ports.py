@@ -134,7 +134,7 @@ class Autopilot(Protocol):
 
     @property
     def armed(self) -> bool:
-        """Whether its motors run, by its last report."""
+        """Whether the motors run, by the last report."""
 
     @property
     def stands(self) -> bool:

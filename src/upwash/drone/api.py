@@ -105,7 +105,7 @@ class Vehicle:
 
     @property
     def battery_percent(self) -> float | None:
-        """What is left in the battery, as last reported; None where the vehicle does not say."""
+        """The battery's charge in percent, as last reported; None if the vehicle does not report it."""
         return self._autopilot.telemetry.battery_percent
 
     @property

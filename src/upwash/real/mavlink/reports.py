@@ -138,7 +138,7 @@ class ReportingAutopilot(ABC):
         return not self._seen_after_disarming() or falls
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """All news, and first those since it was connected."""
+        """Calls `hear` with all news, and first with the news since the connection was made."""
         self.vehicle.news.listen(hear)
 
     async def in_the_air(self) -> bool:
