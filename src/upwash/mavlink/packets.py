@@ -39,7 +39,7 @@ class PacketReader:
 
 
 def packed(message: Message, codec: Any, signing: Signing | None) -> bytes:
-    """The message's bytes, signed where there is a key; the codec's sequence number goes on."""
+    """The message's bytes, signed if there is a key; advances the codec's sequence number."""
     data = signing.pack(message, codec) if signing else bytes(message.pack(codec))
     codec.seq = (codec.seq + 1) % 256
     return data

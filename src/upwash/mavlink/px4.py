@@ -77,7 +77,7 @@ class _Message(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink is n
 
 
 class EventMessage(_Message):
-    """EVENT: something happened; `arguments` are what `px4_events` says that they are."""
+    """EVENT: an event of PX4; `px4_events` has the meaning of its `arguments`."""
 
     id, msgname, crc_extra = EVENT, "EVENT", 160
     fieldnames = (
@@ -203,7 +203,7 @@ _CAUSES = {
 
 
 def event_text(event: EventMessage) -> str:
-    """What an event says, in words; its number where it is unknown, nothing if it is for programs only."""
+    """The text of an event; its number if it is not in `px4_events`, "" if it is for programs only."""
     kind = px4_events().get(event.id_of_event)
     if kind is None:
         return "" if event.severity >= 8 else f"event {event.id_of_event}"
