@@ -6,15 +6,14 @@ import asyncio
 import logging
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
-from unittest.mock import patch
 
 import msgspec
 import pytest
 from tests.played import played
 
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings
-from upwash.core.admission.clients import Client, DroneUsage, InstanceStatus, Role, TeamUsage
-from upwash.core.admission.server import Command, ServerOffer
+from upwash.core.admission.clients import Client, InstanceStatus, Role
+from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S, DENIALS
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
