@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.errors import AutopilotError, AutopilotNotHeard
+from upwash.mavlink.signing import SignatureRefusal
 from upwash.real.mavlink.arducopter import ARDUCOPTER
-from upwash.real.mavlink.identity import Identity
+from upwash.real.mavlink.identity import Identity, first_heartbeat
 from upwash.real.mavlink.news import VehicleNewsFeed
 from upwash.real.mavlink.px4_firmware import PX4
 from upwash.sim.loop import run_virtually
