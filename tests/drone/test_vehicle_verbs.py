@@ -51,6 +51,25 @@ def test_a_mission_turns_the_vehicle_and_reads_how_it_flies(tmp_path: Path) -> N
     assert turned.t - took_off.t == pytest.approx(130 / 65)  # as fast as a recorded vehicle turns
 
 
+def test_a_mission_sets_the_speed_of_its_legs_and_holds(tmp_path: Path) -> None:
+    run = fly(
+        tmp_path,
+        "autopilot = drone.autopilot",
+        "assert autopilot.ground_speed_m_s is None",
+        "autopilot.goto(drone.plan[0])",
+        "autopilot.set_ground_speed(2.5)",
+        "assert autopilot.ground_speed_m_s == 2.5",
+        "from upwash import Position",
+        "autopilot.goto(Position(0.0, 0.0, 10.0))",
+        "autopilot.hold()",
+    )
+    assert run.failure == ""
+    arrived, slowly = (event for event in run.events if isinstance(event, schema.Arrived))
+    took_off = next(event for event in run.events if isinstance(event, schema.TookOff))
+    assert slowly.t - arrived.t > 1.5 * (arrived.t - took_off.t)
+    assert [event.t for event in run.events if isinstance(event, schema.Holding)] == [slowly.t]
+
+
 def test_what_is_done_with_a_payload_is_in_the_log(tmp_path: Path) -> None:
     run = fly(
         tmp_path,

@@ -147,8 +147,8 @@ def drawn(package: str, count: int, seed: int) -> list[Mutant]:
 
 def score(package: str, mutants: Sequence[Mutant], notes: Notes, folder: Path) -> str:
     """Judges the mutants and prints what finds each; the row of the table."""
-    argued_away = {line.partition("#")[0].strip() for line in ARGUED.read_text().splitlines()}
-    argued = [mutant for mutant in mutants if _key(mutant) in argued_away]
+    harmless = {line.partition("  # ")[0] for line in ARGUED.read_text().splitlines()}
+    argued = [mutant for mutant in mutants if _key(mutant) in harmless]
     jobs = [Job(mutant, notes.tests_of(mutant)) for mutant in mutants if mutant not in argued]
     in_functions = [job for job in jobs if job.mutant.function]
     outcomes = dict(zip((job.mutant for job in in_functions), judged(in_functions, folder), strict=True))
@@ -159,13 +159,17 @@ def score(package: str, mutants: Sequence[Mutant], notes: Notes, folder: Path) -
             outcome = judged_alone(job, folder)
         found += bool(outcome.found_by)
         place = str(job.mutant).removeprefix(f"{ROOT}/")
-        print(f"{outcome.took_s:5.0f} s  {place}  {outcome.found_by or 'SURVIVED'}", flush=True)
+        print(
+            f"{outcome.took_s:5.0f} s  {place}  {outcome.found_by or f'SURVIVED  {_key(job.mutant)}'}",
+            flush=True,
+        )
     return f"{len(mutants)} planted, {found} found, {len(argued)} argued"
 
 
 def _key(mutant: Mutant) -> str:
-    """The name of a mutant, which stays the same when lines move."""
-    return f"{mutant.file.relative_to(ROOT)}: {mutant.was} -> {mutant.text}"
+    """The name of a mutant, which stays the same while its line does."""
+    line = mutant.file.read_text().splitlines()[mutant.line - 1].partition("  #")[0].strip()
+    return f"{mutant.file.relative_to(ROOT)}: {line}: {mutant.was} -> {mutant.text}"
 
 
 def main() -> None:
