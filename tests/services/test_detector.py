@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
-from contextlib import AbstractAsyncContextManager, nullcontext
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ from tests.services.darknet_models import (
 from upwash.config import read_daemon_config
 from upwash.errors import ConfigError, InstanceError, ModelError, UsageError
 from upwash.missions.bundled import load_services
-from upwash.ports import Instance, InstanceSpec, Program
+from upwash.ports import InstanceSpec, Program
 from upwash.real.instances.runtime import ProcessRuntime
 from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.credentials import Credentials, fingerprint
@@ -172,21 +171,12 @@ def program(**settings: Any) -> Program:
     return Program(PROGRAM, plain(kind(**settings)))
 
 
-def with_instance(
-    what: Program,
-    runtimes: Runtimes,
-    dialer: GrpcDialer,
-    drone: str,
-    use: Callable[[Call], Awaitable[None]],
-) -> None:
-    """Starts the detector in a process of its own and calls it."""
+@asynccontextmanager
+async def running(what: Program, runtimes: Runtimes, dialer: GrpcDialer, drone: str) -> AsyncIterator[Call]:
+    """Starts the detector in a process of its own; yields how it is called."""
     method = spec_of(Detector).methods["process_photo"]
-
-    async def run() -> None:
-        async with runtimes() as runtime:
-            await at(await runtime.start(InstanceSpec("s1", "detector", what), called=lambda _: None))
-
-    async def at(instance: Instance) -> None:
+    async with runtimes() as runtime:
+        instance = await runtime.start(InstanceSpec("s1", "detector", what), called=lambda _: None)
         link = dialer.dial(reached(instance.endpoint), server="s1")
 
         async def call(*arguments: object) -> list[Detection]:
@@ -196,12 +186,10 @@ def with_instance(
 
         try:
             await instance.admit(frozenset({drone}))
-            await use(call)
+            yield call
         finally:
             await link.close()
             await instance.stop()
-
-    asyncio.run(run())
 
 
 @pytest.fixture(params=["unix socket", "TLS"])
@@ -224,7 +212,7 @@ def way(
     )
 
 
-def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong_files(
+async def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong_files(
     model: ModelFiles, photo: bytes, way: tuple[Runtimes, GrpcDialer, str]
 ) -> None:
     detector = Detector(model=model, threads=2)
@@ -238,7 +226,7 @@ def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong
         "text": b"a photo",
     }
 
-    async def use(call: Call) -> None:
+    async with running(program(model=model, threads=2), *way) as call:
         for mode in MODES:
             here = detector.process_photo(photo, mode, CONFIDENCE)
             assert await call(photo, mode, CONFIDENCE) == here
@@ -251,10 +239,8 @@ def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong
             assert str(there.value) == str(local.value), name
         assert await call(photo, "light", CONFIDENCE) == detector.process_photo(photo, "light", CONFIDENCE)
 
-    with_instance(program(model=model, threads=2), *way, use)
 
-
-def test_an_instance_whose_model_is_damaged_does_not_start_and_says_where(
+async def test_an_instance_whose_model_is_damaged_does_not_start_and_says_where(
     model: ModelFiles, tmp_path: Path, way: tuple[Runtimes, GrpcDialer, str]
 ) -> None:
     assert model.weights is not None
@@ -262,13 +248,10 @@ def test_an_instance_whose_model_is_damaged_does_not_start_and_says_where(
     cut.write_bytes(model.weights.read_bytes()[:-1])
     what = program(model=msgspec.structs.replace(model, weights=cut))
 
-    async def use(_: Call) -> None:
-        pytest.fail("it started")
-
-    with pytest.raises(
-        InstanceError, match=r"did not start: .*cut\.weights: layer 18, .* offset \d+: the file ends"
-    ):
-        with_instance(what, *way, use)
+    said = r"did not start: .*cut\.weights: layer 18, .* offset \d+: the file ends"
+    with pytest.raises(InstanceError, match=said):
+        async with running(what, *way):
+            pytest.fail("it started")
 
 
 # --- engines ------------------------------------------------------------------------------------------------
