@@ -107,7 +107,8 @@ def test_the_push_is_the_change_of_the_velocity() -> None:
     point.aim(target(0.0, 50.0), ground_speed_m_s=5.0)
     point.advance(STEP_S, vehicle=HERE)
     assert point.setpoint_acceleration.north_m_s == pytest.approx(USED_M_S2)
-    assert point.setpoint_velocity == point.velocity == Velocity(north_m_s=pytest.approx(USED_M_S2 * STEP_S))
+    assert point.setpoint_velocity == point.velocity
+    assert point.velocity.north_m_s == point.velocity.speed_m_s == pytest.approx(USED_M_S2 * STEP_S)
     point.advance(0.0, vehicle=HERE)
     assert (point.setpoint_velocity, point.setpoint_acceleration) == (Velocity(), Velocity())
 
