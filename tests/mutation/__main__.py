@@ -46,7 +46,7 @@ _PYTEST = (
     "--tb=no",
     "-p",
     "no:cacheprovider",
-    "--timeout=40",
+    "--timeout=120",
 )
 _ORDINARY = "not root and not long and not sandbox and not flight and not system"
 
