@@ -14,7 +14,6 @@ import logging
 import math
 import sys
 from collections.abc import Iterable, Iterator
-from importlib import import_module
 from typing import Any
 from unittest.mock import patch
 
@@ -40,21 +39,23 @@ from upwash.core.policies.policy import CallInputs, Deadline, Remote, Wait, Wait
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
+from upwash.drone import flight, server_session
 from upwash.drone.api import position_of
 from upwash.drone.calling import Calling, Racing
 from upwash.drone.decisions import Background, Decisions
 from upwash.drone.pending import AnswerAction
-from upwash.drone.resumption import waypoints_done
 from upwash.drone.server_session import ServerSession
 from upwash.errors import GarbledReply, LinkError, Refused, ServerFull
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.lab.faults import call_promises
 from upwash.lab.faults import campaign as chaos
 from upwash.lab.faults.display import is_replayed
 from upwash.lab.faults.mission import Blurred
 from upwash.lab.faults.promises import Broken
-from upwash.rpc import protocol
+from upwash.rpc import protocol, service
 from upwash.rpc.service import Method
+from upwash.sim import link
 from upwash.sim.journal import MemoryJournal
 
 MOST_SEEDS = 3_000
@@ -188,12 +189,8 @@ def two_servers_selected(original: Any, self: Radios, server: Server, why: str, 
     return []
 
 
-@planting("calls go to the server in preparation")
-def used_before_its_turn() -> Planting:
-    def last(self: Radios) -> Server | None:
-        return self.selected[-1] if self.selected else None
-
-    return patch.object(Radios, "in_use", property(last))
+_LAST_SELECTED = property(lambda radios: radios.selected[-1] if radios.selected else None)
+plant("calls go to the server in preparation", Radios, "in_use", _LAST_SELECTED)
 
 
 @planted("a transition of the server table is skipped", Server, "apply")
@@ -210,8 +207,6 @@ def lease_leaked(original: Any, self: AdmissionController, now_s: float) -> Any:
 
 
 plant("more drones are admitted than there are slots", Turns, "rank", lambda *_, **__: -math.inf)
-
-
 plant("turns never end", Turns, "over", lambda *_, **__: [])
 
 
@@ -265,14 +260,9 @@ def leaves_two_waypoints(fly_on: Any, self: AnswerAction[Any], place: Waypoint |
         self._vehicle.fly(Position(position_of(place).east_m + 30.0, 0.0, position_of(place).altitude_m))
 
 
-@planting("a waypoint counts as done before its answer is there")
-def done_before_its_answer() -> Planting:
-    def hasty(events: Iterable[Event], config: DroneConfig) -> frozenset[int]:
-        kept = (each for each in events if not isinstance(each, schema.CallStarted))
-        return waypoints_done(kept, config)
-
-    judging = import_module("upwash.lab.faults.call_promises")  # whose name is its function's, too
-    return patch.object(judging, "waypoints_done", hasty)
+@planted("a waypoint counts as done before its answer is there", call_promises, "waypoints_done")
+def done_before_its_answer(done: Any, events: Iterable[Event], config: DroneConfig) -> Any:
+    return done((each for each in events if not isinstance(each, schema.CallStarted)), config)
 
 
 @planted("a slot is held until the drone comes", Leases, "hold")
@@ -281,8 +271,6 @@ def held_for_ever(hold: Any, self: Leases, drone: Client, until_s: float, *, pee
 
 
 plant("a drone has several slots held at a time", Peers, "elsewhere", lambda *_, **__: "")
-
-
 plant("a slot is held for a server that is no peer", Peers, "unknown", lambda _self, _peer: "")
 
 
@@ -302,9 +290,7 @@ async def local_call_dawdles(call: Any, self: Calling, asked: Any) -> Any:
     return await call(self, asked)
 
 
-@planting("the mission's end waits for a server's goodbye")
-def long_farewell() -> Planting:
-    return patch("upwash.drone.server_session._FAREWELL_S", 20.0)
+plant("the mission's end waits for a server's goodbye", server_session, "_FAREWELL_S", 20.0)
 
 
 @planted("a silent vehicle ends the watch over ranges", Background, "watch_borders")
@@ -313,12 +299,9 @@ async def borders_not_watched(original: Any, self: Background) -> None:
         await self._autopilot.border_crossed(self._areas)
 
 
-@planting("a flight that fails ends without its safe action")
-def safe_end_forgotten() -> Planting:
-    async def leave(*_: Any, **__: Any) -> None:
-        return None
-
-    return patch("upwash.drone.flight.end_safely", leave)
+@planted("a flight that fails ends without its safe action", flight, "end_safely")
+async def safe_end_forgotten(*_: Any, **__: Any) -> None:
+    pass
 
 
 @planted("a decision depends on something besides the seed", WaitRule, "decide")
@@ -351,32 +334,26 @@ def both_answers_delivered() -> Planting:
     return patch.multiple(Racing, _drop=keep, answer=confused)
 
 
-@planting("the bounds of a reply's fields are not checked")
-def bounds_not_checked() -> Planting:
-    def credulous(reply: bytes, expected: type[Any], *, sender: str) -> Any:
-        try:
-            return protocol.decode_reply(reply, expected, sender=sender)
-        except GarbledReply:
-            plain = _plain(reply)
-            if not isinstance(plain, dict) or not set(plain) <= set(expected.__struct_fields__):
-                raise
-            return expected(**(plain | ({"lease_s": _TINY_LEASE_S} if "lease_s" in plain else {})))
-
-    return patch("upwash.drone.server_session.decode_reply", credulous)
-
-
-@planting("a lease may be as short as a server likes")
-def leases_as_told() -> Planting:
-    def hasty(reply: bytes, expected: type[Any], *, sender: str) -> Any:
+@planted("the bounds of a reply's fields are not checked", server_session, "decode_reply")
+def bounds_not_checked(decode: Any, reply: bytes, expected: type[Any], *, sender: str) -> Any:
+    try:
+        return decode(reply, expected, sender=sender)
+    except GarbledReply:
         plain = _plain(reply)
-        told_s = plain.pop("lease_s", None) if isinstance(plain, dict) else None
-        if told_s is None:
-            return protocol.decode_reply(reply, expected, sender=sender)
-        decoded = protocol.decode_reply(msgspec.msgpack.encode(plain), expected, sender=sender)
-        is_lie = not protocol.LEAST_LEASE_S <= told_s < _LONG_LEASE_S
-        return msgspec.structs.replace(decoded, lease_s=_TINY_LEASE_S if is_lie else told_s)
+        if not isinstance(plain, dict) or not set(plain) <= set(expected.__struct_fields__):
+            raise
+        return expected(**(plain | ({"lease_s": _TINY_LEASE_S} if "lease_s" in plain else {})))
 
-    return patch("upwash.drone.server_session.decode_reply", hasty)
+
+@planted("a lease may be as short as a server likes", server_session, "decode_reply")
+def leases_as_told(decode: Any, reply: bytes, expected: type[Any], *, sender: str) -> Any:
+    plain = _plain(reply)
+    told_s = plain.pop("lease_s", None) if isinstance(plain, dict) else None
+    if told_s is None:
+        return decode(reply, expected, sender=sender)
+    decoded = decode(msgspec.msgpack.encode(plain), expected, sender=sender)
+    is_lie = not protocol.LEAST_LEASE_S <= told_s < _LONG_LEASE_S
+    return msgspec.structs.replace(decoded, lease_s=_TINY_LEASE_S if is_lie else told_s)
 
 
 def _plain(reply: bytes) -> Any:
@@ -402,12 +379,9 @@ async def every_endpoint_dialled(ask: Any, self: ServerSession) -> Any:
             self._server = wanted
 
 
-@planting("a server says which host is called")
-def endpoints_believed() -> Planting:
-    def believed(endpoint: str, daemon: str) -> str:
-        return daemon.rpartition(":")[0] + endpoint if endpoint.startswith(":") else endpoint
-
-    return patch("upwash.drone.server_session.resolve", believed)
+@planted("a server says which host is called", server_session, "resolve")
+def endpoints_believed(_: Any, endpoint: str, daemon: str) -> str:
+    return daemon.rpartition(":")[0] + endpoint if endpoint.startswith(":") else endpoint
 
 
 @planting("what a server says is logged as it is")
@@ -419,37 +393,20 @@ def texts_as_told() -> Planting:
     return planted
 
 
-@planting("what a server says was raised is logged as it is")
-def faults_as_told() -> Planting:
-    return patch("upwash.rpc.service.printable", lambda text, _: text)
-
-
-@planting("why a request was refused is logged as it is")
-def refusals_as_told() -> Planting:
-    return patch("upwash.sim.link.printable", lambda text: text)
-
-
+plant("what a server says was raised is logged as it is", service, "printable", lambda text, _: text)
+plant("why a request was refused is logged as it is", link, "printable", lambda text: text)
 plant("a failed server is probed without pause", Probing, "pauses_s", lambda *_, **__: itertools.repeat(0.05))
 
 
-@planting("a failed server is probed only once")
-def probed_once() -> Planting:
-    pauses_s = Probing.pauses_s
-    return patch.object(Probing, "pauses_s", lambda *how, **more: itertools.islice(pauses_s(*how, **more), 2))
+@planted("a failed server is probed only once", Probing, "pauses_s")
+def probed_once(pauses_s: Any, *how: Any, **more: Any) -> Any:
+    return itertools.islice(pauses_s(*how, **more), 2)
 
 
 plant("a server that keeps failing is not left alone for longer", ServerFailures, "alone_s", 0.0)
-
-
 plant("a server that failed gets a call without a trial", Recovery, "in_doubt", lambda *_: False)
-
-
 plant("an instance of no use is never replaced", Watch, "verdict", lambda *_, **__: None)
-
-
 plant("an instance is replaced too early", Limit, "seconds", lambda *_: 1.0)
-
-
 plant("a service that does not start is tried without pause", DaemonFailures, "pause_s", lambda *_, **__: 0.0)
 
 
