@@ -11,7 +11,6 @@ from typing import NoReturn
 import pytest
 
 import upwash
-from upwash.sim.loop import run_virtually
 from upwash.support.background import begin, beside, end, first, kept_up, never, start, thread
 
 
@@ -71,45 +70,36 @@ def test_work_beside_a_block_ends_with_it() -> None:
     assert ended
 
 
-def test_cancelling_a_block_cancels_its_owner() -> None:
+async def test_cancelling_a_block_cancels_its_owner() -> None:
     async def block() -> None:
         async with beside(never(), name="work"):
             await never()
 
-    async def main() -> None:
-        task = begin(block())
-        await asyncio.sleep(0)
-        await end(task)
-        assert task.cancelled()
-
-    asyncio.run(main())
+    task = begin(block())
+    await asyncio.sleep(0)
+    await end(task)
+    assert task.cancelled()
 
 
-def test_the_failure_of_started_work_is_logged_with_its_trace_and_has_its_consequence(
+async def test_the_failure_of_started_work_is_logged_with_its_trace_and_has_its_consequence(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     failures: list[Exception] = []
 
-    async def main() -> None:
-        task = start(fail(), name="the work", failed=failures.append)
-        await asyncio.wait([task])
-        await end(task)
-
-    asyncio.run(main())
+    task = start(fail(), name="the work", failed=failures.append)
+    await asyncio.wait([task])
+    await end(task)
     assert [str(failure) for failure in failures] == ["a defect"]
     (record,) = caplog.records
     assert record.levelname == "ERROR" and record.getMessage() == "the work failed: LookupError: a defect"
     assert record.exc_info and record.exc_info[1] is failures[0]
 
 
-def test_started_work_that_is_ended_has_not_failed(caplog: pytest.LogCaptureFixture) -> None:
-    async def main() -> None:
-        task = start(never(), name="the work", failed=lambda _: pytest.fail("it was ended"))
-        await asyncio.sleep(0)
-        await end(task, None)
-        assert task.cancelled()
-
-    asyncio.run(main())
+async def test_started_work_that_is_ended_has_not_failed(caplog: pytest.LogCaptureFixture) -> None:
+    task = start(never(), name="the work", failed=lambda _: pytest.fail("it was ended"))
+    await asyncio.sleep(0)
+    await end(task, None)
+    assert task.cancelled()
     assert not caplog.records
 
 
@@ -148,7 +138,8 @@ def test_a_thread_that_fails_is_logged_and_has_its_consequence(caplog: pytest.Lo
     assert "reader failed: LookupError: a defect" in caplog.text
 
 
-def test_work_that_is_kept_up_runs_again_after_a_failure_which_is_told_once(
+@pytest.mark.virtual
+async def test_work_that_is_kept_up_runs_again_after_a_failure_which_is_told_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     runs: list[int] = []
@@ -160,16 +151,13 @@ def test_work_that_is_kept_up_runs_again_after_a_failure_which_is_told_once(
             await never()
         raise LookupError("a defect")
 
-    async def main() -> None:
-        kept = start(
-            kept_up(work, name="heartbeats", pause_s=1.0, failed=failures.append),
-            name="heartbeats",
-            failed=failures.append,
-        )
-        await asyncio.sleep(10.0)
-        await end(kept)
-
-    run_virtually(main())
+    kept = start(
+        kept_up(work, name="heartbeats", pause_s=1.0, failed=failures.append),
+        name="heartbeats",
+        failed=failures.append,
+    )
+    await asyncio.sleep(10.0)
+    await end(kept)
     assert runs == [0, 1, 2, 3]
     assert len(failures) == 1 and len(caplog.records) == 1
 
@@ -197,7 +185,7 @@ def test_nothing_else_makes_tasks_of_a_loop() -> None:
     ]
 
 
-def test_the_first_to_end_decides_and_the_others_have_ended() -> None:
+async def test_the_first_to_end_decides_and_the_others_have_ended() -> None:
     ended = []
 
     async def slow() -> str:
@@ -209,11 +197,8 @@ def test_the_first_to_end_decides_and_the_others_have_ended() -> None:
     async def quick() -> str:
         return "quick"
 
-    async def main() -> None:
-        assert await first(slow(), quick()) == "quick"
-        assert ended == ["slow"]
-
-    asyncio.run(main())
+    assert await first(slow(), quick()) == "quick"
+    assert ended == ["slow"]
 
 
 def test_a_wait_that_fails_first_fails_the_race() -> None:
@@ -224,7 +209,7 @@ def test_a_wait_that_fails_first_fails_the_race() -> None:
         asyncio.run(main())
 
 
-def test_a_race_that_is_cancelled_cancels_its_waits() -> None:
+async def test_a_race_that_is_cancelled_cancels_its_waits() -> None:
     ended = []
 
     async def wait() -> None:
@@ -233,11 +218,8 @@ def test_a_race_that_is_cancelled_cancels_its_waits() -> None:
         finally:
             ended.append(True)
 
-    async def main() -> None:
-        race = begin(first(wait(), wait()))
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        await end(race)
-        assert race.cancelled() and ended == [True, True]
-
-    asyncio.run(main())
+    race = begin(first(wait(), wait()))
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    await end(race)
+    assert race.cancelled() and ended == [True, True]

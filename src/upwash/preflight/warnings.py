@@ -76,7 +76,8 @@ def warnings(
     found += _way_home_concerns(config)
     found += _address_concerns(config.servers)
     if is_for_flight(config):
-        found += _port_concerns(config)
+        if problem := unsigned_port(config.autopilot):
+            found.append(PreflightWarning("unsigned-port", problem))
         found += _stage_concerns(config)
     return found
 
@@ -307,8 +308,3 @@ def _address_concerns(servers: Sequence[ServerConfig]) -> Iterator[PreflightWarn
                 f"{' and '.join(names)} have one address, {address}: right only if one daemon offers them all, "
                 "or each has it in a network of its own",
             )
-
-
-def _port_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
-    if problem := unsigned_port(config.autopilot):
-        yield PreflightWarning("unsigned-port", problem)
