@@ -54,12 +54,10 @@ class HandedOver(Struct, frozen=True):
     socket_file: int
     ready_file: int
     servers: Mapping[str, Served]
-    usage_file: int = -1  # earlier versions give none
+    usage_file: int
 
     def usage(self) -> Mapping[str, Used]:
         """The usage of each server, empty if it cannot be read; call it only once."""
-        if self.usage_file < 0:
-            return {}
         try:
             with open(self.usage_file, "rb") as file:  # noqa: PTH123 - a file descriptor
                 file.seek(0)
