@@ -206,7 +206,10 @@ def require_packable(source: Path) -> None:
         raise UsageError(f"{source}: no such file: check the path")
     size, whole = 0, source.resolve()
     for files, path in enumerate(chain([whole], _below(whole))):
-        _require_inside(path, whole)
+        if path.is_symlink() and (path.is_dir() or not path.resolve().is_relative_to(whole)):
+            raise UsageError(
+                f"{path} is a link to {path.resolve()}: put the files themselves there (`cp -rL`)"
+            )
         size += _size(path)
         if files > _MOST_FILES or size > _MOST_BYTES:
             raise UsageError(
@@ -241,12 +244,6 @@ def _below(folder: Path) -> Iterator[Path]:
     for where, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not is_left_out(PurePath(name))]
         yield from (Path(where, name) for name in (*folders, *files) if not is_left_out(PurePath(name)))
-
-
-def _require_inside(path: Path, whole: Path) -> None:
-    """Raises UsageError for a link to a folder, or out of the `whole` that is packed."""
-    if path.is_symlink() and (path.is_dir() or not path.resolve().is_relative_to(whole)):
-        raise UsageError(f"{path} is a link to {path.resolve()}: put the files themselves there (`cp -rL`)")
 
 
 def _size(path: Path) -> int:

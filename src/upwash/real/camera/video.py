@@ -7,7 +7,6 @@ import contextlib
 import os
 import re
 import threading
-from dataclasses import dataclass
 from pathlib import Path
 
 from upwash.core.geo import Position
@@ -24,14 +23,6 @@ _REOPEN_S = 1.0
 _LAST_FRAME_S = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Request:
-    """A requested photo: the first frame that was captured after `asked_s`."""
-
-    asked_s: float
-    photo: asyncio.Future[Photo]
-
-
 class VideoCamera:
     """A Camera that reads a video device (0, "/dev/video0"), a stream (a URL), GStreamer's pipeline, or a video file.
 
@@ -46,7 +37,7 @@ class VideoCamera:
         self._name = shown_source(source)
         self._loop = asyncio.get_running_loop()
         self._trouble = "it has not been opened yet"
-        self._requests: list[_Request] = []
+        self._requests: list[tuple[float, asyncio.Future[Photo]]] = []  # each with its time
         self._closed = threading.Event()
         # A thread that a driver does not return to must not hold up the program's end.
         self._thread = thread(self._read, name=f"camera {self._name}", failed=self._lose)
@@ -81,10 +72,11 @@ class VideoCamera:
             self._thread.join(_LAST_FRAME_S)  # GStreamer aborts a program that ends while it reads
 
     async def _frame(self, timeout_s: float) -> Photo:
-        request = _Request(self._loop.time(), self._loop.create_future())
+        photo: asyncio.Future[Photo] = self._loop.create_future()
+        request = self._loop.time(), photo
         self._requests.append(request)
         try:
-            return await asyncio.wait_for(request.photo, timeout_s)
+            return await asyncio.wait_for(photo, timeout_s)
         except TimeoutError:
             raise CameraError(
                 self._name,
@@ -124,9 +116,9 @@ class VideoCamera:
     # --- in the loop ---
 
     def _hand_out(self, photo: Photo) -> None:
-        for request in self._requests:
-            if photo.captured_s >= request.asked_s and not request.photo.done():
-                request.photo.set_result(photo)
+        for asked_s, awaited in self._requests:
+            if photo.captured_s >= asked_s and not awaited.done():
+                awaited.set_result(photo)
 
 
 class _Capture:

@@ -187,13 +187,9 @@ def _expose(photo: MatLike, rng: Generator) -> MatLike:
     warmth = rng.uniform(-0.06, 0.06)
     shade = cv2.merge([vignette * (1 - warmth), vignette, vignette * (1 + warmth)])
     shaded = cv2.multiply(photo, shade, dtype=cv2.CV_8U)
-    return _add_noise(shaded, rng, amplitude=int(rng.integers(3, 10)))
-
-
-def _add_noise(image: MatLike, rng: Generator, amplitude: int) -> MatLike:
-    """Brightness noise of up to `amplitude` either way; the same for the three colours."""
-    noise = rng.integers(-amplitude, amplitude + 1, image.shape[:2], np.int8).astype(np.int16)
-    return cv2.add(image, cv2.merge([noise] * 3), dtype=cv2.CV_8U)
+    amplitude = int(rng.integers(3, 10))
+    noise = rng.integers(-amplitude, amplitude + 1, shaded.shape[:2], np.int8).astype(np.int16)
+    return cv2.add(shaded, cv2.merge([noise] * 3), dtype=cv2.CV_8U)  # the same for the three colours
 
 
 def _encode(photo: MatLike) -> bytes:
@@ -201,15 +197,10 @@ def _encode(photo: MatLike) -> bytes:
     tried: dict[int, bytes] = {}
     below, above, quality = 30, 99, 85
     while quality not in tried:
-        tried[quality] = jpeg = _jpeg(photo, quality)
+        tried[quality] = jpeg = cv2.imencode(".jpg", photo, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
         if abs(len(jpeg) - _TARGET_BYTES) < _CLOSE_BYTES:
             return jpeg
         below, above = (quality, above) if len(jpeg) < _TARGET_BYTES else (below, quality)
         step = round(_QUALITY_OF_SIZE * math.log(_TARGET_BYTES / len(jpeg))) or 1
         quality = min(max(quality + step, below), above)
     return min(tried.values(), key=lambda jpeg: abs(len(jpeg) - _TARGET_BYTES))
-
-
-def _jpeg(photo: MatLike, quality: int) -> bytes:
-    _, jpeg = cv2.imencode(".jpg", photo, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return jpeg.tobytes()

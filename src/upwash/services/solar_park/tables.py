@@ -24,7 +24,6 @@ from upwash.services.solar_park.geometry import (
     Area,
     Breakage,
     HotSpot,
-    Module,
     Table,
 )
 
@@ -55,7 +54,11 @@ def draw_tables(canvas: Canvas, tables: Sequence[Table]) -> None:
         rng = table.chance.spawn(1)[0]
         for module in table.modules:
             _soil(canvas, rng.spawn(1)[0], module.area)
-            _draw_fault(canvas, rng.spawn(1)[0], module)
+            own, fault = rng.spawn(1)[0], module.fault
+            if isinstance(fault, HotSpot):
+                _draw_glow(canvas, own, module.area, fault)
+            elif fault is not None:
+                _draw_breakage(canvas, own, module.area, fault)
 
 
 @cache
@@ -153,14 +156,6 @@ def _draw_dust(canvas: Canvas, rng: Generator, module: Area) -> None:
 
 
 # --- what is wrong ---------------------------------------------------------------------------------
-
-
-def _draw_fault(canvas: Canvas, rng: Generator, module: Module) -> None:
-    match module.fault:
-        case HotSpot() as spot:
-            _draw_glow(canvas, rng, module.area, spot)
-        case Breakage() as breakage:
-            _draw_breakage(canvas, rng, module.area, breakage)
 
 
 def _draw_glow(canvas: Canvas, rng: Generator, module: Area, spot: HotSpot) -> None:
