@@ -81,9 +81,10 @@ __all__ = [
 if TYPE_CHECKING:
     from upwash.core.geo import EarthPosition, Position, Velocity, Waypoint
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
-    from upwash.drone.api import Drone, User, Vehicle
+    from upwash.drone.api import Drone, User
     from upwash.drone.payload import Payload, Photographer
     from upwash.drone.pending import Demand, Pending
+    from upwash.drone.vehicle import Vehicle
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
@@ -95,7 +96,8 @@ else:
         "upwash.core.geo": ("EarthPosition", "Position", "Velocity", "Waypoint"),
         "upwash.lab.least_time": ("Bound", "FleetBound"),
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),
-        "upwash.drone.api": ("Drone", "User", "Vehicle"),
+        "upwash.drone.api": ("Drone", "User"),
+        "upwash.drone.vehicle": ("Vehicle",),
         "upwash.drone.payload": ("Payload", "Photographer"),
         "upwash.drone.pending": ("Demand", "Pending"),
         "upwash.eventlog.log": ("read_log",),

@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Position, Velocity
-from upwash.core.vehicle.energy import Consumption, FlightEnergy, FlightReport, Reserve, Wind, margin
+from upwash.core.vehicle.energy import Consumption, FlightEnergy, FlightReport, Margin, Reserve, Wind
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, STILL, EnergyFacts, WayHome, descent_s, time_home_s
 
 HOME = Position(0.0, 0.0)
@@ -98,12 +98,12 @@ def test_less_battery_a_higher_rate_and_a_longer_way_never_leave_more_to_spare(
     *, percent: float, less: float, rate: float, more: float, home_s: float, longer_s: float, reserve: Reserve,
     low: float | None,
 ) -> None:  # fmt: skip
-    now = margin(percent, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=low)
+    now = Margin(percent, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=low)
     for worse in (
-        margin(percent - less, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=low),
-        margin(percent, rate_percent_s=rate + more, home_s=home_s, reserve=reserve, low_percent=low),
-        margin(percent, rate_percent_s=rate, home_s=home_s + longer_s, reserve=reserve, low_percent=low),
-        margin(percent, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=(low or 0) + less),
+        Margin(percent - less, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=low),
+        Margin(percent, rate_percent_s=rate + more, home_s=home_s, reserve=reserve, low_percent=low),
+        Margin(percent, rate_percent_s=rate, home_s=home_s + longer_s, reserve=reserve, low_percent=low),
+        Margin(percent, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=(low or 0) + less),
     ):
         assert worse.percent <= now.percent
         assert worse.turn_back or not now.turn_back
@@ -359,6 +359,6 @@ def test_while_no_report_comes_the_battery_is_believed_to_empty_as_before() -> N
     ],
 )
 def test_it_says_its_numbers(reserve: Reserve, low: float | None, said: str) -> None:
-    now = margin(20.4, rate_percent_s=0.15, home_s=81.0, reserve=reserve, low_percent=low)
+    now = Margin(20.4, rate_percent_s=0.15, home_s=81.0, reserve=reserve, low_percent=low)
     assert str(now) == said
     assert now.turn_back

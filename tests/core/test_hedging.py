@@ -7,7 +7,7 @@ import pytest
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import Remote
-from upwash.core.selection.hedging import Delays, Hedge, Hedging
+from upwash.core.selection.hedging import Hedge, Hedging, quantile_s
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 EXCEEDS_BY_S = 0.001
@@ -39,19 +39,18 @@ def test_before_any_call_twice_the_offline_estimate_stands_in_for_the_quantile()
 
 
 def test_a_quantile_is_told_by_enough_delays() -> None:
-    delays = Delays()
-    for tenths in range(1, 19):
-        delays = delays.observe(tenths / 10)
-    assert delays.quantile_s(0.95, offline_s=0.7) == pytest.approx(3.6)  # 18 delays cannot tell a p95
-    assert delays.observe(1.9).quantile_s(0.95, offline_s=0.7) == 1.9
-    assert delays.quantile_s(0.5, offline_s=0.7) == 1.0
+    delays_s = [tenths / 10 for tenths in range(1, 19)]
+    assert quantile_s(delays_s, 0.95, offline_s=0.7) == pytest.approx(3.6)  # 18 delays cannot tell a p95
+    assert quantile_s([*delays_s, 1.9], 0.95, offline_s=0.7) == 1.9
+    assert quantile_s(delays_s, 0.5, offline_s=0.7) == 1.0
 
 
 def test_what_was_long_ago_is_forgotten() -> None:
-    delays = Delays().observe(50.0)
-    for _ in range(100):
-        delays = delays.observe(0.7)
-    assert delays.quantile_s(0.99, offline_s=0.7) == 0.7
+    new = hedging(quantile=0.99)
+    new.called(HEAVY)
+    for delay_s in (50.0, *[0.7] * 100):
+        new.answered("s1", HEAVY, delay_s)
+    assert times_s(plan(new))[0] == pytest.approx(0.7 + EXCEEDS_BY_S)
 
 
 def test_each_server_has_delays_of_its_own() -> None:

@@ -17,8 +17,9 @@ from upwash.core.policies.names import make_policy
 from upwash.core.policies.policy import Lightened
 from upwash.core.selection.commands import ExpectedTimes
 from upwash.core.selection.events import LegBegun, LegEnded, LocalCallEnded, MissionBegun
-from upwash.core.selection.mission_times import LighterSettings, is_lighter
-from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.selection.mission_times import is_lighter
+from upwash.core.selection.selection import Selection
+from upwash.core.selection.settings import LighterSettings, SelectionSettings
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 
 HEAVY, LIGHT = Operation("detector", "look", "heavy"), Operation("detector", "look", "light")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 
 from upwash.core.geo import Circle, Position
@@ -33,6 +36,7 @@ from upwash.core.selection.events import (
     RemoteCallFailed,
     RemoteCallRaised,
     RemoteFaultTested,
+    SelectionEvent,
     ServerUnusable,
     ServicesStarted,
     SlotRefused,
@@ -40,7 +44,8 @@ from upwash.core.selection.events import (
     Tick,
 )
 from upwash.core.selection.recovery import Probing
-from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.selection.selection import Selection
+from upwash.core.selection.settings import SelectionSettings
 from upwash.errors import TransitionError
 
 HEAVY = Operation("detector", "process_photo", "heavy")
@@ -72,12 +77,16 @@ def written(commands: list[Effect]) -> list[str]:
         match command:
             case Change(server, _, before, after):
                 words.append(f"{server} {before} {after}")
+            case Check(server, check) | Start(server, check) | Probe(server, check):
+                words.append(f"{type(command).__name__.lower()} {server} {check}")
             case Leave(server):
                 words.append(f"leave {server}")
-            case Check(server, check):
-                words.append(f"check {server} {check}")
-            case Start(server, check):
-                words.append(f"start {server} {check}")
+            case Full(server, _, waiting):
+                words.append(f"{server} full, {waiting} waiting")
+            case ServerPaused(server, _, pause_s, why):
+                words.append(f"{server} paused {pause_s:g} s: {why}")
+            case _:
+                raise AssertionError(command)
     return words
 
 
@@ -95,6 +104,317 @@ def with_s1_left_running(machine: Selection) -> Selection:
     with_s1_ready(machine).handle(Tick(), now_s=20.0, position=NOWHERE)
     assert machine.servers["s1"].state is State.AVL_R
     return machine
+
+
+def with_two_radios(*, s2_s: float, s1_s: float = 4.0) -> Selection:
+    """The machine with s1 READY, under both."""
+    beliefs = {"s1": Beliefs(11.5, 3.5, {HEAVY: s1_s}), "s2": Beliefs(11.5, 3.5, {HEAVY: s2_s})}
+    machine = Selection(
+        AREAS,
+        estimates=Estimates(local_s={HEAVY: 8.0}, servers=beliefs),
+        policy=LocationAware(),
+        settings=SelectionSettings(radios=2),
+    )
+    return with_s1_ready(machine)
+
+
+# ---- stories: what happens when and where, and what is to be done in words
+
+Step = tuple[float, Position, SelectionEvent, str]
+LEFT, NEXT, FAILED = "s1 READY AVL-R, leave s1", "s2 AVL CHECK, check s2 2", "s1 READY BLACKLISTED, leave s1"
+CHECKED: Step = (0.0, UNDER_S1, Tick(), "s1 AVL CHECK, check s1 1")
+AT_BOTH: Step = (0.0, UNDER_BOTH, Tick(), "s1 AVL CHECK, check s1 1")
+CHECKED_AGAIN: Step = (21.0, UNDER_S1, Tick(), "s1 AVL-R CHECK-R, check s1 2")
+STARTING: Step = (2.0, UNDER_S1, CheckAnswered(1, running=False), "start s1 1")
+PREPARED: Step = (20.0, UNDER_BOTH, Tick(), NEXT)
+UNUSABLE, ONCE_MORE = "s1 CHECK BLACKLISTED, leave s1", "s1 BLACKLISTED AVL, s1 AVL CHECK, check s1 2"
+LOST = RemoteCallFailed("s1", 1, "deadline")
+NO_MODEL = ServerUnusable(1, "no model", pause_s=80.0)
+PAUSED: list[Step] = [
+    CHECKED,
+    (3.0, UNDER_S1, NO_MODEL, f"s1 paused 80 s: no model, {UNUSABLE}"),
+    *((now_s, UNDER_S1, Tick(), "") for now_s in (3.5, 14.0, 64.0, 82.9)),
+    (83.0, UNDER_S1, Tick(), ONCE_MORE),
+]
+
+
+def new(policy: Policy | None = None, **how: Any) -> Callable[[], Selection]:
+    return lambda: selection(policy, **how)
+
+
+def ready(
+    policy: Policy | None = None, *, position: Position = UNDER_S1, **how: Any
+) -> Callable[[], Selection]:
+    return lambda: with_s1_ready(selection(policy, **how), position=position)
+
+
+def left() -> Selection:
+    return with_s1_left_running(selection())
+
+
+def turns(*steps: Step) -> list[Step]:
+    """Three turns lost in calls, with these steps before each."""
+    return [
+        step
+        for check in (1, 2, 3)
+        for step in (
+            *((20.0 * check - 5, *step[1:]) for step in steps),
+            (
+                20.0 * check,
+                UNDER_S1,
+                SlotTaken(check, "", in_call=True),
+                f"s1 READY CHECK-R, check s1 {check + 1}",
+            ),
+            (20.0 * check + 2, UNDER_S1, CheckAnswered(check + 1, running=True), "s1 CHECK-R READY"),
+        )
+    ]
+
+
+@pytest.mark.parametrize("policy", [LocationAware(), Opportunistic()])
+def test_another_server_is_preferred_to_one_without_a_slot_and_of_two_such_the_drone_stays(
+    policy: Policy,
+) -> None:
+    tell(
+        selection(policy),
+        AT_BOTH,
+        (2.0, UNDER_BOTH, SlotRefused(1, 1), f"s1 full, 1 waiting, s1 CHECK AVL, leave s1, {NEXT}"),
+        (5.0, UNDER_BOTH, SlotRefused(2, 1), "s2 full, 1 waiting"),
+        # s1 may have a slot again after a minute.
+        (62.5, UNDER_BOTH, LocalCallEnded(HEAVY, 8.0), "s2 CHECK AVL, leave s2, s1 AVL CHECK, check s1 3"),
+    )
+
+
+def tell(machine: Selection, *steps: Step) -> None:
+    for now_s, position, event, commands in steps:
+        assert ", ".join(written(machine.handle(event, now_s=now_s, position=position))) == commands
+
+
+STORIES: dict[str, tuple[Callable[[], Selection], list[Step]]] = {
+    # --- checks
+    "looking again does not check again": (new(), [CHECKED, (1.0, UNDER_S1, Tick(), "")]),
+    "out of every range nothing is wanted": (new(), [(0.0, NOWHERE, Tick(), "")]),
+    "a service that does not run is started once": (
+        new(),
+        [CHECKED, STARTING, (3.0, UNDER_S1, CheckAnswered(1, running=False), "")],
+    ),
+    "after a failed check the next best is selected, and after that nobody": (
+        new(),
+        [
+            AT_BOTH,
+            (3.0, UNDER_BOTH, ServerUnusable(1, "no slot"), f"{UNUSABLE}, {NEXT}"),
+            (8.0, UNDER_BOTH, ServerUnusable(2, "no answer"), "s2 CHECK BLACKLISTED, leave s2"),
+        ],
+    ),
+    "a check that leaves the range is no failure": (
+        new(),
+        [CHECKED, (3.0, NOWHERE, Tick(), "s1 CHECK AVL, leave s1")],
+    ),
+    "nor is one that fails out of range": (
+        new(),
+        [CHECKED, (3.0, NOWHERE, ServerUnusable(1, "no answer"), "s1 CHECK AVL, leave s1")],
+    ),
+    "a check that leaves the range after the start was requested": (
+        new(),
+        [CHECKED, STARTING, (3.0, NOWHERE, Tick(), "s1 CHECK AVL-R, leave s1")],
+    ),
+    "a check that fails out of range after the start was requested": (
+        new(),
+        [CHECKED, STARTING, (3.0, NOWHERE, ServerUnusable(1, "no answer"), "s1 CHECK AVL-R, leave s1")],
+    ),
+    "a check of a running server that leaves the range": (
+        left,
+        [CHECKED_AGAIN, (31.0, NOWHERE, ServerUnusable(2, "no answer"), "s1 CHECK-R AVL-R, leave s1")],
+    ),
+    "a start that failed is a failed check": (
+        new(),
+        [CHECKED, STARTING, (3.0, UNDER_S1, ServerUnusable(1, "no image"), UNUSABLE)],
+    ),
+    "a server that names a pause is left alone until it is over": (new(), PAUSED),
+    "nor is it probed meanwhile": (new(probing=Probing()), PAUSED),
+    "a probe that hears of a pause ends": (
+        new(probing=Probing()),
+        [
+            CHECKED,
+            (3.0, UNDER_S1, ServerUnusable(1, "no answer"), "s1 CHECK BLACKLISTED, probe s1 2"),
+            (5.0, UNDER_S1, ProbePaused(2, "no model", 40.0), "s1 paused 40 s: no model, leave s1"),
+            *((now_s, UNDER_S1, Tick(), "") for now_s in (5.5, 13.0, 44.9)),
+            (45.0, UNDER_S1, Tick(), "s1 BLACKLISTED AVL, s1 AVL CHECK, check s1 3"),
+        ],
+    ),
+    # --- turns
+    "a turn that is over has the server asked again over the same network": (
+        ready(),
+        [
+            (50.0, UNDER_S1, SlotTaken(1, "others wait"), "s1 READY CHECK-R, check s1 2"),
+            (52.0, UNDER_S1, SlotTaken(1, "others wait"), ""),  # of an earlier turn
+            (80.0, UNDER_S1, CheckAnswered(2, running=True), "s1 CHECK-R READY"),
+        ],
+    ),
+    "a server that gives turns and answers no call has failed": (
+        ready(),
+        [*turns()[:4], (60.0, UNDER_S1, SlotTaken(3, "no lease", in_call=True), FAILED)],
+    ),
+    "answers between turns keep a server from being taken for failed": (
+        ready(),
+        turns((0.0, UNDER_S1, RemoteCallEnded("s1", HEAVY, 0.75), "")),
+    ),
+    # --- networks that are lost, and calls that fail
+    "a network lost in range blacklists": (
+        ready(position=UNDER_BOTH),
+        [(20.0, UNDER_BOTH, NetworkGone(1, "no carrier"), f"{FAILED}, {NEXT}")],
+    ),
+    "one lost out of range is no failure": (ready(), [(20.0, NOWHERE, NetworkGone(1, "no carrier"), LEFT)]),
+    "one lost during a check ends it": (
+        new(),
+        [CHECKED, (4.0, UNDER_S1, NetworkGone(1, "no carrier"), UNUSABLE)],
+    ),
+    "one of an earlier check is lost without consequence": (
+        left,
+        [CHECKED_AGAIN, (22.0, UNDER_S1, NetworkGone(1, "no carrier"), "")],
+    ),
+    "nor has it any where nothing is selected": (left, [(22.0, NOWHERE, NetworkGone(1, "late"), "")]),
+    "a call that fails in range blacklists": (
+        ready(position=UNDER_BOTH),
+        [(20.0, UNDER_BOTH, LOST, f"{FAILED}, {NEXT}")],
+    ),
+    "one that fails out of range is no failure": (ready(), [(20.0, NOWHERE, LOST, LEFT)]),
+    "one of an earlier visit changes nothing": (
+        ready(),
+        [
+            (20.0, UNDER_S1, RemoteCallFailed("s1", 0, "late"), ""),
+            (20.0, UNDER_S1, RemoteCallFailed("s2", 1, "late"), ""),
+        ],
+    ),
+    "one of the last visit does not end the check of this one": (
+        left,
+        [CHECKED_AGAIN, (22.0, UNDER_S1, LOST, "")],
+    ),
+    "one that fails late is left alone like any other": (
+        ready(),
+        [
+            (30.0, UNDER_S1, LocalCallEnded(HEAVY, 8.0), ""),
+            (31.0, UNDER_S1, RemoteCallFailed("s1", 1, "no answer", late=True), FAILED),
+        ],
+    ),
+    # --- calls that are slow
+    "a server slower than the drone is left even with nothing better": (
+        ready(),
+        [
+            (20.0, UNDER_S1, RemoteCallEnded("s1", HEAVY, 8.0), ""),
+            (40.0, UNDER_S1, RemoteCallEnded("s1", HEAVY, 20.0), LEFT),
+        ],
+    ),
+    "a server left for its slow calls is tried again": (
+        ready(),
+        [
+            (40.0, UNDER_S1, RemoteCallEnded("s1", HEAVY, 30.0), LEFT),
+            (339.9, UNDER_S1, Tick(), "s1 AVL-R AVL"),
+            (340.0, UNDER_S1, Tick(), "s1 AVL CHECK, check s1 2"),
+        ],
+    ),
+    "a server is selected once the drone itself became slower": (
+        new(s1_s=8.5),
+        [
+            (0.0, UNDER_S1, Tick(), ""),
+            (14.0, UNDER_S1, LocalCallEnded(HEAVY, 14.0), "s1 AVL CHECK, check s1 1"),
+        ],
+    ),
+    # --- switching
+    "the old server is left before the new one is joined": (
+        ready(s1_s=2.0, s2_s=0.5),
+        [
+            (20.0, UNDER_BOTH, Tick(), ""),  # 1.5 of 8 s: not enough
+            (21.0, UNDER_BOTH, RemoteCallEnded("s1", HEAVY, 5.0), f"{LEFT}, {NEXT}"),
+        ],
+    ),
+    "from range to range in one step": (ready(), [(20.0, UNDER_S2, Tick(), f"{LEFT}, {NEXT}")]),
+    "a check is given up for a much better server": (
+        new(s1_s=4.0, s2_s=0.5),
+        [CHECKED, (1.0, UNDER_BOTH, Tick(), f"s1 CHECK AVL, leave s1, {NEXT}")],
+    ),
+    "opportunistic stays where it came first": (
+        ready(Opportunistic(), s1_s=7.0, s2_s=0.5),
+        [
+            (20.0, UNDER_BOTH, Tick(), ""),
+            (21.0, UNDER_BOTH, RemoteCallEnded("s1", HEAVY, 30.0), ""),
+            (30.0, UNDER_S2, Tick(), f"{LEFT}, {NEXT}"),
+        ],
+    ),
+    "opportunistic counts from when a range was entered": (
+        new(Opportunistic()),
+        [
+            (0.0, UNDER_S2, Tick(), "s2 AVL CHECK, check s2 1"),
+            (1.0, UNDER_BOTH, Tick(), ""),
+            (
+                *(2.0, UNDER_BOTH, ServerUnusable(1, "no slot")),
+                "s2 CHECK BLACKLISTED, leave s2, s1 AVL CHECK, check s1 2",
+            ),
+            (3.0, UNDER_BOTH, ServerUnusable(2, "no slot"), UNUSABLE),
+            (63.0, UNDER_BOTH, Tick(), "s1 BLACKLISTED AVL, s2 BLACKLISTED AVL, s2 AVL CHECK, check s2 3"),
+        ],
+    ),
+    "local-only contacts nobody": (
+        new(LocalOnly()),
+        [(0.0, UNDER_S1, Tick(), ""), (1.0, UNDER_BOTH, Tick(), ""), (2.0, UNDER_S2, Tick(), "")],
+    ),
+    # --- memory, and the end
+    "a blacklisted server is left alone for its time": (
+        new(),
+        [
+            CHECKED,
+            (3.0, UNDER_S1, ServerUnusable(1, "no slot"), UNUSABLE),
+            (62.9, UNDER_S1, Tick(), ""),
+            (63.0, UNDER_S1, Tick(), ONCE_MORE),
+        ],
+    ),
+    "a server not selected for long is no longer believed to run": (
+        left,
+        [(199.9, NOWHERE, Tick(), ""), (200.0, NOWHERE, Tick(), "s1 AVL-R AVL")],
+    ),
+    "a selected server is never idle": (ready(), [(5000.0, UNDER_S1, Tick(), "")]),
+    "after the mission nobody is selected any more": (
+        ready(),
+        [(20.0, UNDER_S1, NoMoreCalls(), LEFT), (21.0, UNDER_BOTH, Tick(), "")],
+    ),
+    "on the way down the server is left and no other is joined": (
+        ready(),
+        [(11.0, UNDER_S1, DescentBegun(), LEFT), (12.0, UNDER_S2, Tick(), "")],
+    ),
+    # --- two radios
+    "the server in preparation takes the place of one that failed": (
+        lambda: with_two_radios(s2_s=0.5),
+        [
+            PREPARED,
+            (22.0, UNDER_BOTH, LOST, FAILED),
+            (23.0, UNDER_BOTH, CheckAnswered(2, running=True), "s2 CHECK READY"),
+        ],
+    ),
+    "and of one out of range": (
+        lambda: with_two_radios(s2_s=0.5),
+        [
+            PREPARED,
+            (23.0, UNDER_S2, Tick(), LEFT),
+            (24.0, UNDER_S2, CheckAnswered(2, running=True), "s2 CHECK READY"),
+        ],
+    ),
+    "a failed preparation leaves the server in use alone": (
+        lambda: with_two_radios(s2_s=0.5),
+        [PREPARED, (22.0, UNDER_BOTH, ServerUnusable(2, "no carrier"), "s2 CHECK BLACKLISTED, leave s2")],
+    ),
+    "a slot that others wait for is not kept until the next server is ready": (
+        lambda: with_two_radios(s1_s=7.0, s2_s=7.0),
+        [(20.0, UNDER_BOTH, Tick(), ""), (21.0, UNDER_BOTH, LeaseRenewed(1, 1), f"{LEFT}, {NEXT}")],
+    ),
+    "both are left at the end": (
+        lambda: with_two_radios(s2_s=0.5),
+        [PREPARED, (22.0, UNDER_BOTH, NoMoreCalls(), f"{LEFT}, s2 CHECK AVL, leave s2")],
+    ),
+}
+
+
+@pytest.mark.parametrize(("machine", "steps"), STORIES.values(), ids=STORIES)
+def test_a_story(machine: Callable[[], Selection], steps: list[Step]) -> None:
+    tell(machine(), *steps)
 
 
 # ---- trials
@@ -139,52 +459,6 @@ def test_the_time_for_which_a_slot_was_waited_for_teaches_nothing_about_checks()
     assert machine.estimates.check_s("s1", running=True) == 3.5
 
 
-@pytest.mark.parametrize("policy", [LocationAware(), Opportunistic()])
-def test_another_server_is_preferred_to_one_without_a_slot_and_of_two_such_the_drone_stays(
-    policy: Policy,
-) -> None:
-    machine = selection(policy)
-    machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
-    left = machine.handle(SlotRefused(1, 1), now_s=2.0, position=UNDER_BOTH)
-    assert written(left) == ["s1 CHECK AVL", "leave s1", "s2 AVL CHECK", "check s2 2"]
-    assert written(machine.handle(SlotRefused(2, 1), now_s=5.0, position=UNDER_BOTH)) == []
-    assert machine.current is machine.servers["s2"]
-    back = machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=62.5, position=UNDER_BOTH)
-    assert written(back)[:2] == ["s2 CHECK AVL", "leave s2"], "s1 may have a slot again after a minute"
-
-
-def test_a_turn_that_is_over_has_the_server_asked_again_over_the_same_network() -> None:
-    machine = with_s1_ready(selection())
-    again = machine.handle(SlotTaken(1, "others wait"), now_s=50.0, position=UNDER_S1)
-    assert written(again) == ["s1 READY CHECK-R", "check s1 2"]
-    decision, _ = machine.decide(HEAVY, now_s=51.0, position=UNDER_S1)
-    assert decision == Local("s1 has no free slot")
-    assert machine.handle(SlotTaken(1, "others wait"), now_s=52.0, position=UNDER_S1) == [], (
-        "of an earlier turn"
-    )
-    ready = machine.handle(CheckAnswered(2, running=True), now_s=80.0, position=UNDER_S1)
-    assert written(ready) == ["s1 CHECK-R READY"]
-
-
-def test_a_server_that_gives_turns_and_answers_no_call_has_failed() -> None:
-    machine = with_s1_ready(selection())
-    for check in (1, 2):
-        machine.handle(SlotTaken(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
-        machine.handle(CheckAnswered(check + 1, running=True), now_s=20.0 * check + 2, position=UNDER_S1)
-        assert machine.servers["s1"].state is State.READY
-    machine.handle(SlotTaken(3, "no lease", in_call=True), now_s=60.0, position=UNDER_S1)
-    assert machine.servers["s1"].state is State.BLACKLISTED
-
-
-def test_answers_between_turns_keep_a_server_from_being_taken_for_failed() -> None:
-    machine = with_s1_ready(selection())
-    for check in range(1, 6):
-        machine.handle(RemoteCallEnded("s1", HEAVY, 0.75), now_s=20.0 * check - 5, position=UNDER_S1)
-        machine.handle(SlotTaken(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
-        machine.handle(CheckAnswered(check + 1, running=True), now_s=20.0 * check + 2, position=UNDER_S1)
-    assert machine.servers["s1"].state is State.READY
-
-
 @pytest.mark.parametrize(("s1_s", "stays"), [(5.0, True), (7.0, False)])
 def test_where_others_wait_a_drone_that_gains_little_leaves_its_slot_to_them(
     s1_s: float, *, stays: bool
@@ -200,33 +474,6 @@ def test_where_others_wait_a_drone_that_gains_little_leaves_its_slot_to_them(
 
 
 # ---- checks
-
-
-def test_a_server_in_range_is_selected_and_checked() -> None:
-    machine = selection()
-    assert written(machine.handle(Tick(), now_s=5.0, position=UNDER_S1)) == ["s1 AVL CHECK", "check s1 1"]
-    assert machine.current is machine.servers["s1"]
-    assert machine.is_awaited(1)
-
-
-def test_out_of_every_range_nothing_is_wanted() -> None:
-    machine = selection()
-    assert machine.handle(Tick(), now_s=0.0, position=NOWHERE) == []
-    assert machine.current is None
-
-
-def test_looking_again_does_not_check_again() -> None:
-    machine = selection()
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    assert machine.handle(Tick(), now_s=1.0, position=UNDER_S1) == []
-
-
-def test_a_service_that_does_not_run_is_started_once() -> None:
-    machine = selection()
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    not_running = CheckAnswered(1, running=False)
-    assert written(machine.handle(not_running, now_s=2.0, position=UNDER_S1)) == ["start s1 1"]
-    assert machine.handle(not_running, now_s=3.0, position=UNDER_S1) == []
 
 
 def test_started_services_make_the_server_ready_and_teach_how_long_a_check_takes() -> None:
@@ -270,91 +517,12 @@ def test_a_belief_that_proves_wrong_falls_back_without_starting_the_clock_again(
     assert machine.estimates.check_s("s1", running=False) == pytest.approx(check_s + (12.0 - 11.5) / 3)
 
 
-def test_after_a_failed_check_the_next_best_is_selected_in_the_same_step() -> None:
-    machine = selection()
-    machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
-    failed = ServerUnusable(1, "no slot")
-    assert written(machine.handle(failed, now_s=3.0, position=UNDER_BOTH)) == [
-        "s1 CHECK BLACKLISTED",
-        "leave s1",
-        "s2 AVL CHECK",
-        "check s2 2",
-    ]
-
-
-@pytest.mark.parametrize("probing", [None, Probing()])
-def test_a_server_that_names_a_pause_is_left_and_not_asked_until_the_pause_is_over(
-    probing: Probing | None,
-) -> None:
-    machine = selection(probing=probing)
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    told = machine.handle(ServerUnusable(1, "no model", pause_s=80.0), now_s=3.0, position=UNDER_S1)
-    assert told[0] == ServerPaused("s1", 1, 80.0, "no model")
-    assert written(told[1:]) == ["s1 CHECK BLACKLISTED", "leave s1"]
-    for now_s in (3.5, 14.0, 64.0, 82.9):
-        assert machine.handle(Tick(), now_s=now_s, position=UNDER_S1) == []
-    assert "check s1" in " ".join(written(machine.handle(Tick(), now_s=83.0, position=UNDER_S1)))
-
-
-def test_a_probe_that_hears_of_a_pause_ends_and_the_server_is_left_out() -> None:
-    machine = selection(probing=Probing())
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    probe = machine.handle(ServerUnusable(1, "no answer"), now_s=3.0, position=UNDER_S1)[-1]
-    assert isinstance(probe, Probe)
-    told = machine.handle(ProbePaused(probe.check, "no model", 40.0), now_s=5.0, position=UNDER_S1)
-    assert told == [ServerPaused("s1", probe.check, 40.0, "no model"), Leave("s1", probe.check)]
-    for now_s in (5.5, 13.0, 44.9):
-        assert machine.handle(Tick(), now_s=now_s, position=UNDER_S1) == []
-    assert "check s1" in " ".join(written(machine.handle(Tick(), now_s=45.0, position=UNDER_S1)))
-
-
-def test_when_all_servers_are_blacklisted_the_drone_is_on_its_own() -> None:
-    machine = selection()
-    machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
-    machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
-    last = machine.handle(ServerUnusable(2, "no answer"), now_s=8.0, position=UNDER_BOTH)
-    assert written(last) == ["s2 CHECK BLACKLISTED", "leave s2"]
-    assert machine.current is None
-
-
 def test_the_reason_of_a_failure_is_kept() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     change = machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_S1)[0]
     assert isinstance(change, Change)
     assert (change.why, change.at_s) == ("no slot", 3.0)
-
-
-def test_a_check_that_leaves_the_range_is_no_failure_of_the_server() -> None:
-    for event in (Tick(), ServerUnusable(1, "no answer")):
-        machine = selection()
-        machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-        commands = machine.handle(event, now_s=3.0, position=NOWHERE)
-        assert written(commands) == ["s1 CHECK AVL", "leave s1"]
-
-
-def test_a_check_that_leaves_the_range_after_the_start_was_requested() -> None:
-    for event in (Tick(), ServerUnusable(1, "no answer")):
-        machine = selection()
-        machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-        machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
-        commands = machine.handle(event, now_s=3.0, position=NOWHERE)
-        assert written(commands) == ["s1 CHECK AVL-R", "leave s1"]
-
-
-def test_a_check_of_a_running_server_that_leaves_the_range() -> None:
-    machine = with_s1_left_running(selection())
-    machine.handle(Tick(), now_s=30.0, position=UNDER_S1)
-    commands = machine.handle(ServerUnusable(2, "no answer"), now_s=31.0, position=NOWHERE)
-    assert written(commands) == ["s1 CHECK-R AVL-R", "leave s1"]
-
-
-def test_a_start_that_failed_is_a_failed_check() -> None:
-    machine = selection()
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
-    failed = machine.handle(ServerUnusable(1, "no image"), now_s=3.0, position=UNDER_S1)
-    assert written(failed) == ["s1 CHECK BLACKLISTED", "leave s1"]
 
 
 @pytest.mark.parametrize(
@@ -395,66 +563,7 @@ def test_services_cannot_be_started_by_a_check_that_asked_for_no_start() -> None
         machine.handle(ServicesStarted(2), now_s=31.0, position=UNDER_S1)
 
 
-# ---- networks that are lost
-
-
-def test_a_network_that_is_lost_in_range_blacklists_and_the_next_best_is_selected() -> None:
-    machine = with_s1_ready(selection(), position=UNDER_BOTH)
-    lost = machine.handle(NetworkGone(1, "no carrier"), now_s=20.0, position=UNDER_BOTH)
-    assert written(lost) == ["s1 READY BLACKLISTED", "leave s1", "s2 AVL CHECK", "check s2 2"]
-    assert isinstance(lost[0], Change) and lost[0].why == "no carrier"
-
-
-def test_a_network_that_is_lost_out_of_range_is_no_failure_of_the_server() -> None:
-    machine = with_s1_ready(selection())
-    lost = machine.handle(NetworkGone(1, "no carrier"), now_s=20.0, position=NOWHERE)
-    assert written(lost) == ["s1 READY AVL-R", "leave s1"]
-
-
-def test_a_network_that_is_lost_during_a_check_ends_it() -> None:
-    machine = selection()
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    lost = machine.handle(NetworkGone(1, "no carrier"), now_s=4.0, position=UNDER_S1)
-    assert written(lost) == ["s1 CHECK BLACKLISTED", "leave s1"]
-
-
-def test_a_network_that_an_earlier_check_joined_can_be_lost_without_consequence() -> None:
-    machine = with_s1_left_running(selection())
-    machine.handle(Tick(), now_s=21.0, position=UNDER_S1)
-    assert machine.handle(NetworkGone(1, "no carrier"), now_s=22.0, position=UNDER_S1) == []
-    assert machine.is_awaited(2)
-    assert (
-        with_s1_left_running(selection()).handle(NetworkGone(1, "late"), now_s=22.0, position=NOWHERE) == []
-    )
-
-
 # ---- calls that end
-
-
-def test_a_call_that_fails_in_range_blacklists_and_the_next_best_is_selected() -> None:
-    machine = with_s1_ready(selection(), position=UNDER_BOTH)
-    failed = machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=20.0, position=UNDER_BOTH)
-    assert written(failed) == ["s1 READY BLACKLISTED", "leave s1", "s2 AVL CHECK", "check s2 2"]
-
-
-def test_a_call_that_fails_out_of_range_is_no_failure_of_the_server() -> None:
-    machine = with_s1_ready(selection())
-    failed = machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=20.0, position=NOWHERE)
-    assert written(failed) == ["s1 READY AVL-R", "leave s1"]
-
-
-@pytest.mark.parametrize("failed", [RemoteCallFailed("s1", 0, "late"), RemoteCallFailed("s2", 1, "late")])
-def test_a_failed_call_of_an_earlier_visit_changes_nothing(failed: RemoteCallFailed) -> None:
-    machine = with_s1_ready(selection())
-    assert machine.handle(failed, now_s=20.0, position=UNDER_S1) == []
-    assert machine.servers["s1"].state is State.READY
-
-
-def test_a_failed_call_of_the_last_visit_does_not_end_the_check_of_this_one() -> None:
-    machine = with_s1_left_running(selection())
-    machine.handle(Tick(), now_s=21.0, position=UNDER_S1)
-    assert machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=22.0, position=UNDER_S1) == []
-    assert machine.is_awaited(2)
 
 
 def raised_on_s1(machine: Selection, *, check: int = 1, confirmed: bool) -> list[Effect]:
@@ -491,104 +600,13 @@ def test_an_invented_exception_of_an_earlier_visit_changes_nothing() -> None:
     assert machine.servers["s1"].state is State.READY
 
 
-def test_a_server_whose_calls_became_slower_than_local_is_left_even_with_nothing_better() -> None:
-    machine = with_s1_ready(selection())
-    assert machine.handle(RemoteCallEnded("s1", HEAVY, 8.0), now_s=20.0, position=UNDER_S1) == []
-    slow = machine.handle(RemoteCallEnded("s1", HEAVY, 20.0), now_s=40.0, position=UNDER_S1)
-    assert written(slow) == ["s1 READY AVL-R", "leave s1"]
-
-
-def test_a_server_left_for_its_slow_calls_is_tried_again() -> None:
-    machine = with_s1_ready(selection())
-    machine.handle(RemoteCallEnded("s1", HEAVY, 30.0), now_s=40.0, position=UNDER_S1)
-    assert machine.current is None
-    before = machine.handle(Tick(), now_s=339.9, position=UNDER_S1)
-    assert written(before) == ["s1 AVL-R AVL"]
-    again = machine.handle(Tick(), now_s=340.0, position=UNDER_S1)
-    assert written(again) == ["s1 AVL CHECK", "check s1 2"]
-
-
-def test_a_server_is_selected_once_the_drone_itself_became_slower() -> None:
-    machine = selection(s1_s=8.5)
-    assert machine.handle(Tick(), now_s=0.0, position=UNDER_S1) == []
-    hot = machine.handle(LocalCallEnded(HEAVY, 14.0), now_s=14.0, position=UNDER_S1)
-    assert written(hot) == ["s1 AVL CHECK", "check s1 1"]
-
-
 # ---- switching
-
-
-def test_the_old_server_is_left_before_the_new_one_is_joined() -> None:
-    machine = with_s1_ready(selection(s1_s=2.0, s2_s=0.5))
-    assert machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH) == []  # 1.5 of 8 s: not enough
-    slower = machine.handle(RemoteCallEnded("s1", HEAVY, 5.0), now_s=21.0, position=UNDER_BOTH)
-    assert written(slower) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
-
-
-def test_from_range_to_range_in_one_step() -> None:
-    machine = with_s1_ready(selection())
-    crossed = machine.handle(Tick(), now_s=20.0, position=UNDER_S2)
-    assert written(crossed) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
-
-
-def test_a_check_under_way_is_given_up_for_a_much_better_server() -> None:
-    machine = selection(s1_s=4.0, s2_s=0.5)
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    better = machine.handle(Tick(), now_s=1.0, position=UNDER_BOTH)
-    assert written(better) == ["s1 CHECK AVL", "leave s1", "s2 AVL CHECK", "check s2 2"]
-
-
-def test_opportunistic_stays_where_it_came_first() -> None:
-    machine = with_s1_ready(selection(Opportunistic(), s1_s=7.0, s2_s=0.5))
-    assert machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH) == []
-    assert machine.handle(RemoteCallEnded("s1", HEAVY, 30.0), now_s=21.0, position=UNDER_BOTH) == []
-    crossed = machine.handle(Tick(), now_s=30.0, position=UNDER_S2)
-    assert written(crossed) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
-
-
-def test_opportunistic_counts_from_when_a_range_was_entered() -> None:
-    machine = selection(Opportunistic())
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S2)
-    machine.handle(Tick(), now_s=1.0, position=UNDER_BOTH)
-    machine.handle(ServerUnusable(1, "no slot"), now_s=2.0, position=UNDER_BOTH)  # s2; s1 is being checked
-    machine.handle(ServerUnusable(2, "no slot"), now_s=3.0, position=UNDER_BOTH)
-    both_back = machine.handle(Tick(), now_s=63.0, position=UNDER_BOTH)
-    assert written(both_back) == ["s1 BLACKLISTED AVL", "s2 BLACKLISTED AVL", "s2 AVL CHECK", "check s2 3"]
-
-
-def test_local_only_contacts_nobody() -> None:
-    machine = selection(LocalOnly())
-    for now_s, position in enumerate([UNDER_S1, UNDER_BOTH, UNDER_S2]):
-        assert machine.handle(Tick(), now_s=float(now_s), position=position) == []
 
 
 def test_a_server_without_the_drones_services_is_no_candidate() -> None:
     estimates = Estimates(local_s={HEAVY: 8.0}, servers={"s1": Beliefs(11.5, 3.5, {})})
     machine = Selection({"s1": AREAS["s1"]}, estimates=estimates, policy=LocationAware())
     assert machine.handle(Tick(), now_s=0.0, position=UNDER_S1) == []
-
-
-# ---- memory
-
-
-def test_a_blacklisted_server_is_left_alone_for_its_time() -> None:
-    machine = selection()
-    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_S1)
-    assert machine.handle(Tick(), now_s=62.9, position=UNDER_S1) == []
-    over = machine.handle(Tick(), now_s=63.0, position=UNDER_S1)
-    assert written(over) == ["s1 BLACKLISTED AVL", "s1 AVL CHECK", "check s1 2"]
-
-
-def test_a_server_not_selected_for_long_is_no_longer_believed_to_run() -> None:
-    machine = with_s1_left_running(selection())
-    assert machine.handle(Tick(), now_s=199.9, position=NOWHERE) == []
-    assert written(machine.handle(Tick(), now_s=200.0, position=NOWHERE)) == ["s1 AVL-R AVL"]
-
-
-def test_a_selected_server_is_never_idle() -> None:
-    machine = with_s1_ready(selection())
-    assert machine.handle(Tick(), now_s=5000.0, position=UNDER_S1) == []
 
 
 # ---- where a call shall run
@@ -752,25 +770,7 @@ def test_after_a_wait_out_of_range_the_call_runs_here() -> None:
     assert written(commands) == ["s1 READY AVL-R", "leave s1"]
 
 
-# ---- the end
-
-
-def test_after_the_mission_nobody_is_selected_any_more() -> None:
-    machine = with_s1_ready(selection())
-    ended = machine.handle(NoMoreCalls(), now_s=20.0, position=UNDER_S1)
-    assert written(ended) == ["s1 READY AVL-R", "leave s1"]
-    assert machine.handle(Tick(), now_s=21.0, position=UNDER_BOTH) == []
-    assert machine.current is None
-
-
 # ---- hedged calls, where the server is later than the drone
-
-
-def test_on_the_way_down_the_server_is_left_and_no_other_is_joined() -> None:
-    machine = with_s1_ready(selection())
-    left = machine.handle(DescentBegun(), now_s=11.0, position=UNDER_S1)
-    assert written(left) == ["s1 READY AVL-R", "leave s1"]
-    assert machine.handle(Tick(), now_s=12.0, position=UNDER_S2) == []
 
 
 def test_a_call_under_way_keeps_its_server_on_the_way_down() -> None:
@@ -799,29 +799,7 @@ def test_a_late_answer_teaches_how_slow_the_server_is_and_is_no_second_call() ->
     assert machine.estimates.mean_call_s() == counted
 
 
-def test_a_server_that_fails_late_is_left_alone_like_any_other() -> None:
-    machine = with_s1_ready(selection())
-    machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=30.0, position=UNDER_S1)
-    failed = RemoteCallFailed("s1", 1, "no answer", late=True)
-    assert written(machine.handle(failed, now_s=31.0, position=UNDER_S1)) == [
-        "s1 READY BLACKLISTED",
-        "leave s1",
-    ]
-
-
 # ---- two radios
-
-
-def with_two_radios(*, s2_s: float, s1_s: float = 4.0) -> Selection:
-    """The machine with s1 READY, under both."""
-    beliefs = {"s1": Beliefs(11.5, 3.5, {HEAVY: s1_s}), "s2": Beliefs(11.5, 3.5, {HEAVY: s2_s})}
-    machine = Selection(
-        AREAS,
-        estimates=Estimates(local_s={HEAVY: 8.0}, servers=beliefs),
-        policy=LocationAware(),
-        settings=SelectionSettings(radios=2),
-    )
-    return with_s1_ready(machine)
 
 
 def test_a_better_server_is_checked_while_the_one_before_is_still_used() -> None:
@@ -841,27 +819,6 @@ def test_a_better_server_is_checked_while_the_one_before_is_still_used() -> None
     assert decision.server == "s2"
 
 
-def test_the_server_in_preparation_takes_the_place_of_one_that_is_lost() -> None:
-    machine = with_two_radios(s2_s=0.5)
-    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
-    failed = machine.handle(RemoteCallFailed("s1", 1, "no answer"), now_s=22.0, position=UNDER_BOTH)
-    assert written(failed) == ["s1 READY BLACKLISTED", "leave s1"]
-    assert machine.current is machine.servers["s2"]
-    assert machine.is_awaited(2)
-    machine = with_two_radios(s2_s=0.5)
-    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
-    assert written(machine.handle(Tick(), now_s=23.0, position=UNDER_S2)) == ["s1 READY AVL-R", "leave s1"]
-    assert machine.current is machine.servers["s2"]
-
-
-def test_a_failed_preparation_leaves_the_server_in_use_alone() -> None:
-    machine = with_two_radios(s2_s=0.5)
-    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
-    failed = machine.handle(ServerUnusable(2, "no carrier"), now_s=22.0, position=UNDER_BOTH)
-    assert written(failed) == ["s2 CHECK BLACKLISTED", "leave s2"]
-    assert machine.current is machine.servers["s1"]
-
-
 def test_a_server_that_is_no_longer_faster_than_the_drone_is_not_kept_until_the_next_is_ready() -> None:
     machine = with_two_radios(s2_s=0.5)
     machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
@@ -875,14 +832,6 @@ def test_a_server_that_is_no_longer_faster_than_the_drone_is_not_kept_until_the_
     decision, _ = machine.decide(HEAVY, now_s=30.5, position=UNDER_BOTH)
     assert isinstance(decision, Wait)
     assert decision.server == "s2"
-
-
-def test_a_slot_that_others_wait_for_is_not_kept_until_the_next_server_is_ready() -> None:
-    machine = with_two_radios(s1_s=7.0, s2_s=7.0)
-    assert written(machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)) == []
-    effects = machine.handle(LeaseRenewed(1, 1), now_s=21.0, position=UNDER_BOTH)
-    assert written(effects) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
-    assert machine.current is machine.servers["s2"]
 
 
 def test_what_was_prepared_is_given_up_too_for_a_third_server() -> None:
@@ -911,10 +860,3 @@ def test_what_was_prepared_is_given_up_too_for_a_third_server() -> None:
         "check s3 3",
     ]
     assert machine.current is machine.servers["s3"]
-
-
-def test_both_are_left_at_the_end() -> None:
-    machine = with_two_radios(s2_s=0.5)
-    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
-    ended = machine.handle(NoMoreCalls(), now_s=22.0, position=UNDER_BOTH)
-    assert written(ended) == ["s1 READY AVL-R", "leave s1", "s2 CHECK AVL", "leave s2"]

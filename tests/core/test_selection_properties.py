@@ -57,7 +57,8 @@ from upwash.core.selection.events import (
     Tick,
 )
 from upwash.core.selection.recovery import REST_S, Probing
-from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.selection.selection import Selection
+from upwash.core.selection.settings import SelectionSettings
 
 OPERATIONS = [Operation("detector", "process_photo", "heavy"), Operation("counter", "count")]
 GAIN_SWITCH = GAIN_WAIT = GAIN_SLOT = 0.25

@@ -13,7 +13,8 @@ from upwash.core.planning.mission_model import MissionBeliefs, MissionModel, Sto
 from upwash.core.policies.names import make_policy
 from upwash.core.selection.commands import Effect, ExpectedTimes
 from upwash.core.selection.events import MissionBegun
-from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.selection.selection import Selection
+from upwash.core.selection.settings import SelectionSettings
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 
 LOOK, COUNT = Operation("detector", "look"), Operation("counter", "count")

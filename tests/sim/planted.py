@@ -40,11 +40,11 @@ from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
 from upwash.drone import flight, server_session
-from upwash.drone.api import position_of
-from upwash.drone.calling import Calling, Racing
+from upwash.drone.calling import Calling
 from upwash.drone.decisions import Background, Decisions
 from upwash.drone.pending import AnswerAction
 from upwash.drone.server_session import ServerSession
+from upwash.drone.vehicle import position_of
 from upwash.errors import GarbledReply, LinkError, Refused, ServerFull
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -176,7 +176,7 @@ async def blacklisted_is_asked(end: Any, self: ServerSession, *, in_range: bool)
 
 @planted("the range is not checked after it was entered", ServerTable, "locate")
 def range_not_checked(original: Any, self: ServerTable, position: Position, now_s: float) -> Any:
-    for name in self._ranges.crossed(position):
+    for name in self.ranges.crossed(position):
         server = self.servers[name]
         server.in_range_since_s = server.in_range_since_s or now_s
     self.in_range = [server for server in self.servers.values() if server.in_range]
@@ -319,19 +319,19 @@ def hedging_budget_ignored(original: Any, self: Hedging, *_: object, **__: objec
 
 @planting("the answer that a hedged call drops answers the next")
 def both_answers_delivered() -> Planting:
-    drop, answer, late = Racing._drop, Racing.answer, dict[tuple[int, str], Any]()
+    drop, answer, late = Calling._drop, Calling.answer, dict[tuple[int, str], Any]()
 
-    async def keep(self: Racing, operation: Any, local: Any) -> None:
+    async def keep(self: Calling, operation: Any, local: Any) -> None:
         await drop(self, operation, local)
         late[id(self), operation.method] = local.result()
 
-    async def confused(self: Racing, decision: Any, asked: Any) -> Any:
+    async def confused(self: Calling, decision: Any, asked: Any) -> Any:
         found = await answer(self, decision, asked)
         if (old := late.pop((id(self), asked.operation.method), None)) is not None:
             return replace(found, reply=old)
         return found
 
-    return patch.multiple(Racing, _drop=keep, answer=confused)
+    return patch.multiple(Calling, _drop=keep, answer=confused)
 
 
 @planted("the bounds of a reply's fields are not checked", server_session, "decode_reply")

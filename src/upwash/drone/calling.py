@@ -54,13 +54,6 @@ class Invocation(Struct, frozen=True):
         return Invocation(lightened.operation, self.method, request, lightened)
 
 
-class ReportedFault(Struct, frozen=True):
-    """The exception that a server reports of its service, and the seconds until the report."""
-
-    raised: str
-    delay_s: float
-
-
 @dataclass(slots=True)
 class Attempt:
     """A call to a server, READY since `check`, and the drone's own computation of it, if any."""
@@ -74,139 +67,14 @@ class Attempt:
     position: Position  # of the drone when it was made
     reply: asyncio.Task[Any] | None = None  # where it is not simply waited for
     rival: asyncio.Task[Any] | None = None  # the drone's own service
-    said: ReportedFault | None = None
-    verdict: RemoteFault = ""  # on what it said
+    raised: str = ""  # the exception of the service that the server reports
+    delay_s: float = 0.0  # until that report
+    verdict: RemoteFault = ""  # on the report
 
     @property
     def late(self) -> bool:
         """Whether the drone's own service has answered."""
-        return self.rival is not None and self.rival.done() and not has_failed(self.rival)
-
-
-class Calling:
-    """Makes calls, and reports their results to the core."""
-
-    def __init__(
-        self,
-        decisions: Decisions,
-        radios: RadioWorkers,
-        onboard: OnboardServices,
-        journal: Journal,
-        hedging: Hedging,
-    ) -> None:
-        self._decisions = decisions
-        self._radios = radios
-        self._onboard = onboard
-        self._journal = journal
-        self._hedging = hedging
-
-    def attempt(self, call: Invocation, server: str, deadline_s: float) -> Attempt:
-        """An attempt at the READY server; nothing is sent yet."""
-        worker = self._radios.worker_at(server)
-        assert worker.session is not None  # noqa: S101 - a server is READY only by its session
-        return Attempt(
-            call,
-            server,
-            worker,
-            worker.session,
-            self._decisions.check_of(server),
-            deadline_s,
-            self._decisions.position,
-        )
-
-    async def at_server(self, attempt: Attempt) -> Any | None:
-        """The server's decoded reply if it carries a value; None after any failure, which is reported to the core."""
-        call, server, began_s = attempt.call, attempt.server, now_s()
-        operation, method = call.operation, call.method
-        try:
-            answer = await attempt.session.call(
-                operation.service, operation.method, call.request, deadline_s=attempt.deadline_s
-            )
-            reply = method.decode(answer)
-        except NoLease as error:
-            self._decisions.tell(events.SlotTaken(attempt.check, str(error), in_call=True))
-            return None
-        except LinkError as error:
-            self._journal.record(schema.RemoteFailed(server=server, check=attempt.check, why=str(error)))
-            if isinstance(error, DeadlineExceeded):
-                attempt.worker.cut = events.RemoteCallCut(server, operation, now_s() - began_s)
-            self._decisions.tell(events.RemoteCallFailed(server, attempt.check, str(error), attempt.late))
-            if isinstance(error, UNREACHED):
-                self._reached(attempt, now_s() - began_s, None)
-            return None
-        delay_s = now_s() - began_s
-        if raised := method.raised(reply):
-            attempt.said = ReportedFault(raised, delay_s)
-            self._doubt(attempt, attempt.said)
-            self._reached(attempt, delay_s, len(answer))
-            return None
-        if attempt.late:
-            self._journal.record(schema.Dropped(operation=str(operation), place=server))
-        self._hedging.answered(server, operation, delay_s)
-        self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late))
-        self._reached(attempt, delay_s, len(answer))
-        return reply
-
-    async def onboard(self, call: Invocation) -> Any:
-        """The decoded reply of the drone's own service; raises InstanceError if the service fails."""
-        expected_s = self._decisions.estimates.local_s(call.operation) or 0.0
-        return call.method.decode(
-            await self._onboard.call(
-                call.operation.service,
-                call.operation.method,
-                call.request,
-                timeout_s=max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s),
-                once=call.method.once,
-            )
-        )
-
-    def test(self, attempt: Attempt, onboard: Any) -> None:
-        """Compare the exception that the server reported, if any, with the drone's own result of the same call."""
-        if (said := attempt.said) is None or attempt.verdict:
-            return
-        server, operation = attempt.server, attempt.call.operation
-        confirmed = bool(attempt.call.method.raised(onboard))
-        attempt.verdict = "confirmed" if confirmed else "denied"
-        why = f"it says that {operation} raised {said.raised}, which did not raise on the drone"
-        if not confirmed:
-            attempt.session.deny(operation.service)
-            self._journal.record(
-                schema.RemoteFailed(server=server, check=attempt.check, why=f"{server}: {why}")
-            )
-        else:
-            self._hedging.answered(server, operation, said.delay_s)
-        self._decisions.tell(
-            events.RemoteFaultTested(server, attempt.check, operation, said.delay_s, why, confirmed)
-        )
-
-    def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
-        """Report to the core how fast the server answered at this place, for a server without a range."""
-        call, server = attempt.call, attempt.server
-        if not self._decisions.estimates.is_measured(server):
-            return
-        size_bytes = len(call.request) + (answer_bytes or 0)
-        answered = answer_bytes is not None
-        self._decisions.tell(
-            events.Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes)
-        )
-
-    def _doubt(self, attempt: Attempt, said: ReportedFault) -> None:
-        """Log the reported exception; the mission only gets exceptions of the drone's own service."""
-        server, rival = attempt.server, attempt.rival
-        operation = str(attempt.call.operation)
-        self._journal.record(
-            schema.RemoteRaised(server=server, check=attempt.check, operation=operation, raised=said.raised)
-        )
-        if rival is not None and attempt.late:
-            self.test(attempt, rival.result())
-        else:
-            why = f"{server} says that {operation} raised {said.raised}"
-            self._decisions.tell(events.RemoteCallRaised(server, why))
-
-
-def has_failed(call: asyncio.Task[Any]) -> bool:
-    """Whether the call is over without an answer."""
-    return call.done() and (call.cancelled() or call.exception() is not None or call.result() is None)
+        return self.rival is not None and self.rival.done() and not _has_failed(self.rival)
 
 
 class CallAnswer(Struct, frozen=True):
@@ -238,51 +106,147 @@ class _Computing:
     task: asyncio.Task[Any] = field(init=False)
 
 
-class _Loser(Struct, frozen=True):
-    """A computation that goes on after its call was answered; `service` names the drone's busy service, if any."""
+class Calling:
+    """Answers calls, each once, and reports their results to the core."""
 
-    task: asyncio.Task[Any]
-    service: str | None = None
-
-
-class Racing:
-    """Makes each call where it is decided, and returns its first answer."""
-
-    def __init__(self, decisions: Decisions, calling: Calling, journal: Journal, hedging: Hedging) -> None:
+    def __init__(
+        self,
+        decisions: Decisions,
+        radios: RadioWorkers,
+        onboard: OnboardServices,
+        journal: Journal,
+        hedging: Hedging,
+    ) -> None:
         self._decisions = decisions
-        self._calling = calling
+        self._estimates = decisions.selection.estimates
+        self._radios = radios
+        self._onboard = onboard
         self._journal = journal
         self._hedging = hedging
-        self._losers: list[_Loser] = []
+        # The rest of answered calls, each with the drone's own service that is busy with it, if any.
+        self._losers: dict[asyncio.Task[Any], str | None] = {}
 
     async def answer(self, decision: Decision, call: Invocation) -> CallAnswer:
         """The answer to a call that runs where the decision says, or on the drone if the server fails."""
         self._hedging.called(call.operation)
         if not isinstance(decision, Remote):
-            return await self._answer_onboard(call)
+            return await self._race(self._begin_onboard(call), None)
         if decision.raced:
-            return await self._answer_onboard(call, instead_of=self._begin_at_server(call, decision))
-        is_busy = any(not loser.task.done() for loser in self._losers)
+            attempt = self._begin_at_server(call, decision)
+            return await self._race(self._begin_onboard(call), attempt)
+        is_busy = any(not loser.done() for loser in self._losers)
         if (hedge := self._hedging.plan(decision, call.operation, is_busy=is_busy)) is not None:
             return await self._answer_hedged(decision, hedge, call)
-        attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
-        reply = await self._calling.at_server(attempt)
-        if reply is not None:
-            return CallAnswer(reply, call, attempt)
-        return await self._fall_back(call, attempt)
+        attempt = self._attempt(call, decision)
+        reply = await self.at_server(attempt)
+        return await self._fall_back(call, attempt) if reply is None else CallAnswer(reply, call, attempt)
 
     async def queue(self, service: str) -> float:
         """Waits until the drone's service is done with calls that servers answered; returns the seconds waited."""
         began_s = now_s()
-        for loser in [loser for loser in self._losers if loser.service == service and not loser.task.done()]:
-            await asyncio.shield(loser.task)
+        for loser in [loser for loser, busy in self._losers.items() if busy == service and not loser.done()]:
+            await asyncio.shield(loser)
         return now_s() - began_s
 
     async def stop_losers(self) -> None:
         """Ends the computations that go on after their calls were answered."""
-        await end(*(loser.task for loser in self._losers))
+        await end(*self._losers)
 
-    # --- hedging --------------------------------------------------------------------------------------------
+    # --- one place ------------------------------------------------------------------------------------------
+
+    async def at_server(self, attempt: Attempt) -> Any | None:
+        """The server's decoded reply if it carries a value; None after any failure, which is reported to the core."""
+        call, server, began_s = attempt.call, attempt.server, now_s()
+        operation, method = call.operation, call.method
+        try:
+            answer = await attempt.session.call(
+                operation.service, operation.method, call.request, deadline_s=attempt.deadline_s
+            )
+            reply = method.decode(answer)
+        except NoLease as error:
+            self._decisions.tell(events.SlotTaken(attempt.check, str(error), in_call=True))
+            return None
+        except LinkError as error:
+            self._journal.record(schema.RemoteFailed(server=server, check=attempt.check, why=str(error)))
+            if isinstance(error, DeadlineExceeded):
+                attempt.worker.cut = events.RemoteCallCut(server, operation, now_s() - began_s)
+            self._decisions.tell(events.RemoteCallFailed(server, attempt.check, str(error), attempt.late))
+            if isinstance(error, UNREACHED):
+                self._reached(attempt, now_s() - began_s, None)
+            return None
+        delay_s = now_s() - began_s
+        if raised := method.raised(reply):
+            attempt.raised, attempt.delay_s = raised, delay_s
+            self._doubt(attempt)
+            self._reached(attempt, delay_s, len(answer))
+            return None
+        if attempt.late:
+            self._journal.record(schema.Dropped(operation=str(operation), place=server))
+        self._hedging.answered(server, operation, delay_s)
+        self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late))
+        self._reached(attempt, delay_s, len(answer))
+        return reply
+
+    async def onboard(self, call: Invocation) -> Any:
+        """The decoded reply of the drone's own service; raises InstanceError if the service fails."""
+        expected_s = self._estimates.local_s(call.operation) or 0.0
+        return call.method.decode(
+            await self._onboard.call(
+                call.operation.service,
+                call.operation.method,
+                call.request,
+                timeout_s=max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s),
+                once=call.method.once,
+            )
+        )
+
+    def _attempt(self, call: Invocation, decision: Remote) -> Attempt:
+        server = decision.server
+        worker = self._radios.worker_at(server)
+        assert worker.session is not None  # noqa: S101 - a server is READY only by its session
+        check = self._decisions.selection.servers[server].check
+        position = self._decisions.position
+        return Attempt(call, server, worker, worker.session, check, decision.deadline_s, position)
+
+    def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
+        """Report to the core how fast the server answered at this place, for a server without a range."""
+        call, server = attempt.call, attempt.server
+        if self._estimates.is_measured(server):
+            answered, size_bytes = answer_bytes is not None, len(call.request) + (answer_bytes or 0)
+            self._decisions.tell(
+                events.Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes)
+            )
+
+    def _doubt(self, attempt: Attempt) -> None:
+        """Log the reported exception; the mission only gets exceptions of the drone's own service."""
+        server, operation, raised = attempt.server, str(attempt.call.operation), attempt.raised
+        self._journal.record(
+            schema.RemoteRaised(server=server, check=attempt.check, operation=operation, raised=raised)
+        )
+        if attempt.rival is not None and attempt.late:
+            self._test(attempt, attempt.rival.result())
+        else:
+            why = f"{server} says that {operation} raised {raised}"
+            self._decisions.tell(events.RemoteCallRaised(server, why))
+
+    def _test(self, attempt: Attempt, onboard: Any) -> None:
+        """Compare the exception that the server reported, if any, with the drone's own result of the same call."""
+        if not attempt.raised or attempt.verdict:
+            return
+        server, operation, check = attempt.server, attempt.call.operation, attempt.check
+        confirmed = bool(attempt.call.method.raised(onboard))
+        attempt.verdict = "confirmed" if confirmed else "denied"
+        why = f"it says that {operation} raised {attempt.raised}, which did not raise on the drone"
+        if confirmed:
+            self._hedging.answered(server, operation, attempt.delay_s)
+        else:
+            attempt.session.deny(operation.service)
+            self._journal.record(schema.RemoteFailed(server=server, check=check, why=f"{server}: {why}"))
+        self._decisions.tell(
+            events.RemoteFaultTested(server, check, operation, attempt.delay_s, why, confirmed)
+        )
+
+    # --- both places ----------------------------------------------------------------------------------------
 
     async def _answer_hedged(self, decision: Remote, hedge: Hedge, call: Invocation) -> CallAnswer:
         attempt = self._begin_at_server(call, replace(decision, deadline_s=hedge.deadline_s))
@@ -307,23 +271,18 @@ class Racing:
                 deadline_s=hedge.deadline_s,
             )
         )
-        answer = await self._race(call, self._begin_onboard(call), attempt)
+        answer = await self._race(self._begin_onboard(call), attempt)
         if answer.server == decision.server:
             self._hedging.overtaken(hedge, decision, call.operation, onboard_s=answer.onboard_s)
         return structs.replace(answer, hedged_s=hedge.after_s)
 
-    # --- the race -------------------------------------------------------------------------------------------
-
     async def _fall_back(self, call: Invocation, attempt: Attempt) -> CallAnswer:
         """Compute on the drone: after a reported exception the same call, to test it; else perhaps a lighter one."""
-        if attempt.said is None and call.lightened is None:
+        if not attempt.raised and call.lightened is None:
             call = call.lighter(self._decisions.fall_back(call.operation))
-        return await self._answer_onboard(call, instead_of=attempt)
+        return await self._race(self._begin_onboard(call), attempt)
 
-    async def _answer_onboard(self, call: Invocation, *, instead_of: Attempt | None = None) -> CallAnswer:
-        return await self._race(call, self._begin_onboard(call), instead_of)
-
-    async def _race(self, call: Invocation, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
+    async def _race(self, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
         """The first answer, of the drone's own service or of a server.
 
         `attempt` is the last attempt at a server; it is under way if it has a `reply`.
@@ -335,22 +294,21 @@ class Racing:
                     attempt.rival = computing.task
                     if await _first_over(attempt.reply, computing.task) is attempt.reply:
                         return structs.replace(self._won(attempt, computing), overtook=overtaking)
-                if computing.task.done() or (attempt is not None and attempt.said is not None):
+                if computing.task.done() or (attempt is not None and attempt.raised):
                     break
                 decision = await self._overtaken(computing)
                 if decision is None:
                     break
-                attempt, overtaking = self._begin_at_server(call, decision), True
+                attempt, overtaking = self._begin_at_server(computing.call, decision), True
             reply = await asyncio.shield(computing.task)
         except BaseException:
-            under_way = [attempt.reply] if attempt is not None and attempt.reply is not None else []
-            await end(computing.task, *under_way)
+            await end(computing.task, attempt.reply if attempt is not None else None)
             raise
         return self._done_onboard(reply, computing, attempt)
 
     def _begin_at_server(self, call: Invocation, decision: Remote) -> Attempt:
-        attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
-        attempt.reply = begin(self._calling.at_server(attempt))
+        attempt = self._attempt(call, decision)
+        attempt.reply = begin(self.at_server(attempt))
         return attempt
 
     def _begin_onboard(self, call: Invocation) -> _Computing:
@@ -359,14 +317,14 @@ class Racing:
         async def compute() -> Any:
             await self.queue(call.operation.service)
             computing.began_s = now_s()
-            return await self._calling.onboard(call)
+            return await self.onboard(call)
 
         computing.task = begin(compute())
         return computing
 
     async def _overtaken(self, computing: _Computing) -> Remote | None:
         """The decision for a server that would answer before the drone; None if the drone is done first."""
-        if not self._decisions.overtakes:
+        if not self._decisions.selection.overtakes:
             return None
         while not computing.task.done():
             began_s = now_s() if computing.began_s is None else computing.began_s
@@ -379,11 +337,12 @@ class Racing:
     def _done_onboard(self, reply: Any, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
         began_s = computing.asked_s if computing.began_s is None else computing.began_s
         delay_s = now_s() - began_s
-        late = attempt is not None and attempt.reply is not None and not attempt.reply.done()
+        late = False
         if attempt is not None:
-            self._calling.test(attempt, reply)
+            late = attempt.reply is not None and not attempt.reply.done()
+            self._test(attempt, reply)
             if late and attempt.reply is not None:
-                self._keep(_Loser(attempt.reply))
+                self._keep(attempt.reply, None)
         self._decisions.tell(events.LocalCallEnded(computing.call.operation, delay_s))
         return CallAnswer(
             reply,
@@ -401,22 +360,27 @@ class Racing:
         if computing.began_s is None:
             computing.task.cancel()  # it was still in line
         else:
-            drop = begin(self._drop(call.operation, computing.task))
-            self._keep(_Loser(drop, call.operation.service))
-        return CallAnswer(
-            attempt.reply.result(), call, attempt, ended_s - began_s, queued_s=began_s - computing.asked_s
-        )
+            self._keep(begin(self._drop(call.operation, computing.task)), call.operation.service)
+        reply, queued_s = attempt.reply.result(), began_s - computing.asked_s
+        return CallAnswer(reply, call, attempt, ended_s - began_s, queued_s=queued_s)
 
     async def _drop(self, operation: Operation, local: asyncio.Task[Any]) -> None:
         with contextlib.suppress(UpwashError):  # which is in the log
             await local
         self._journal.record(schema.Dropped(operation=str(operation), place=ON_DRONE))
 
-    def _keep(self, loser: _Loser) -> None:
+    def _keep(self, loser: asyncio.Task[Any], busy: str | None) -> None:
+        """Keep the rest of an answered call, and forget those that are over."""
         for earlier in self._losers:
-            if earlier.task.done() and not earlier.task.cancelled():
-                earlier.task.result()  # which raises a defect, and so ends offloading
-        self._losers = [kept for kept in (*self._losers, loser) if not kept.task.done()]
+            if earlier.done() and not earlier.cancelled():
+                earlier.result()  # which raises a defect, and so ends offloading
+        kept = (self._losers | {loser: busy}).items()
+        self._losers = {task: service for task, service in kept if not task.done()}
+
+
+def _has_failed(call: asyncio.Task[Any]) -> bool:
+    """Whether the call is over without an answer."""
+    return call.done() and (call.cancelled() or call.exception() is not None or call.result() is None)
 
 
 async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any] | None:
@@ -426,7 +390,7 @@ async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> as
     def note(ended: asyncio.Task[Any]) -> None:
         if first.done():
             return
-        if not has_failed(ended):
+        if not _has_failed(ended):
             first.set_result(ended)
         elif remote.done():
             first.set_result(None)

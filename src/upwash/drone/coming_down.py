@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Literal
 
 from upwash.config import SafeEnd
@@ -34,13 +34,19 @@ async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *,
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + _KEEP_TRYING_S
     told, begun = "", ""
+    verbs: Mapping[_Action, Callable[[], Awaitable[None]]] = {
+        "return": autopilot.return_home_and_land,
+        "land": autopilot.land,
+        "hold": autopilot.hold,
+        "disarm": autopilot.disarm,
+    }
     while loop.time() < deadline_s:
         doing: _Action = "disarm" if autopilot.stands else action
         if doing != begun:
             begun = doing
             journal.record(schema.SafeEnd(action=doing, why=why))
         try:
-            await _carry_out(doing, autopilot)
+            await verbs[doing]()
         except AutopilotOverruled:
             return
         except AutopilotError as error:
@@ -70,18 +76,6 @@ async def follow(autopilot: Autopilot, journal: Journal, *, until: asyncio.Event
         journal.record(schema.FollowingEnded(why="the program was stopped"))
     else:
         journal.record(schema.Stood(position=autopilot.position))
-
-
-async def _carry_out(action: _Action, autopilot: Autopilot) -> None:
-    match action:
-        case "disarm":
-            await autopilot.disarm()
-        case "return":
-            await autopilot.return_home_and_land()
-        case "land":
-            await autopilot.land()
-        case "hold":
-            await autopilot.hold()
 
 
 ComingDown = Literal["return", "land"]

@@ -15,7 +15,6 @@ from typing import Literal, NoReturn
 from msgspec.structs import asdict
 
 from upwash.core.geo import Circle, Position
-from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Change
 from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook
@@ -43,28 +42,12 @@ class Decisions:
     ) -> None:
         self.server_left = asyncio.Event()  # by a decision on a call, which selects no other server
         self.looked_after: Callable[[], object] = lambda: None  # called when the next look may have moved
-        self._selection = selection
+        self.selection = selection
         self._autopilot = autopilot
         self._journal = journal
         self._send = send
         self._told = asyncio.Event()  # set and replaced at each event
         self._changed = asyncio.Event()  # set and replaced at each effect
-
-    @property
-    def estimates(self) -> Estimates:
-        """The estimates of delays."""
-        return self._selection.estimates
-
-    @property
-    def overtakes(self) -> bool:
-        """Whether calls that run on the drone may be sent to a server too."""
-        return self._selection.overtakes
-
-    @property
-    def server_in_use(self) -> str | None:
-        """The name of the server to which calls go once it is READY; None without one."""
-        current = self._selection.current
-        return current.name if current is not None else None
 
     @property
     def position(self) -> Position:
@@ -73,19 +56,15 @@ class Decisions:
 
     def next_look_s(self) -> float:
         """The time before which the core need not consider servers again; as `Selection.next_look_s`."""
-        return self._selection.next_look_s(now_s=now_s())
+        return self.selection.next_look_s(now_s=now_s())
 
     def outlook(self) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
-        return self._selection.outlook(now_s=now_s(), position=self._autopilot.position)
-
-    def check_of(self, server: str) -> int:
-        """The number of the latest check of the server."""
-        return self._selection.servers[server].check
+        return self.selection.outlook(now_s=now_s(), position=self._autopilot.position)
 
     def tell(self, event: SelectionEvent) -> None:
         """Pass the event to the core, and carry out its effects."""
-        effects = self._selection.handle(event, now_s=now_s(), position=self._autopilot.position)
+        effects = self.selection.handle(event, now_s=now_s(), position=self._autopilot.position)
         self._perform(effects)
         self._told.set()
         self._told = asyncio.Event()
@@ -94,24 +73,24 @@ class Decisions:
     def decide(self, operation: Operation) -> Decision:
         """Decide where the call that the mission makes now runs, and whether lighter; log the decision."""
         position = self._autopilot.position
-        decision, effects = self._selection.decide(operation, now_s=now_s(), position=position)
+        decision, effects = self.selection.decide(operation, now_s=now_s(), position=position)
         lightened = decision.inputs.lightened
         self._decided(lightened.operation if lightened else operation, decision, effects, position)
         return decision
 
     def fall_back(self, operation: Operation) -> Lightened | None:
         """The lighter operation of a call that the drone computes after its server failed; None: as asked."""
-        return self._selection.fall_back(operation, now_s=now_s(), position=self._autopilot.position)
+        return self.selection.fall_back(operation, now_s=now_s(), position=self._autopilot.position)
 
     async def wait(self, operation: Operation, wait: Wait) -> Decision:
         """Wait for the server as decided; return where the call runs then."""
-        check = self.check_of(wait.server)
+        check = self.selection.servers[wait.server].check
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(wait.at_most_s):
-                while self._selection.is_awaited(check):
+                while self.selection.is_awaited(check):
                     await self._changed.wait()
         position = self._autopilot.position
-        decision, effects = self._selection.decide_after_wait(
+        decision, effects = self.selection.decide_after_wait(
             operation, check, now_s=now_s(), position=position
         )
         self._decided(operation, decision, effects, position)
@@ -120,7 +99,7 @@ class Decisions:
     def overtake(self, operation: Operation, *, began_s: float) -> tuple[Remote | None, float]:
         """The READY server expected to answer before the drone, logged, or None; and when to ask again."""
         position = self._autopilot.position
-        decision, again_s = self._selection.overtake(
+        decision, again_s = self.selection.overtake(
             operation, began_s=began_s, now_s=now_s(), position=position
         )
         if decision is not None:
@@ -178,7 +157,7 @@ class Decisions:
             self._changed = asyncio.Event()
 
     def _record_change(self, change: Change) -> None:
-        estimates = self._selection.estimates
+        estimates, servers = self.selection.estimates, self.selection.in_range
         self._journal.record(
             schema.STEPS[change.event](
                 server=change.server,
@@ -187,9 +166,7 @@ class Decisions:
                 why=change.why,
                 check=change.check,
                 local_mean_call_s=estimates.mean_call_s(),
-                mean_call_s={
-                    server.name: estimates.mean_call_s(server.name) for server in self._selection.in_range
-                },
+                mean_call_s={server.name: estimates.mean_call_s(server.name) for server in servers},
                 position=self._autopilot.position,
             )
         )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import traceback
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 
 from msgspec import Struct
 
@@ -15,17 +16,18 @@ from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
-from upwash.drone.api import Drone, Mission, User, Vehicle, VehicleHandle
+from upwash.drone.api import Drone, Mission, User
 from upwash.drone.coming_down import ComingDown, Descent, end_safely, follow
 from upwash.drone.home import planned_home
 from upwash.drone.mission import MissionThread, mission_failed
-from upwash.drone.offloading import FailSafeOffloading, Offloading
+from upwash.drone.offloading import Offloading
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.payload import Payload, Photographer
 from upwash.drone.pending import AnswerActions, Calls
 from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.site import Site
+from upwash.drone.vehicle import Vehicle, VehicleHandle
 from upwash.errors import (
     AutopilotError,
     AutopilotOverruled,
@@ -105,15 +107,12 @@ class Flight:
         self._follows = False  # a vehicle that is not the program's, to the ground
         self.has_ended = False  # its last event is logged
         self._stop_following = asyncio.Event()
-        self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(
-            maxlen=_WORDS_KEPT
-        )  # with their times
+        # The vehicle's, with their times.
+        self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(maxlen=_WORDS_KEPT)
         self._onboard = _onboard_services(config, programs, ports)
         selection = make_selection(config, specs, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
-        self._offloading = FailSafeOffloading(
-            _offloading(config, selection, ports, self._onboard), ports.journal
-        )
+        self._offloading = _offloading(config, selection, ports, self._onboard)
         self._vehicle = Vehicle(
             ports.autopilot,
             self._thread,
@@ -141,7 +140,8 @@ class Flight:
         try:
             self._ports.autopilot.listen(self._hear_vehicle)
             await self._take_vehicle()
-            await self._start_services()
+            async with self._ending_safely():
+                await self._onboard.start()
             journal.record(self._planned())
             journal.record(
                 schema.MissionStarted(
@@ -253,9 +253,7 @@ class Flight:
     async def _set_dead_man(self, *, flies: bool) -> None:
         """Arm the dead man's switch; raise if that fails, unless the vehicle is already in flight."""
         settings, journal = self._config.autopilot, self._ports.journal
-        if (
-            settings.dead_man_s is None or settings.on_failure == "hold"
-        ):  # the two together are refused in a file
+        if settings.dead_man_s is None or settings.on_failure == "hold":  # no file has both
             return
         try:
             await self._ports.autopilot.dead_man.watch(
@@ -275,23 +273,20 @@ class Flight:
         if autopilot.stands or not autopilot.control.is_ours:
             await autopilot.dead_man.release()
 
-    async def _start_services(self) -> None:
+    @contextlib.asynccontextmanager
+    async def _ending_safely(self) -> AsyncIterator[None]:
+        """End the flight in the configured action, if the block fails."""
         try:
-            await self._onboard.start()
+            yield
         except (Exception, asyncio.CancelledError) as error:
             await self._end(_why(error))
+            if isinstance(error, AutopilotOverruled):
+                self._require_control()  # later evidence may name another owner
             raise
 
     async def _fly(self) -> None:
-        try:
+        async with self._ending_safely():
             await self._run_mission()
-        except AutopilotOverruled as error:
-            await self._end(_why(error))
-            self._require_control()  # later evidence may name another owner
-            raise
-        except (Exception, asyncio.CancelledError) as error:
-            await self._end(_why(error))
-            raise
         if not await self._stands_disarmed():
             where = "in the air" if self._vehicle.in_the_air else "with running motors"
             await self._end(f"the mission ended {where}")
@@ -329,13 +324,13 @@ class Flight:
             raise self._stopped
 
     def _fly_program(self) -> None:
-        self._program()(self._drone())
-        self._handle.settle()
-
-    def _program(self) -> Mission:
+        drone = self._drone()
         if self._plan or self._done is None:
-            return self._mission
-        return _come_down if self._vehicle.in_the_air else _stay_down
+            self._mission(drone)
+        elif self._vehicle.in_the_air:
+            drone.end_flight()
+            drone.autopilot.disarm()
+        self._handle.settle()
 
     def _require_control(self) -> None:
         """Raise AutopilotOverruled if the program has lost the vehicle, in place of any other error."""
@@ -398,23 +393,15 @@ class Flight:
             user=User(self._ports.notifier, self._thread),
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,
-            errands=AnswerActions(
-                self._handle.verbs,
+            settle=self._handle.settle,
+            answers=AnswerActions(
+                self._handle,
                 self._calls,
                 rule=StayRule(self._config.policy.stay_or_go),
                 outlook=self._offloading.outlook,
             ),
             action_s=self._config.mission.action_s,
         )
-
-
-def _come_down(drone: Drone) -> None:
-    drone.end_flight()
-    drone.autopilot.disarm()
-
-
-def _stay_down(_: Drone) -> None:
-    pass
 
 
 def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], ports: Ports) -> OnboardServices:

@@ -1,7 +1,8 @@
-"""PROGRAM: runs each service call on the drone or on a server, and selects servers in the background.
+"""PROGRAM: runs each service call on the drone or on a server, and looks for servers in the background.
 
-core/selection/ decides. decisions.py passes what is decided about servers on to the radios (radios.py,
-radio_worker.py); calls are made by calling.py and raced by racing.py.
+core/selection/ decides. decisions.py passes what is decided about servers on to the radios (radios.py); calls are
+made and raced by calling.py. A defect in any of these ends offloading and is logged; from then on every call runs on
+the drone, and the mission goes on.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
-from upwash.drone.calling import CallAnswer, Calling, Invocation, Racing
+from upwash.drone.calling import CallAnswer, Calling, Invocation
 from upwash.drone.decisions import Background, Decisions, now_s
 from upwash.drone.onboard import OnboardServices
-from upwash.drone.radios import RadioWorkers
+from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema
@@ -51,15 +52,20 @@ class Offloading:
     ) -> None:
         self._journal = journal
         self._radios = RadioWorkers(
-            lambda server: selection.servers[server].in_range,
-            endpoints,
-            networks=networks,
-            dialer=dialer,
-            journal=journal,
-            tell=self.tell,
+            [
+                RadioWorker(
+                    lambda server: selection.servers[server].in_range,
+                    endpoints,
+                    network=network,
+                    dialer=dialer,
+                    journal=journal,
+                    tell=lambda event: self._decisions.tell(event),  # noqa: PLW0108 - they are made below
+                )
+                for network in networks
+            ]
         )
         self._decisions = Decisions(selection, autopilot=autopilot, journal=journal, send=self._radios.send)
-        self._background = Background(
+        self._looks = Background(
             self._decisions,
             [server.area for server in selection.servers.values() if isinstance(server.area, Circle)],
             period_s=period_s,
@@ -67,47 +73,71 @@ class Offloading:
             journal=journal,
         )
         self._calling = Calling(self._decisions, self._radios, onboard, journal, hedging)
-        self._racing = Racing(self._decisions, self._calling, journal, hedging)
+        self._failed = False
+        self._background: asyncio.Task[Any] | None = None
 
-    async def run(self) -> NoReturn:
-        """Selects servers and carries out the core's commands, until cancelled."""
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Look for servers and visit them until the end of the block; then leave the selected server."""
+        background = self._background = start(self._run(), name="offloading", failed=self._fail)
         try:
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._background.look())
-                tasks.create_task(self._background.watch_borders())
-                for worker in self._radios.workers:
-                    tasks.create_task(worker.run())
+            yield
         finally:
-            await self._racing.stop_losers()
-        raise AssertionError("these tasks never end by themselves")
-
-    async def end(self) -> None:
-        """Leave the selected server; call it while `run` runs, after the last call."""
-        await self._racing.stop_losers()
-        self.tell(NoMoreCalls())
-        await self._radios.done()
+            if not background.done():  # else there is nothing left that could leave the server
+                try:
+                    await first(self._leave(), asyncio.wait([background]))
+                except Exception as error:  # noqa: BLE001 - the mission was flown all the same
+                    self._fail(error)
+            await end(background)
 
     @property
     def link(self) -> tuple[str | None, float | None]:
         """The server in use, and the round-trip time (s) of the last request to its daemon; None if unknown."""
-        server = self._decisions.server_in_use
-        if server is None:
+        current = self._decisions.selection.current
+        if self._failed or current is None:
             return None, None
-        return server, self._radios.worker_at(server).round_trip_s(server)
-
-    def tell(self, event: SelectionEvent) -> None:
-        """Pass the event to the core, and carry out its commands."""
-        self._decisions.tell(event)
+        return current.name, self._radios.worker_at(current.name).round_trip_s(current.name)
 
     def outlook(self) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
-        return self._decisions.outlook()
+        return self._guarded(self._decisions.outlook)
+
+    def tell(self, event: SelectionEvent) -> None:
+        """Pass the event to the core, and carry out its commands."""
+        self._guarded(lambda: self._decisions.tell(event))
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
-        """Runs one call where it is decided to run, and on the drone if that fails; returns its decoded reply.
+        """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
 
-        Raises InstanceError only if the drone's own service fails too.
+        Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
+        when the drone's own service fails too.
         """
+        if not self._failed and not method.once:
+            try:
+                return await self._invoke(operation, method, request)
+            except Exception as error:
+                if isinstance(error, UpwashError) and not isinstance(error, TransitionError):
+                    raise
+                self._fail(error)
+        return await self._invoke_alone(operation, method, request)
+
+    async def _run(self) -> NoReturn:
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._looks.look())
+                tasks.create_task(self._looks.watch_borders())
+                for worker in self._radios.workers:
+                    tasks.create_task(worker.run())
+        finally:
+            await self._calling.stop_losers()
+        raise AssertionError("these tasks never end by themselves")
+
+    async def _leave(self) -> None:
+        await self._calling.stop_losers()
+        self._decisions.tell(NoMoreCalls())
+        await self._radios.done()
+
+    async def _invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
         began_s = now_s()
         decision = self._decisions.decide(operation)
         call = Invocation(operation, method, request).lighter(decision.inputs.lightened)
@@ -118,7 +148,7 @@ class Offloading:
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = now_s() - began_s
-        answer = await self._racing.answer(decision, call)
+        answer = await self._calling.answer(decision, call)
         if answer.server is None and isinstance(decision, Remote):
             why = f"{why}; {_lost(answer)} on the drone"
         elif answer.overtook:
@@ -144,10 +174,10 @@ class Offloading:
         )
         return answer.reply
 
-    async def invoke_alone(self, operation: Operation, method: Method, request: bytes) -> Any:
-        """Runs one call on the drone without a decision: a method that runs once, or after a defect of offloading."""
+    async def _invoke_alone(self, operation: Operation, method: Method, request: bytes) -> Any:
+        """Run a call on the drone and decide nothing: where deciding has failed, or the method runs once."""
         began_s = now_s()
-        queued_s = await self._racing.queue(operation.service)
+        queued_s = await self._calling.queue(operation.service)
         reply = await self._calling.onboard(Invocation(operation, method, request))
         delay_s = now_s() - began_s
         self._journal.record(
@@ -166,60 +196,6 @@ class Offloading:
         )
         return reply
 
-
-def _lost(answer: CallAnswer) -> str:
-    if answer.remote_fault:
-        return f"it raised there, which was {answer.remote_fault}"
-    return "no usable answer, so" if answer.fell_back else "late, and sooner"
-
-
-class FailSafeOffloading:
-    """Offloading whose defects are logged and switch it off: the mission goes on, and calls run on the drone."""
-
-    def __init__(self, offloading: Offloading, journal: Journal) -> None:
-        self._offloading = offloading
-        self._journal = journal
-        self._failed = False
-        self._background: asyncio.Task[Any] | None = None
-
-    @contextlib.asynccontextmanager
-    async def running(self) -> AsyncIterator[None]:
-        """Offload until the end of the block; then leave the selected server."""
-        background = self._background = start(self._offloading.run(), name="offloading", failed=self._fail)
-        try:
-            yield
-        finally:
-            await self._end(background)
-            await end(background)
-
-    async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
-        """Runs one call where it is decided to run, or on the drone; returns its decoded reply.
-
-        A method that runs once runs on the drone without a decision, so that no defect repeats it. Raises
-        InstanceError only if the drone's own service fails.
-        """
-        if not self._failed and not method.once:
-            try:
-                return await self._offloading.invoke(operation, method, request)
-            except Exception as error:
-                if not _is_defect(error):
-                    raise
-                self._fail(error)
-        return await self._offloading.invoke_alone(operation, method, request)
-
-    @property
-    def link(self) -> tuple[str | None, float | None]:
-        """The server in use, and the round-trip time (s) to its daemon; None if unknown or switched off."""
-        return (None, None) if self._failed else self._offloading.link
-
-    def outlook(self) -> Outlook | None:
-        """What flying on before the open call is over would save and cost; None if nothing is known."""
-        return self._guarded(self._offloading.outlook)
-
-    def tell(self, event: SelectionEvent) -> None:
-        """Pass the event on to the core."""
-        self._guarded(lambda: self._offloading.tell(event))
-
     def _guarded(self, do: Callable[[], T]) -> T | None:
         if not self._failed:
             try:
@@ -227,15 +203,6 @@ class FailSafeOffloading:
             except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
                 self._fail(error)
         return None
-
-    async def _end(self, background: asyncio.Task[Any]) -> None:
-        """Leave the server, unless the background task has failed."""
-        if background.done():
-            return
-        try:
-            await first(self._offloading.end(), asyncio.wait([background]))
-        except Exception as error:  # noqa: BLE001 - the mission was flown all the same
-            self._fail(error)
 
     def _fail(self, error: BaseException) -> None:
         if self._failed:
@@ -250,5 +217,7 @@ class FailSafeOffloading:
         self._journal.record(schema.OffloadingFailed(why=f"{type(defect).__name__}: {defect}", trace=trace))
 
 
-def _is_defect(error: Exception) -> bool:
-    return isinstance(error, TransitionError) or not isinstance(error, UpwashError)
+def _lost(answer: CallAnswer) -> str:
+    if answer.remote_fault:
+        return f"it raised there, which was {answer.remote_fault}"
+    return "no usable answer, so" if answer.fell_back else "late, and sooner"

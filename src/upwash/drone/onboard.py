@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+from msgspec import Struct
 
 from upwash.core.operation import ON_DRONE
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, OutcomeUnknown, Refused
@@ -25,6 +27,16 @@ async def started(runtime: Runtime, spec: InstanceSpec, *, within_s: float) -> I
         raise NotReadyInTime(spec.name, within_s) from None
 
 
+class _Means(Struct, frozen=True):
+    """What every service on the drone is started and called with."""
+
+    drone: str
+    start_timeout_s: float
+    runtime: Runtime
+    dialer: Dialer
+    journal: Journal
+
+
 class OnboardServices:
     """Keeps the drone's own instances running and calls them."""
 
@@ -38,17 +50,8 @@ class OnboardServices:
         dialer: Dialer,
         journal: Journal,
     ) -> None:
-        self._services: Mapping[str, _OnboardService] = {
-            spec.service: _OnboardService(
-                spec,
-                drone=drone,
-                start_timeout_s=start_timeout_s,
-                runtime=runtime,
-                dialer=dialer,
-                journal=journal,
-            )
-            for spec in specs
-        }
+        means = _Means(drone, start_timeout_s, runtime, dialer, journal)
+        self._services = {spec.service: _OnboardService(spec, means) for spec in specs}
 
     async def start(self) -> None:
         """Starts every service; raises InstanceError if one cannot run at all."""
@@ -67,7 +70,7 @@ class OnboardServices:
     async def close(self) -> None:
         """Ends every service; returns when all have ended."""
         for service in self._services.values():
-            await service.close()
+            await end(service.life)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,28 +80,15 @@ class _Running:
 
 
 class _OnboardService:
-    def __init__(
-        self,
-        spec: InstanceSpec,
-        *,
-        drone: str,
-        start_timeout_s: float,
-        runtime: Runtime,
-        dialer: Dialer,
-        journal: Journal,
-    ) -> None:
+    def __init__(self, spec: InstanceSpec, means: _Means) -> None:
         self._spec = spec
-        self._drone = drone
-        self._start_timeout_s = start_timeout_s
-        self._runtime = runtime
-        self._dialer = dialer
-        self._journal = journal
+        self._means = means
         self._running: asyncio.Future[_Running] = asyncio.get_running_loop().create_future()
-        self._life: asyncio.Task[None] | None = None
+        self.life: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         first = await self._launch()
-        self._life = start(self._live(first), name=f"the life of {self._spec.name}", failed=self._give_up)
+        self.life = start(self._live(first), name=f"the life of {self._spec.name}", failed=self._give_up)
 
     async def call(self, method: str, request: bytes, *, timeout_s: float, once: bool) -> bytes:
         try:
@@ -106,7 +96,7 @@ class _OnboardService:
         except Refused as error:  # it is well, and would refuse again
             raise InstanceError(f"{self._spec.service} on the drone: {error}") from error
         except LinkError as error:
-            self._journal.record(
+            self._means.journal.record(
                 schema.LocalFailed(service=self._spec.service, method=method, why=str(error))
             )
             if once:
@@ -119,24 +109,21 @@ class _OnboardService:
         except LinkError as error:
             raise InstanceError(f"{self._spec.service} failed on the drone, twice: {error}") from error
 
-    async def close(self) -> None:
-        await end(self._life)
-
     def _give_up(self, defect: Exception) -> None:
         """Fail every call from now on: nothing starts the service again."""
         why = (
             f"{self._spec.service} is not watched any more, after a defect: {type(defect).__name__}: {defect}"
         )
-        self._journal.record(schema.LocalFailed(service=self._spec.service, why=why))
+        self._means.journal.record(schema.LocalFailed(service=self._spec.service, why=why))
         self._running = asyncio.get_running_loop().create_future()
         self._running.set_exception(InstanceError(why))
 
     async def _attempt(self, method: str, request: bytes, timeout_s: float) -> bytes:
         try:
-            async with asyncio.timeout(self._start_timeout_s):
+            async with asyncio.timeout(self._means.start_timeout_s):
                 running = await asyncio.shield(self._running)
         except TimeoutError:
-            raise NotReadyInTime(f"{self._spec.service} on the drone", self._start_timeout_s) from None
+            raise NotReadyInTime(f"{self._spec.service} on the drone", self._means.start_timeout_s) from None
         path = service_path(self._spec.service, method)
         try:
             return await running.link.request(path, request, timeout_s=timeout_s)
@@ -155,7 +142,7 @@ class _OnboardService:
                 self._forget(running)
                 await running.link.close()
                 await running.instance.stop()
-            self._journal.record(schema.LocalEnded(service=self._spec.service, how=how))
+            self._means.journal.record(schema.LocalEnded(service=self._spec.service, how=how))
             running = await self._launch_again()
 
     async def _launch_again(self) -> _Running:
@@ -163,19 +150,19 @@ class _OnboardService:
             try:
                 return await self._launch()
             except InstanceError as error:
-                self._journal.record(schema.LocalFailed(service=self._spec.service, why=str(error)))
+                self._means.journal.record(schema.LocalFailed(service=self._spec.service, why=str(error)))
                 await asyncio.sleep(_PAUSE_S)
 
     async def _launch(self) -> _Running:
-        instance = await started(self._runtime, self._spec, within_s=self._start_timeout_s)
+        instance = await started(self._means.runtime, self._spec, within_s=self._means.start_timeout_s)
         try:
-            await instance.admit(frozenset({self._drone}))
+            await instance.admit(frozenset({self._means.drone}))
         except BaseException:
             await instance.stop()
             raise
-        running = _Running(instance, self._dialer.dial(instance.endpoint, server=ON_DRONE))
+        running = _Running(instance, self._means.dialer.dial(instance.endpoint, server=ON_DRONE))
         self._running.set_result(running)
-        self._journal.record(schema.LocalReady(service=self._spec.service))
+        self._means.journal.record(schema.LocalReady(service=self._spec.service))
         return running
 
     def _forget(self, running: _Running) -> None:

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
-from msgspec import Struct
+from msgspec.structs import asdict
 
 from upwash.core.geo import Position, Waypoint
 from upwash.core.operation import Operation
-from upwash.core.planning.stay_or_go import Outlook, StayRule
+from upwash.core.planning.stay_or_go import Outlook, StayRule, StayVerdict
 from upwash.drone.mission import MissionThread
 from upwash.errors import UsageError
 from upwash.eventlog import schema
@@ -33,55 +32,23 @@ T = TypeVar("T")
 Invoke = Callable[[Operation, Method, bytes], Coroutine[Any, Any, Any]]
 
 
-class StartedCall:
-    """A call that the mission has begun; the loop makes its task before the mission's next verb."""
-
-    def __init__(self) -> None:
-        self.task: asyncio.Task[Any] | None = None
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the call has ended, with a reply or without."""
-        return self.task is not None and self.task.done()
-
-    async def over(self) -> float:
-        """Waits until the call has ended; returns the seconds waited. For the loop."""
-        begun_s = asyncio.get_running_loop().time()
-        if self.task is not None and not self.task.done():
-            await asyncio.wait((self.task,))
-        return asyncio.get_running_loop().time() - begun_s
-
-    @property
-    def reply(self) -> Any:
-        """The decoded reply of the ended call; raises InstanceError if the drone's own service failed too."""
-        assert self.task is not None  # noqa: S101 - it is over
-        return self.task.result()
-
-    @property
-    def failure(self) -> str:
-        """Why the ended call has no reply; "" if it has one."""
-        assert self.task is not None  # noqa: S101 - it is over
-        error = None if self.task.cancelled() else self.task.exception()
-        return "" if error is None else str(error) or type(error).__name__
-
-
 class Pending(Generic[T]):
     """A call that was started and whose answer may come later; `Drone.start` returns it."""
 
-    def __init__(self, calls: Calls, call: StartedCall, method: Method, waypoint: int | None) -> None:
+    def __init__(self, calls: Calls, method: Method, waypoint: int | None) -> None:
         self._calls = calls
-        self._call = call
         self._method = method
         self._waypoint = waypoint
+        self._task: asyncio.Task[Any] | None = None  # the loop makes it before the mission's next verb
         self._is_taken = False
 
     def done(self) -> bool:
         """Whether the call has ended, with an answer or without; for any thread."""
-        return self._call.is_over
+        return self._task is not None and self._task.done()
 
     def result(self) -> T:
         """Waits for the answer and returns it; raises the call's exception."""
-        waited_s = self._calls.wait(self._call)
+        waited_s = self._wait()
         try:
             return self._answer()
         finally:
@@ -89,15 +56,33 @@ class Pending(Generic[T]):
 
     def cancel(self) -> None:
         """Drops the answer. The computation goes on, and the mission's next call waits for its end."""
-        self._calls.drop(self._call)
+        self._calls.drop(self)
 
     def demands(self, question: Callable[[T], object] = bool) -> Demand[T]:
         """The argument `unless` of `Vehicle.goto`: stop the flight if `question(answer)` is true."""
         return Demand(self, question)
 
+    async def _over(self) -> float:
+        """Returns once the answer is there, or will never be, after how many seconds; for the loop."""
+        begun_s = asyncio.get_running_loop().time()
+        if self._task is not None and not self._task.done():
+            await asyncio.wait((self._task,))
+        return asyncio.get_running_loop().time() - begun_s
+
     def _wait(self) -> float:
-        """Waits until the call has ended; returns the seconds waited."""
-        return self._calls.wait(self._call)
+        """The same for the mission."""
+        return self._calls.do(self._over())
+
+    def _answer(self) -> T:
+        assert self._task is not None  # noqa: S101 - it is over
+        return cast(T, self._method.result(self._task.result()))
+
+    @property
+    def _failure(self) -> str:
+        """Why there is no answer; "" where there is one."""
+        assert self._task is not None  # noqa: S101 - it is over
+        error = None if self._task.cancelled() else self._task.exception()
+        return "" if error is None else str(error) or type(error).__name__
 
     def _take(self, waited_s: float, *, demanded: bool = False) -> None:
         """Logs, once, that the mission has the answer or the failure."""
@@ -105,22 +90,9 @@ class Pending(Generic[T]):
             self._is_taken = True
             self._calls.note(
                 schema.AnswerTaken(
-                    waypoint=self._waypoint,
-                    waited_s=waited_s,
-                    demanded=demanded,
-                    failed=self._call.failure,
+                    waypoint=self._waypoint, waited_s=waited_s, demanded=demanded, failed=self._failure
                 )
             )
-
-    def _note_demand(self) -> None:
-        """Logs the answer's demand, before the drone flies back to its waypoint."""
-        self._calls.note(schema.Demanded(waypoint=self._waypoint, failed=self._call.failure))
-
-    async def _answered(self) -> None:
-        await self._call.over()
-
-    def _answer(self) -> T:
-        return cast(T, self._method.result(self._call.reply))
 
 
 class Demand(Generic[T]):
@@ -133,11 +105,12 @@ class Demand(Generic[T]):
 
     async def answered(self) -> None:
         """Return when the call has ended; for the loop."""
-        await self.pending._answered()
+        await self.pending._over()
 
     def note(self) -> None:
         """Log the answer's demand, before the drone flies back to its waypoint."""
-        self.pending._note_demand()
+        pending = self.pending
+        pending._calls.note(schema.Demanded(waypoint=pending._waypoint, failed=pending._failure))
 
     def holds(self) -> bool:
         """Whether the answer of the ended call makes the question true; the question runs once."""
@@ -151,9 +124,6 @@ class Demand(Generic[T]):
         return self._holds
 
 
-_NONE = StartedCall()  # no call at all
-
-
 class Calls:
     """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan."""
 
@@ -164,13 +134,14 @@ class Calls:
         self._invoke = invoke
         self._journal = journal
         self._waypoint = waypoint
-        self._under_way = self._dropped = _NONE
+        self._under_way: Pending[Any] | None = None
+        self._dropped: Pending[Any] | None = None
 
     def call(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         self._require_free(operation)
-        after, self._dropped = self._dropped, _NONE
-        return self._thread.call(self._run(operation, method, request, after))
+        after, self._dropped = self._dropped, None
+        return self.do(self._run(operation, method, request, after))
 
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Makes a call of a service's method with these arguments, and does not wait.
@@ -179,33 +150,26 @@ class Calls:
         """
         operation, method, request = request_of(call, args, kwargs)
         self._require_free(operation)
-        started, after, waypoint = StartedCall(), self._dropped, self._waypoint()
+        after, waypoint = self._dropped, self._waypoint()
+        started = Pending[T](self, method, waypoint)
 
         def on_loop() -> None:
             self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
-            started.task = begin(self._run(operation, method, request, after))
-            started.task.add_done_callback(_take_note)
+            started._task = begin(self._run(operation, method, request, after))
+            started._task.add_done_callback(_take_note)
 
-        self._under_way, self._dropped = started, _NONE
+        self._under_way, self._dropped = started, None
         self._thread.post(on_loop)
-        return Pending(self, started, method, waypoint)
+        return started
 
-    def wait(self, call: StartedCall) -> float:
-        """Waits until the call is over; returns the seconds waited."""
-        return self._thread.call(call.over())
-
-    def drop(self, call: StartedCall) -> None:
+    def drop(self, call: Pending[Any]) -> None:
         """Drop the answer of the call."""
         if self._under_way is call:
-            self._under_way, self._dropped = _NONE, call
+            self._under_way, self._dropped = None, call
 
-    def on_loop(self, do: Callable[[], T]) -> T:
-        """Calls `do` on the loop's thread and returns its result."""
-
-        async def verb() -> T:
-            return do()
-
-        return self._thread.call(verb())
+    def do(self, verb: Coroutine[Any, Any, T]) -> T:
+        """Does that on the loop's thread, and waits for it."""
+        return self._thread.call(verb)
 
     def note(self, event: Event) -> None:
         """Logs an event of the mission."""
@@ -213,18 +177,21 @@ class Calls:
 
     async def close(self) -> None:
         """Ends calls that are still under way; for the loop, after the mission's last call."""
-        await end(self._under_way.task, self._dropped.task)
+        await end(*(call._task for call in (self._under_way, self._dropped) if call is not None))
 
     def _require_free(self, operation: Operation) -> None:
         self._thread.require_turn()
-        if self._under_way is not _NONE and not self._under_way.is_over:
+        if self._under_way is not None and not self._under_way.done():
             raise UsageError(
                 f"{operation} cannot be called yet: another call is pending, and a drone makes one at a time; take "
                 "its answer first, with its result(), or drop it with cancel()"
             )
 
-    async def _run(self, operation: Operation, method: Method, request: bytes, after: StartedCall) -> Any:
-        await after.over()
+    async def _run(
+        self, operation: Operation, method: Method, request: bytes, after: Pending[Any] | None
+    ) -> Any:
+        if after is not None:
+            await after._over()
         return await self._invoke(operation, method, request)
 
 
@@ -242,64 +209,55 @@ def index_of(place: Place | None) -> int | None:
     return place.index if isinstance(place, Waypoint) else None
 
 
-class VehicleVerbs(Struct, frozen=True):
-    """The vehicle's functions that settling an answer needs.
+class VehicleVerbs(Protocol):
+    """What settling an answer does with the vehicle."""
 
-    `fly` returns False, at rest on the way, if the answer has a demand before the arrival. After `leave_open` the
-    following verbs settle the answer.
-    """
+    def place(self) -> Place | None:
+        """Where it was last sent to."""
 
-    place: Callable[[], Place | None]  # where it was last sent to
-    position: Callable[[], Position]
-    fly: FlyVerb
-    leave_open: Callable[[AnswerAction[Any]], None]
+    def position(self) -> Position:
+        """Where it is."""
 
+    def fly(self, place: Place, *, unless: Demand[Any] | None = None, back: bool = False) -> bool:
+        """Fly to a place, `back` to a waypoint whose calls are over; False, at rest on the way, for a demand."""
 
-class FlyVerb(Protocol):
-    """Flies to a place; `back` to a waypoint whose calls are over."""
-
-    def __call__(self, place: Place, *, unless: Demand[Any] | None = None, back: bool = False) -> bool:
-        """Return whether the vehicle has arrived."""
-
-
-@dataclass(frozen=True, slots=True)
-class DemandedAction(Generic[T]):
-    """What to do after an answer: call `act(answer)` at the place if `demands(answer)` is true.
-
-    `failed` gets an exception of the call there; without `failed` the mission does.
-    """
-
-    pending: Pending[T]
-    act: Callable[[T], object]
-    demands: Callable[[T], object]
-    failed: Callable[[Exception], object] | None
-    place: Place | None
-
-    @property
-    def waypoint(self) -> int | None:
-        """The waypoint of the place; None for a position."""
-        return index_of(self.place)
+    def leave_open(self, answer: AnswerAction[Any]) -> None:
+        """Have the verbs that follow settle the answer."""
 
 
 class AnswerAction(Generic[T]):
-    """One demanded action, from the call until the action is done."""
+    """What to do about an answer, from the call on until it is done: `act`, at its place, if the answer demands it.
+
+    An exception of the call goes to `failed` there, or to the mission without `failed`.
+    """
 
     def __init__(
-        self, action: DemandedAction[T], vehicle: VehicleVerbs, calls: Calls, rule: StayRule
+        self,
+        vehicle: VehicleVerbs,
+        calls: Calls,
+        rule: StayRule,
+        demand: Demand[T],
+        act: Callable[[T], object],
+        *,
+        failed: Callable[[Exception], object] | None,
     ) -> None:
-        self._action = action
         self._vehicle = vehicle
         self._calls = calls
         self._rule = rule
-        self._demand = action.pending.demands(action.demands)
+        self._demand = demand
+        self._pending = demand.pending
+        self._act = act
+        self._failed = failed
+        self._place = vehicle.place()
+        self.waypoint = index_of(self._place)
         self.is_away = False  # whether the drone has left the waypoint
         self.is_over = False
 
     def settle(self) -> None:
         """Waits for the answer; if it has a demand, flies to its waypoint, acts, and comes back here."""
-        here, waited_s = self._vehicle.place(), self._action.pending._wait()
+        here, waited_s = self._vehicle.place(), self._pending._wait()
         if self.is_away and self._demand.holds():
-            self._action.pending._note_demand()
+            self._demand.note()
             self._come_back(waited_s)
             if here is not None:
                 self._vehicle.fly(here)
@@ -316,33 +274,31 @@ class AnswerAction(Generic[T]):
         if not self._vehicle.fly(place, unless=self._demand):
             self._come_back(0.0)
             self._vehicle.fly(place)
-        elif self._action.pending.done():  # in the moment of the arrival, or demanding nothing
+        elif self._pending.done():  # in the moment of the arrival, or demanding nothing
             self.settle()
 
     def _come_back(self, waited_s: float) -> None:
-        action = self._action
-        self._calls.note(schema.TurnedBack(waypoint=action.waypoint, position=self._vehicle.position()))
-        if action.place is not None:
-            self._vehicle.fly(action.place, back=True)
+        self._calls.note(schema.TurnedBack(waypoint=self.waypoint, position=self._vehicle.position()))
+        if self._place is not None:
+            self._vehicle.fly(self._place, back=True)
         self._finish(waited_s)
 
     def _finish(self, waited_s: float) -> None:
         self.is_over = True
-        action = self._action
         demanded = self._demand.holds()
         self._rule.answered(demanded=demanded)
-        action.pending._take(waited_s, demanded=demanded)
+        self._pending._take(waited_s, demanded=demanded)
         if not demanded:
             return
         try:
-            answer = action.pending._answer()
+            answer = self._pending._answer()
         except Exception as error:
-            if action.failed is None:
+            if self._failed is None:
                 raise
-            action.failed(error)
+            self._failed(error)
         else:
-            action.act(answer)
-        self._calls.note(schema.Acted(waypoint=action.waypoint))
+            self._act(answer)
+        self._calls.note(schema.Acted(waypoint=self.waypoint))
 
 
 class AnswerActions:
@@ -356,26 +312,18 @@ class AnswerActions:
         self._rule = rule
         self._outlook = outlook
 
-    def run(self, action: DemandedAction[Any]) -> None:
+    def run(
+        self, demand: Demand[T], act: Callable[[T], object], failed: Callable[[Exception], object] | None
+    ) -> None:
         """Waits for the answer and acts on it, or leaves it open and returns."""
-        answer = AnswerAction(action, self._vehicle, self._calls, self._rule)
-        if self._goes(action):
-            self._vehicle.leave_open(answer)
-        else:
-            answer.settle()
+        answer = AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
+        if self._rule.manner != "stay" and not demand.pending.done():
+            verdict = self._calls.do(self._judge())
+            self._calls.note(schema.StayOrGo(waypoint=answer.waypoint, **asdict(verdict)))
+            if verdict.goes:
+                self._vehicle.leave_open(answer)
+                return
+        answer.settle()
 
-    def _goes(self, action: DemandedAction[Any]) -> bool:
-        if self._rule.manner == "stay" or action.pending.done():
-            return False
-        verdict = self._calls.on_loop(lambda: self._rule.decide(self._outlook()))
-        self._calls.note(
-            schema.StayOrGo(
-                waypoint=action.waypoint,
-                goes=verdict.goes,
-                why=verdict.why,
-                chance=verdict.chance,
-                saved_s=verdict.saved_s,
-                lost_s=verdict.lost_s,
-            )
-        )
-        return verdict.goes
+    async def _judge(self) -> StayVerdict:
+        return self._rule.decide(self._outlook())

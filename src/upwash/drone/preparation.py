@@ -30,9 +30,9 @@ from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.order import Forecaster, Order, best_order
 from upwash.core.policies.names import make_policy
 from upwash.core.selection.hedging import Hedging
-from upwash.core.selection.mission_times import LighterSettings
 from upwash.core.selection.recovery import Probing
-from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.selection.selection import Selection
+from upwash.core.selection.settings import LighterSettings, SelectionSettings
 from upwash.core.vehicle.geofence import breached_by_way
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
 from upwash.drone.server_session import ServerEndpoint

@@ -117,13 +117,13 @@ class RadioWorker:
         check = command.check
         try:
             await self._join(session, command)
-            self._watch = self._tasks.create_task(self._notice_loss(session, check))
+            self._watch = self._tasks.create_task(self._watch_network(session, check))
             answer = await self._with_slot(session.ask, check)
         except (NetworkError, LinkError) as error:
             self._tell(_failed(check, error))
             return
-        self._tell(events.CheckAnswered(check, answer.running, answer.peers, answer.waiting))
-        if answer.running:
+        self._tell(events.CheckAnswered(check, session.running, tuple(answer.peers), answer.waiting))
+        if session.running:
             await self._keep_lease(session, check)
 
     async def _with_slot(self, ask: Callable[[], Awaitable[T]], check: int) -> T:
@@ -176,7 +176,7 @@ class RadioWorker:
                 except NetworkError:
                     continue
                 if self._watch is None or self._watch.done():
-                    self._watch = self._tasks.create_task(_until_lost(session))
+                    self._watch = self._tasks.create_task(self._watch_network(session, None))
                 asking.add(begin(self._question(session, command.check)))
         finally:
             await end(*asking)
@@ -189,8 +189,10 @@ class RadioWorker:
         except ServicePaused as refusal:
             return events.ProbePaused(check, str(refusal), refusal.pause_s)
 
-    async def _notice_loss(self, session: ServerSession, check: int) -> None:
-        self._tell(events.NetworkGone(check, await session.lost()))
+    async def _watch_network(self, session: ServerSession, check: int | None) -> None:
+        why = await session.lost()
+        if check is not None:
+            self._tell(events.NetworkGone(check, why))
 
     async def _start(self, session: ServerSession, command: Start) -> None:
         start = functools.partial(session.start, timeout_s=command.limit_s)
@@ -234,27 +236,11 @@ async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T |
     return None
 
 
-async def _until_lost(session: ServerSession) -> None:
-    await session.lost()
-
-
 class RadioWorkers:
     """The workers, one for each radio of the drone."""
 
-    def __init__(
-        self,
-        in_range: Callable[[str], bool],
-        endpoints: Mapping[str, ServerEndpoint],
-        *,
-        networks: Sequence[Network],
-        dialer: Dialer,
-        journal: Journal,
-        tell: Callable[[SelectionEvent], None],
-    ) -> None:
-        self.workers = [
-            RadioWorker(in_range, endpoints, network=network, dialer=dialer, journal=journal, tell=tell)
-            for network in networks
-        ]
+    def __init__(self, workers: Sequence[RadioWorker]) -> None:
+        self.workers = workers
         self._worker_of: dict[str, RadioWorker] = {}  # by the server that they are at, or were at last
         self._visited: list[str] = []  # the servers that a worker is at
 

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from upwash.config import DroneConfig
 from upwash.core.geo import Position
-from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve, margin
+from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
@@ -88,7 +88,7 @@ class ReserveWatch:
         if percent is None or self._has_flown:
             return None
         self._home = self._autopilot.position
-        return margin(
+        return Margin(
             percent,
             rate_percent_s=energy.rate_percent_s,
             home_s=0.0,
@@ -111,7 +111,7 @@ class ReserveWatch:
         energy.take(report)
         now = energy.margin(report, self._home, vehicle.energy)
         if now is not None and (down_s := self._down_s()) is not None:
-            now = replace(now, home_s=down_s, needed_percent=(now.rate_percent_s or 0.0) * down_s)
+            now = replace(now, home_s=down_s)
         if now is not None:
             self._tell(now, report.time_s)
         return now

@@ -63,14 +63,6 @@ class ServerEndpoint(Struct, frozen=True):
     finder: Finder | None = None
 
 
-class Availability(Struct, frozen=True):
-    """The answer of an available server: whether all used services run, its peers, and the waiting drones."""
-
-    running: bool
-    peers: tuple[str, ...]
-    waiting: int
-
-
 class ServerSession:
     """The drone's requests and calls to one server, from its selection to its de-selection."""
 
@@ -99,6 +91,11 @@ class ServerSession:
         """The name of the server."""
         return self._server.name
 
+    @property
+    def running(self) -> bool:
+        """Whether all wanted services run there, by the last answer."""
+        return all(service in self._instances for service in self._server.services)
+
     async def join(self, *, timeout_s: float) -> bool:
         """Joins the server's network unless it is joined; returns whether it had to. Raises NetworkError."""
         if self._lost:
@@ -116,7 +113,7 @@ class ServerSession:
         await self._hang_up()
         return self._lost
 
-    async def ask(self) -> Availability:
+    async def ask(self) -> AvailabilityReply:
         """Asks the daemon for a slot, and which services run. Raises LinkError; ServerFull if it has no slot."""
         if self._daemon is None:
             self._daemon = await self._dial_daemon()
@@ -125,8 +122,7 @@ class ServerSession:
         for service in self._server.services:
             if service in answer.endpoints:
                 await self._dial(service, answer.endpoints[service])
-        running = all(service in self._instances for service in self._server.services)
-        return Availability(running, tuple(answer.peers), answer.waiting)
+        return answer
 
     async def probe(self) -> bool:
         """Waits for an answer of the daemon and each used service that runs; returns whether all used services run.

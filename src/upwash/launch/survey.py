@@ -181,7 +181,8 @@ async def _survey(
         found = "does not answer as needed"
         now_s = asyncio.get_running_loop().time
         began_s = now_s()
-        running = (await session.ask()).running
+        await session.ask()
+        running = session.running
         found = "answers"
         if not running:
             await session.start_patiently(within_s=wanted.config.start_timeout_s)

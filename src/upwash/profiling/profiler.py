@@ -188,7 +188,8 @@ async def profile_server(
     session = ServerSession(endpoint, network=network, dialer=dialer)
     began_s = _now_s()
     try:
-        if not (await session.ask()).running:
+        await session.ask()
+        if not session.running:
             raise UpwashError(
                 f"{endpoint.name} has stopped its services again already: let its idle_stop_s be longer"
             )
@@ -264,7 +265,8 @@ async def _check_stopped_s(session: ServerSession, *, start_timeout_s: float) ->
     """Time from selection to READY including the start; None if the services ran already."""
     began_s = _now_s()
     try:
-        if (await session.ask()).running:
+        await session.ask()
+        if session.running:
             return None
         await session.start_patiently(within_s=start_timeout_s)
         return _now_s() - began_s

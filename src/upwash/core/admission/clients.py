@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal, TypeAlias
 
@@ -149,31 +148,22 @@ class DoorStatus(Struct, frozen=True):
     ago_s: float
 
 
-@dataclass(slots=True)
-class _Refusal:
-    last_s: float
-    times: int = 0
-
-
-@dataclass(slots=True)
 class Refusals:
     """The last 20 different refusals."""
 
-    _known: dict[tuple[str, str, str], _Refusal] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str, str], tuple[int, float]] = {}  # how often, and when last
 
     def note(self, server: str, client: str, why: str, *, now_s: float) -> None:
         """Add a refusal; the same refusal again raises its count."""
-        what = (server, client, why)
-        refusal = self._known.pop(what, _Refusal(now_s))
-        refusal.times += 1
-        refusal.last_s = now_s
-        self._known[what] = refusal
+        times, _ = self._known.pop((server, client, why), (0, now_s))
+        self._known[server, client, why] = times + 1, now_s
         if len(self._known) > _MOST_REFUSALS:
             del self._known[next(iter(self._known))]
 
     def status(self, *, now_s: float) -> list[RefusalStatus]:
         """The refusals, the latest first."""
         return [
-            RefusalStatus(*what, times=refusal.times, ago_s=now_s - refusal.last_s)
-            for what, refusal in reversed(self._known.items())
+            RefusalStatus(*what, times=times, ago_s=now_s - last_s)
+            for what, (times, last_s) in reversed(self._known.items())
         ]

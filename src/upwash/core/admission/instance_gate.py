@@ -14,12 +14,7 @@ class InstanceGate:
     def __init__(self) -> None:
         self._admitted: frozenset[str] = frozenset()
         self._finishing: frozenset[str] = frozenset()
-        self._closed = ""
-
-    @property
-    def closed(self) -> str:
-        """Why no call is answered any more; "" before `close`."""
-        return self._closed
+        self.closed = ""  # why no call is answered any more; empty where some are
 
     def admit(self, drones: Iterable[str], finishing: Iterable[str] = ()) -> None:
         """Answer only these drones from now on, given by `Client.key`; `require` refuses all others.
@@ -30,7 +25,7 @@ class InstanceGate:
 
     def close(self, why: str) -> None:
         """Refuse every call from now on, for the reason `why`."""
-        self._closed = why
+        self.closed = why
 
     def require(self, client: Client) -> None:
         """Check a call that arrives: raises Refused after `close`, NoLease if the client is not admitted."""
@@ -41,7 +36,7 @@ class InstanceGate:
         self._require(client, self._admitted | self._finishing)
 
     def _require(self, client: Client, admitted: frozenset[str]) -> None:
-        if self._closed:
-            raise Refused(self._closed)
+        if self.closed:
+            raise Refused(self.closed)
         if client.key not in admitted:
             raise NoLease(f"drone {client.name or '(unnamed)'} has no lease here")

@@ -183,23 +183,18 @@ class ServerTable:
         self.servers = {name: Server(name, area) for name, area in areas.items()}
         self.in_range: Sequence[Server] = ()
         self._met: Sequence[Server] = ()  # all that are not AVL: hundreds that were never met cost nothing
-        self._ranges = Ranges(areas)
+        self.ranges = Ranges(areas)
         self._idle_s = idle_s
 
     def locate(self, position: Position, now_s: float) -> bool:
         """Set where the drone is; return whether it has crossed the border of a server's range."""
-        crossed = self._ranges.crossed(position)
+        crossed = self.ranges.crossed(position)
         for name in crossed:
             server = self.servers[name]
             server.in_range_since_s = None if server.in_range else now_s
         if crossed:
             self.in_range = [server for server in self.servers.values() if server.in_range]
         return bool(crossed)
-
-    @property
-    def is_on_border(self) -> bool:
-        """Whether a border of a range was within 1 cm at the last position given."""
-        return self._ranges.is_on_border
 
     def meet(self) -> None:
         """Note that a server has left AVL, so that time may change its state from now on."""

@@ -62,22 +62,13 @@ class MissionBeliefs:
         return vehicle if self.assumed and vehicle is not None else self.pace
 
 
-@dataclass(slots=True)
-class _LegUnderWay:
-    """The leg under way."""
+class PlannedLeg(Struct, frozen=True):
+    """A leg between two places, and when it was begun, if it was."""
 
     start: Position
     end: Position
     leg: Leg
-    begun_s: float
-
-
-class NextLeg(Struct, frozen=True):
-    """The way from the drone's waypoint to the next."""
-
-    start: Position
-    end: Position
-    leg: Leg
+    begun_s: float = 0.0
 
 
 class _Entries(Struct, frozen=True):
@@ -112,7 +103,7 @@ class MissionModel:
         self._leaving_s = 0.0  # from the last call of a stop to the next leg
         self._place: Position | None = None  # where it is or flies to, as far as is known
         self._index: int | None = None  # of that place in the plan
-        self._way: _LegUnderWay | None = None
+        self._way: PlannedLeg | None = None
         self._last_leg_m = 0.0
         self._here: list[StopCall] = []
         self._is_back = False  # or on the way back: the stop teaches nothing
@@ -146,7 +137,7 @@ class MissionModel:
             self._ground_speed_m_s = ground_speed_m_s
         self._place, self._index, self._here = target, self._find(target), []
         self._last_leg_m = distance_m(start, target)
-        self._way = _LegUnderWay(start, target, self._leg(self._last_leg_m), now_s)
+        self._way = PlannedLeg(start, target, self._leg(self._last_leg_m), now_s)
 
     def arrived(self, *, now_s: float) -> None:
         """Note that the leg is over; learn the vehicle's acceleration from it."""
@@ -182,7 +173,7 @@ class MissionModel:
         """The expected seconds until the call under way is over."""
         return max(0.0, self._free_s - now_s)
 
-    def next_leg(self) -> NextLeg | None:
+    def next_leg(self) -> PlannedLeg | None:
         """The leg to the next waypoint of the plan; None at the last waypoint, during a leg, and off the plan."""
         if self._place is None or self._way is not None or self._index is None:
             return None
@@ -190,7 +181,7 @@ class MissionModel:
             return None
         waypoint = self._plan[self._index + 1]
         leg = self._leg(distance_m(self._place, waypoint.position), waypoint.ground_speed_m_s)
-        return NextLeg(self._place, waypoint.position, leg)
+        return PlannedLeg(self._place, waypoint.position, leg)
 
     def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
         """The next calls, at most `count`; empty if nothing is known."""
@@ -232,7 +223,7 @@ class MissionModel:
                 in_range_s[server] = max(0.0, time_s + step.pause_s)
             yield ExpectedCall(step.operation, gap_s, in_range_s, place)
 
-    def _rest_of_way(self, way: _LegUnderWay, position: Position) -> _Stop:
+    def _rest_of_way(self, way: PlannedLeg, position: Position) -> _Stop:
         leg = way.leg
         flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
         rest_s = leg.duration_s - flown_s + self._hold_s()

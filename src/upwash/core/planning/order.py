@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from msgspec import Struct
@@ -64,18 +64,12 @@ def sweeps(given: Sequence[Waypoint]) -> tuple[Sweep, ...]:
 
 def _sweep(number: int, rows: _Lines, columns: _Lines, *, top: bool, right: bool, by_rows: bool) -> Sweep:
     lines, from_last, from_end = (rows, top, right) if by_rows else (columns, right, top)
-    corner = f"{'top' if top else 'bottom'}-{'right' if right else 'left'}"
-    return Sweep(
-        number,
-        f"by {'rows' if by_rows else 'columns'} from the {corner}",
-        tuple(_swept(lines, from_last=from_last, from_end=from_end)),
-    )
-
-
-def _swept(lines: _Lines, *, from_last: bool, from_end: bool) -> Iterator[Waypoint]:
+    waypoints: list[Waypoint] = []
     for line in reversed(lines) if from_last else lines:
-        yield from reversed(line) if from_end else line
+        waypoints += reversed(line) if from_end else line
         from_end = not from_end
+    corner = f"{'top' if top else 'bottom'}-{'right' if right else 'left'}"
+    return Sweep(number, f"by {'rows' if by_rows else 'columns'} from the {corner}", tuple(waypoints))
 
 
 def _rows(given: Sequence[Waypoint]) -> _Lines:

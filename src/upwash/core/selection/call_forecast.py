@@ -11,6 +11,7 @@ One pass over the calls, so that a small computer can look at hundreds of them b
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 from msgspec import Struct
 
@@ -29,34 +30,27 @@ class CallPlace(Struct, frozen=True):
     ready_in_s: float = 0.0
 
 
+@dataclass(slots=True, eq=False)
 class CallForecast:
     """Foresees the places of coming calls, from the server in use and the estimates of one moment.
 
     `unusable_s` has the seconds until a server may be used; services run on the servers of `running`.
     """
 
-    def __init__(
-        self,
-        policy: Policy,
-        estimates: Estimates,
-        *,
-        here: CallPlace,
-        running: Iterable[str] = (),
-        unusable_s: Mapping[str, float],
-    ) -> None:
-        self._policy = policy
-        self._estimates = estimates
-        self._here = here
-        self._running = set(running)
-        self._unusable_s = unusable_s
-        self._local_mean_s = estimates.mean_call_s()
-        self._choices: dict[tuple[str | None, tuple[str, ...], Position | None], str | None] = {}
-        # With no check under way.
-        self._delays_s: dict[tuple[str | None, Operation, Position | None], float] = {}
+    _policy: Policy
+    _estimates: Estimates
+    here: CallPlace
+    unusable_s: Mapping[str, float]
+    running: set[str] = field(default_factory=set)
+    _choices: dict[tuple[str | None, tuple[str, ...], Position | None], str | None] = field(
+        default_factory=dict
+    )
+    # With no check under way.
+    _delays_s: dict[tuple[str | None, Operation, Position | None], float] = field(default_factory=dict)
 
     def places(self, calls: Iterable[ExpectedCall]) -> Iterator[CallPlace]:
         """The place of each call, in the order of the calls."""
-        at_s, here = 0.0, self._here
+        at_s, here = 0.0, self.here
         for call in calls:
             at_s += call.gap_s
             server = self._server(here.server, call, at_s)
@@ -65,9 +59,9 @@ class CallForecast:
             elif server == here.server:
                 here = CallPlace(server, max(0.0, here.ready_in_s - call.gap_s))
             else:
-                check_s = self._estimates.check_s(server, running=server in self._running)
+                check_s = self._estimates.check_s(server, running=server in self.running)
                 here = CallPlace(server, max(0.0, check_s - call.in_range_s[server]))
-                self._running.add(server)
+                self.running.add(server)
             yield here
             delay_s = self.delay_s(here, call)
             at_s += delay_s
@@ -104,7 +98,7 @@ class CallForecast:
         return place.ready_in_s + remote_s
 
     def _server(self, current: str | None, call: ExpectedCall, at_s: float) -> str | None:
-        usable = [name for name in call.in_range_s if self._unusable_s.get(name, 0.0) <= at_s]
+        usable = [name for name in call.in_range_s if self.unusable_s.get(name, 0.0) <= at_s]
         usable.sort(key=lambda name: -call.in_range_s[name])
         at = call.position if any(self._estimates.is_measured(name) for name in usable) else None
         seen = current if current in usable else None, tuple(usable), at
@@ -113,5 +107,6 @@ class CallForecast:
                 Option(name, self._estimates.mean_call_s(name, at), in_range_since_s=rank)
                 for rank, name in enumerate(usable)
             ]
-            self._choices[seen] = self._policy.choose(Situation(options, seen[0], self._local_mean_s)).server
+            situation = Situation(options, seen[0], self._estimates.mean_call_s())
+            self._choices[seen] = self._policy.choose(situation).server
         return self._choices[seen]

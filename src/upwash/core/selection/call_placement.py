@@ -7,7 +7,7 @@ drone's own service computes them too. A call that runs on the drone is also sen
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import CHECKING, Server, State
@@ -20,16 +20,14 @@ from upwash.core.selection.recovery import Recovery
 _TRIAL_S = 10.0  # for the server's answer to a call on trial
 
 
+@dataclass(frozen=True, slots=True)
 class CallPlacement:
     """Decides where each call runs, by the policy and by what is known of the server in use."""
 
-    def __init__(
-        self, policy: Policy, *, radios: Radios, estimates: Estimates, recovery: Recovery | None
-    ) -> None:
-        self._policy = policy
-        self._radios = radios
-        self._estimates = estimates
-        self._recovery = recovery
+    _policy: Policy
+    _radios: Radios
+    _estimates: Estimates
+    _recovery: Recovery | None
 
     def decide(self, operation: Operation, now_s: float) -> tuple[Decision, list[Effect]]:
         """Decide where a call made now runs; leave the server in use if it is out of range."""

@@ -7,7 +7,8 @@ it would not have. Where the server answers later or not at all, the drone would
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import defaultdict, deque
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
 from msgspec import Struct
@@ -28,24 +29,15 @@ class Hedge(Struct, frozen=True):
     deadline_s: float
 
 
-class Delays(Struct, frozen=True):
-    """The last 100 delays of one operation on one server."""
+def quantile_s(delays_s: Collection[float], quantile: float, *, offline_s: float) -> float:
+    """The delay (s) that a call exceeds with probability `1 - quantile` at most.
 
-    values_s: tuple[float, ...] = ()
-
-    def observe(self, delay_s: float) -> Delays:
-        """The delays with one more, without the oldest if there are 100."""
-        return Delays((*self.values_s[1 - _WINDOW_LENGTH :], delay_s))
-
-    def quantile_s(self, quantile: float, *, offline_s: float) -> float:
-        """The delay (s) that a call exceeds with probability `1 - quantile` at most.
-
-        With too few delays to tell, it is twice the longest of them and of `offline_s`, the estimate before any call.
-        """
-        rank = math.ceil(quantile * (len(self.values_s) + 1))
-        if rank > len(self.values_s):
-            return _FEW * max((offline_s, *self.values_s))
-        return sorted(self.values_s)[rank - 1]
+    With too few delays to tell, it is twice the longest of them and of `offline_s`, the estimate before any call.
+    """
+    rank = math.ceil(quantile * (len(delays_s) + 1))
+    if rank > len(delays_s):
+        return _FEW * max((offline_s, *delays_s))
+    return sorted(delays_s)[rank - 1]
 
 
 class Hedging:
@@ -67,7 +59,10 @@ class Hedging:
         self._quantile = quantile
         self._budget = budget
         self._offline_s = offline_s
-        self._delays: dict[tuple[str, Operation], Delays] = {}
+        # The latest, of each operation on each server.
+        self._delays_s: dict[tuple[str, Operation], deque[float]] = defaultdict(
+            lambda: deque(maxlen=_WINDOW_LENGTH)
+        )
         self._calls_s = 0.0  # the time of all calls, if computed on the drone
         self._extra_s = 0.0
 
@@ -84,15 +79,14 @@ class Hedging:
         if is_busy or local_s is None or self._extra_s >= self._budget * self._calls_s:
             return None
         server, deadline_s = decision.server, decision.deadline_s
-        delays = self._delays.get((server, operation), Delays())
-        late_s = delays.quantile_s(self._quantile, offline_s=self._offline_s[server][operation])
+        delays_s, offline_s = self._delays_s[server, operation], self._offline_s[server][operation]
+        late_s = quantile_s(delays_s, self._quantile, offline_s=offline_s)
         after_s = min(late_s + _EXCEEDS_BY_S, deadline_s)
         return Hedge(after_s, max(deadline_s, after_s + local_s))
 
     def answered(self, server: str, operation: Operation, delay_s: float) -> None:
         """Add the delay of a remote call that was answered."""
-        delays = self._delays.get((server, operation), Delays())
-        self._delays[server, operation] = delays.observe(delay_s)
+        self._delays_s[server, operation].append(delay_s)
 
     def overtaken(self, hedge: Hedge, decision: Remote, operation: Operation, *, onboard_s: float) -> None:
         """Note that the server answered first, `onboard_s` after the drone began.

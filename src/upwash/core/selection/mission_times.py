@@ -19,12 +19,12 @@ Each call is judged anew, by the measurements until then. Where calls run is for
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
-from msgspec import Struct, structs
+from msgspec import structs
 
-from upwash.core.geo import Position, Reach
-from upwash.core.knowledge.ranges import AreaIndex
+from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import Pace
 from upwash.core.planning.mission_model import ExpectedCall, MissionBeliefs, MissionModel
@@ -32,14 +32,8 @@ from upwash.core.policies.policy import Lightened
 from upwash.core.selection.call_forecast import CallPlace
 from upwash.core.selection.commands import ExpectedTimes
 from upwash.core.selection.server_planning import ServerPlanning
+from upwash.core.selection.settings import LighterSettings, SelectionSettings
 from upwash.core.vehicle.way_home import UNKNOWN, EnergyFacts, descent_s, time_home_s
-
-
-class LighterSettings(Struct, frozen=True):
-    """The time by which the mission must end, and the lighter operation of each operation."""
-
-    finish_by_s: float
-    operations: Mapping[Operation, Operation]
 
 
 def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) -> bool:
@@ -47,18 +41,14 @@ def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) ->
     return saves_s > 0 and sum(each_s for each_s in others_save_s if each_s > saves_s) < late_s
 
 
+@dataclass(slots=True, eq=False)
 class Lighter:
     """Decides which calls of one mission run lighter."""
 
-    def __init__(self, settings: LighterSettings, planning: ServerPlanning) -> None:
-        self._settings = settings
-        self._planning = planning
-        self._begun_s: float | None = None
-        self._home_s = 0.0  # from the last waypoint to landed
-
-    def begin(self, *, now_s: float, home_s: float) -> None:
-        """Begin the mission's time; the way from the last waypoint to landed takes `home_s`."""
-        self._begun_s, self._home_s = now_s, home_s
+    _settings: LighterSettings
+    _planning: ServerPlanning
+    begun_s: float | None = None  # the mission's time
+    home_s: float = 0.0  # from the last waypoint to landed
 
     def judge(
         self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
@@ -68,7 +58,7 @@ class Lighter:
         Tell the mission's model of the call first. With `on_drone` the call runs there, whatever the policy says.
         """
         lighter = self._settings.operations.get(operation)
-        if lighter is None or self._begun_s is None:
+        if lighter is None or self.begun_s is None:
             return None
         calls = [
             self._planning.made_now(operation, now_s),
@@ -79,49 +69,33 @@ class Lighter:
         if on_drone:
             places[0] = CallPlace()
         takes_s = [placing.delay_s(place, call) for place, call in zip(places, calls, strict=True)]
+        lighter_of = self._settings.operations
         lighter_s = [
-            placing.delay_s(place, call, self._lighter_of(call.operation))
+            placing.delay_s(place, call, lighter_of.get(call.operation))
             for place, call in zip(places, calls, strict=True)
         ]
-        forecast_s = now_s - self._begun_s + sum(call.gap_s for call in calls) + sum(takes_s) + self._home_s
+        forecast_s = now_s - self.begun_s + sum(call.gap_s for call in calls) + sum(takes_s) + self.home_s
         saves_s = [max(0.0, as_asked - less) for as_asked, less in zip(takes_s, lighter_s, strict=True)]
         if not is_lighter(saves_s[0], saves_s[1:], forecast_s - self._settings.finish_by_s):
             return None
         return Lightened(lighter, operation, forecast_s, self._settings.finish_by_s)
 
-    def _lighter_of(self, operation: Operation) -> Operation:
-        return self._settings.operations.get(operation, operation)
-
 
 _HOME = Position(0.0, 0.0)
 
 
+@dataclass(slots=True, eq=False)
 class Timetable:
-    """The expected times of a mission that takes off to `takeoff_m`, and `lands` at its last waypoint or returns
-    home.
+    """Foresees one mission, by a model of its own.
 
-    `home_s` is the time from its last call to landed, set by `begin`.
+    `home_s` is the time from its last call to landed, once it has begun.
     """
 
-    def __init__(
-        self,
-        planning: ServerPlanning,
-        beliefs: MissionBeliefs,
-        areas: Mapping[str, Reach],
-        index: AreaIndex,
-        *,
-        takeoff_m: float,
-        lands: bool,
-        lighter: LighterSettings | None = None,
-    ) -> None:
-        self.home_s = 0.0
-        self._planning = planning
-        self._beliefs = beliefs
-        # Of its own: it sees the whole mission, from the ground.
-        self._mission = MissionModel(beliefs, areas, index)
-        self._takeoff_m = takeoff_m
-        self._lands = lands
-        self._lighter = lighter
+    _planning: ServerPlanning
+    _beliefs: MissionBeliefs
+    _mission: MissionModel
+    _settings: SelectionSettings
+    home_s: float = 0.0
 
     def begin(
         self, vehicle: EnergyFacts, found: Pace | None, *, now_s: float, position: Position
@@ -133,10 +107,10 @@ class Timetable:
         way, pace = vehicle.way_home or UNKNOWN, self._beliefs.pace_of(found)
         self.home_s = pace.home_share * (
             way.hover_s + descent_s(last.altitude_m, way)
-            if self._lands
+            if self._settings.lands
             else time_home_s(last, vehicle.home or _HOME, way)
         )
-        takeoff_s = pace.takeoff_s(self._takeoff_m)
+        takeoff_s = pace.takeoff_s(self._settings.takeoff_m)
         self._mission.begun(found)
         start = Position(position.east_m, position.north_m, first.position.altitude_m)
         self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s)
@@ -144,12 +118,13 @@ class Timetable:
         if not calls:
             return None
         reached_s, as_asked_s = self._times(calls, now_s, takeoff_s)
-        if self._lighter is None:
+        settings = self._settings.lighter
+        if settings is None:
             return ExpectedTimes(reached_s, as_asked_s)
-        of = self._lighter.operations
+        of = settings.operations
         lighter = [structs.replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
         _, lightest_s = self._times(lighter, now_s, takeoff_s)
-        return ExpectedTimes(reached_s, as_asked_s, lightest_s, self._lighter.finish_by_s)
+        return ExpectedTimes(reached_s, as_asked_s, lightest_s, settings.finish_by_s)
 
     def _times(
         self, calls: Sequence[ExpectedCall], now_s: float, takeoff_s: float

@@ -26,12 +26,14 @@ Laws:
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
 
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import SELECTED, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.selection.commands import Check, Effect, Leave, Probe
 from upwash.core.selection.recovery import REST_S, Recovery
+from upwash.core.selection.settings import SelectionSettings
 
 _CHECK_LEAST_S = 10.0
 _CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
@@ -42,26 +44,17 @@ def check_limit_s(believed_s: float) -> float:
     return max(_CHECK_LEAST_S, _CHECK_FACTOR * believed_s)
 
 
+@dataclass(slots=True, eq=False)
 class Radios:
     """Gives servers their roles; each method returns the effects in their order."""
 
-    def __init__(
-        self,
-        count: int,
-        table: ServerTable,
-        *,
-        estimates: Estimates,
-        blacklist_s: float,
-        recovery: Recovery | None,
-    ) -> None:
-        self.selected: list[Server] = []  # the one in use, then the one in preparation
-        self.probed: list[Server] = []
-        self._count = count
-        self._table = table
-        self._estimates = estimates
-        self._blacklist_s = blacklist_s
-        self._recovery = recovery
-        self._checks = 0
+    _settings: SelectionSettings
+    _table: ServerTable
+    _estimates: Estimates
+    _recovery: Recovery | None
+    selected: list[Server] = field(default_factory=list)  # the one in use, then the one in preparation
+    probed: list[Server] = field(default_factory=list)
+    _checks: int = 0
 
     @property
     def in_use(self) -> Server | None:
@@ -71,7 +64,7 @@ class Radios:
     @property
     def has_spare(self) -> bool:
         """Whether another server may be prepared beside the one in use."""
-        return self._count > 1 and self.in_use is not None and self.in_use.state is State.READY
+        return self._settings.radios > 1 and self.in_use is not None and self.in_use.state is State.READY
 
     def selected_by(self, check: int, states: Collection[State] = SELECTED) -> Server | None:
         """The server selected by that check, if it is in one of the states."""
@@ -133,7 +126,7 @@ class Radios:
         """
         self.selected.remove(server)
         change = server.apply(trigger, now_s=now_s, why=why)
-        server.left_alone_s = self._blacklist_s
+        server.left_alone_s = self._settings.blacklist_s
         if self._recovery is None or server.state is not State.BLACKLISTED:
             return [change, *self.leave_out(server, pause_s, now_s)]
         cost_a_call = trigger is not Trigger.NETWORK_LOST  # a lost network shows at once
@@ -172,7 +165,7 @@ class Radios:
 
     @property
     def _free(self) -> int:
-        return self._count - len(self.selected) - len(self.probed)
+        return self._settings.radios - len(self.selected) - len(self.probed)
 
     def _replace(self, others: Sequence[Server], server: Server, why: str, now_s: float) -> list[Effect]:
         return [effect for other in others for effect in self.leave(other, f"{server.name} {why}", now_s)]

@@ -22,7 +22,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.coverage import MeasuredPlace
@@ -37,32 +37,14 @@ from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
 from upwash.core.selection.events import SelectionEvent
-from upwash.core.selection.mission_times import Lighter, LighterSettings, Timetable
+from upwash.core.selection.mission_times import Lighter, Timetable
 from upwash.core.selection.radios import Radios
-from upwash.core.selection.recovery import Probing, Recovery
+from upwash.core.selection.recovery import Recovery
 from upwash.core.selection.server_planning import ServerPlanning
+from upwash.core.selection.settings import SelectionSettings
 
 _READY = frozenset({State.READY})
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
-
-
-class SelectionSettings(Struct, frozen=True):
-    """How long `Selection` remembers, and how many servers it may select at a time.
-
-    With `probing`, `blacklist_s` has no effect. A server that others wait for is used only if it saves more than
-    the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at its last waypoint
-    or else returns home.
-    """
-
-    blacklist_s: float = 60.0
-    idle_s: float = 180.0
-    retry_s: float = 300.0
-    radios: int = 1
-    probing: Probing | None = None
-    gain_slot: float = 0.25
-    lighter: LighterSettings | None = None
-    takeoff_m: float = 0.0
-    lands: bool = False
 
 
 class Selection:
@@ -83,43 +65,19 @@ class Selection:
         self.policy = policy
         self._recovery = recovery = Recovery(settings.probing) if settings.probing else None
         self._table = table = ServerTable(areas, idle_s=settings.idle_s)
-        self._radios = radios = Radios(
-            settings.radios,
-            table,
-            estimates=estimates,
-            blacklist_s=settings.blacklist_s,
-            recovery=recovery,
-        )
-        self._placement = CallPlacement(policy, radios=radios, estimates=estimates, recovery=recovery)
+        self.servers: Mapping[str, Server] = table.servers
+        self._radios = radios = Radios(settings, table, estimates, recovery)
+        self._placement = CallPlacement(policy, radios, estimates, recovery)
+        model = MissionModel(beliefs, areas, index)
         self._planning = planning = ServerPlanning(
-            policy,
-            table=table,
-            radios=radios,
-            estimates=estimates,
-            mission=MissionModel(beliefs, areas, index),
-            recovery=recovery,
-            idle_s=settings.idle_s,
-            retry_s=settings.retry_s,
-            gain_slot=settings.gain_slot,
+            policy, settings, table, radios, estimates, recovery, mission=model
         )
-        self._timetable = Timetable(
-            planning,
-            beliefs,
-            areas,
-            index,
-            takeoff_m=settings.takeoff_m,
-            lands=settings.lands,
-            lighter=settings.lighter,
-        )
+        # A model of its own: it sees the whole mission, from the ground.
+        self._timetable = Timetable(planning, beliefs, MissionModel(beliefs, areas, index), settings)
         self._lighter = Lighter(settings.lighter, planning) if settings.lighter else None
         self._ended = False
         self._comes_down = False
         self._probed_at: dict[str, MeasuredPlace] = {}  # where the server was last probed in vain
-
-    @property
-    def servers(self) -> Mapping[str, Server]:
-        """The server table, by name."""
-        return self._table.servers
 
     @property
     def current(self) -> Server | None:
@@ -152,7 +110,11 @@ class Selection:
         """Take in an event, with the drone at the position; return commands and changes in their order."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, events.MissionBegun):
-            return self._begin(event, now_s, position)
+            planning.mission.begun(event.pace)
+            foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
+            if self._lighter is not None:
+                self._lighter.begun_s, self._lighter.home_s = now_s, self._timetable.home_s
+            return [foreseen] if foreseen else []
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
         effects += radios.end_probes(
@@ -172,7 +134,7 @@ class Selection:
 
     def next_look_s(self, *, now_s: float) -> float:
         """The time before which a `Tick` changes nothing, unless an event or a crossed border comes first."""
-        if self.estimates.coverage is not None or self._table.is_on_border:
+        if self.estimates.coverage is not None or self._table.ranges.is_on_border:
             return now_s  # what is known of a server changes with the place, or a border is crossed unseen
         return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
 
@@ -228,13 +190,6 @@ class Selection:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
         self._locate(position, now_s)
         return self._planning.outlook(now_s)
-
-    def _begin(self, event: events.MissionBegun, now_s: float, position: Position) -> list[Effect]:
-        self._planning.mission.begun(event.pace)
-        foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
-        if self._lighter is not None:
-            self._lighter.begin(now_s=now_s, home_s=self._timetable.home_s)
-        return [foreseen] if foreseen else []
 
     def _locate(self, position: Position, now_s: float) -> None:
         if self._table.locate(position, now_s) | self.estimates.locate(position):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import TypeGuard
 
 from upwash.core.geo import Position
@@ -34,6 +35,7 @@ from upwash.core.selection.commands import Prepare
 from upwash.core.selection.events import LegBegun, LegEnded, TargetUnknown
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import REST_S, Recovery
+from upwash.core.selection.settings import SelectionSettings
 
 _EARLY_S = 10.0  # that a server is prepared before it has to be, as legs and calls take as long as they take
 _HOLD_S = 15.0  # that its slot is held after the drone should be there
@@ -73,36 +75,22 @@ class PrewarmNotifier:
         return [Prepare(current.name, current.check, coming.server, coming.in_s, _HOLD_S)]
 
 
+@dataclass(slots=True, eq=False)
 class ServerPlanning:
     """Asks the policy which server to use, for a mission that it follows over its legs and calls."""
 
-    def __init__(
-        self,
-        policy: Policy,
-        *,
-        table: ServerTable,
-        radios: Radios,
-        estimates: Estimates,
-        mission: MissionModel,
-        recovery: Recovery | None,
-        idle_s: float,
-        retry_s: float,
-        gain_slot: float,
-    ) -> None:
-        self.mission = mission
-        self.under_way: Decision | None = None  # on the call whose answer is not there yet
-        self._operation: Operation | None = None  # of that call
-        self.changed = True  # since the policy last chose
-        self._policy = policy
-        self._table = table
-        self._radios = radios
-        self._estimates = estimates
-        self._recovery = recovery
-        self._idle_s = idle_s
-        self._retry_s = retry_s
-        self._gain_slot = gain_slot
-        self._prewarm = PrewarmNotifier()
-        self._short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
+    _policy: Policy
+    _settings: SelectionSettings
+    _table: ServerTable
+    _radios: Radios
+    _estimates: Estimates
+    _recovery: Recovery | None
+    mission: MissionModel
+    under_way: Decision | None = None  # on the call whose answer is not there yet
+    changed: bool = True  # since the policy last chose
+    _operation: Operation | None = None  # of the call under way
+    _prewarm: PrewarmNotifier = field(default_factory=PrewarmNotifier)
+    _short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
 
     def decided(self, decision: Decision, operation: Operation, now_s: float) -> None:
         """Note that the mission has made a call, and where it runs."""
@@ -157,8 +145,8 @@ class ServerPlanning:
     @property
     def _slow_for_s(self) -> float:
         if self._recovery is not None and self._radios.in_use is None:
-            return min(self._retry_s, REST_S)
-        return self._retry_s
+            return min(self._settings.retry_s, REST_S)
+        return self._settings.retry_s
 
     def next_look_s(self, now_s: float) -> float:
         """The time before which the policy need not be asked, unless an event comes first."""
@@ -215,13 +203,14 @@ class ServerPlanning:
         """The forecast of where calls run from now on."""
         in_use = self._radios.in_use
         running = (State.AVL_R, *SELECTED)
+        here = CallPlace()
+        if in_use is not None:
+            here = CallPlace(in_use.name, rest_of_check_s(in_use, self._estimates, now_s))
         return CallForecast(
             self._policy,
             self._estimates,
-            here=CallPlace(in_use.name, rest_of_check_s(in_use, self._estimates, now_s))
-            if in_use
-            else CallPlace(),
-            running=[server.name for server in self._table.servers.values() if server.state in running],
+            here=here,
+            running={server.name for server in self._table.servers.values() if server.state in running},
             unusable_s=dict(self._banned(now_s)),
         )
 
@@ -251,7 +240,7 @@ class ServerPlanning:
         if not server.is_contended(now_s):
             return True
         local_s = self._estimates.mean_call_s()
-        return local_s - self._estimates.mean_call_s(server.name) > self._gain_slot * local_s
+        return local_s - self._estimates.mean_call_s(server.name) > self._settings.gain_slot * local_s
 
     def _is_worth_trials(self, server: Server | None, now_s: float) -> TypeGuard[Server]:
         """Whether the server in use deserves trial calls: it is READY, in range and in doubt."""
@@ -274,7 +263,7 @@ class ServerPlanning:
             self._radios.selected,
             now_s=now_s,
             banned_s=dict(self._banned(now_s)),
-            idle_s=self._idle_s,
+            idle_s=self._settings.idle_s,
         )
 
     def _banned(self, now_s: float) -> Iterator[tuple[str, float]]:

@@ -52,7 +52,8 @@ class Targets:
     def difference(self, reported: Position | None) -> str:
         """How a reported target, None for a velocity, differs from the commands; "" if it does not."""
         if not self._is_known:
-            self._learn(reported)
+            if reported is not None and not self._is_pending:
+                self._obeyed, self._is_known = reported, True
             return ""
         expected = [self._obeyed, *([self._pending] if self._is_pending else [])]
         if reported is None:
@@ -64,10 +65,6 @@ class Targets:
             return f"it was sent to {there}, which the program did not command"
         apart_m = distance_m(self._obeyed, reported)
         return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
-
-    def _learn(self, reported: Position | None) -> None:
-        if reported is not None and not self._is_pending:
-            self._obeyed, self._is_known = reported, True
 
 
 _KNOWN_LATE_S = 1.0  # after the mode, that the remote control moved
@@ -108,41 +105,29 @@ class ControlChange(StrEnum):
     RESTARTED = "autopilot restarted"
 
 
+_BY_EVIDENCE = {
+    ControlChange.MODE_CHANGED: Owner.PILOT,
+    ControlChange.MODE_COMMANDED: Owner.GROUND_STATION,
+    ControlChange.MODE_FAILED_SAFE: Owner.FAILSAFE,
+    ControlChange.ARMED: Owner.PILOT,
+    ControlChange.RESTARTED: Owner.UNKNOWN,
+}
 TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
     (Owner.NOBODY, ControlChange.CLAIMED): Owner.PROGRAM,
     (Owner.NOBODY, ControlChange.MODE_CHANGED): Owner.NOBODY,  # a switch on the ground
     (Owner.NOBODY, ControlChange.MODE_COMMANDED): Owner.NOBODY,
     (Owner.NOBODY, ControlChange.MODE_FAILED_SAFE): Owner.NOBODY,
     (Owner.NOBODY, ControlChange.ARMED): Owner.PILOT,
+    **{
+        (owner, change): named
+        for owner in Owner
+        if owner is not Owner.NOBODY
+        for change, named in _BY_EVIDENCE.items()
+    },
     (Owner.PROGRAM, ControlChange.CLAIMED): Owner.PROGRAM,
-    (Owner.PROGRAM, ControlChange.MODE_CHANGED): Owner.PILOT,
-    (Owner.PROGRAM, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.PROGRAM, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.PROGRAM, ControlChange.ARMED): Owner.PILOT,
     (Owner.PROGRAM, ControlChange.DISARMED): Owner.UNKNOWN,  # the pilot, or its own delay on the ground
     (Owner.PROGRAM, ControlChange.TARGET_CHANGED): Owner.GROUND_STATION,
-    (Owner.PROGRAM, ControlChange.RESTARTED): Owner.UNKNOWN,
-    (Owner.PILOT, ControlChange.MODE_CHANGED): Owner.PILOT,
-    (Owner.PILOT, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.PILOT, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.PILOT, ControlChange.ARMED): Owner.PILOT,
-    (Owner.PILOT, ControlChange.RESTARTED): Owner.UNKNOWN,
-    (Owner.GROUND_STATION, ControlChange.MODE_CHANGED): Owner.PILOT,
-    (Owner.GROUND_STATION, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
     (Owner.GROUND_STATION, ControlChange.REMOTE_MOVED): Owner.PILOT,
-    (Owner.GROUND_STATION, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.GROUND_STATION, ControlChange.ARMED): Owner.PILOT,
-    (Owner.GROUND_STATION, ControlChange.RESTARTED): Owner.UNKNOWN,
-    (Owner.FAILSAFE, ControlChange.MODE_CHANGED): Owner.PILOT,
-    (Owner.FAILSAFE, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.FAILSAFE, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.FAILSAFE, ControlChange.ARMED): Owner.PILOT,
-    (Owner.FAILSAFE, ControlChange.RESTARTED): Owner.UNKNOWN,
-    (Owner.UNKNOWN, ControlChange.MODE_CHANGED): Owner.PILOT,
-    (Owner.UNKNOWN, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.UNKNOWN, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.UNKNOWN, ControlChange.ARMED): Owner.PILOT,
-    (Owner.UNKNOWN, ControlChange.RESTARTED): Owner.UNKNOWN,
 }
 """Complete but for what changes nothing: the claim of a vehicle that was lost (law 3), and, of a vehicle that is not
 the program's, that it is disarmed, is sent elsewhere, or restarts before the claim.

@@ -59,21 +59,31 @@ class Reserve(Struct, frozen=True):
 
 
 class Margin(Struct, frozen=True):
-    """What is left of the battery and what the way home needs; `rate_percent_s` is None while unknown."""
+    """What is left against what is needed, in percent; `rate_percent_s` is None while nothing tells it.
+
+    Without a rate the way home and the reserve's seconds count nothing.
+    """
 
     left_percent: float
     rate_percent_s: float | None
     home_s: float
-    needed_percent: float
     reserve: Reserve
-    reserve_s_percent: float  # what the reserve's seconds are
-    low_percent: float | None
+    low_percent: float | None = None
     guessed: tuple[str, ...] = ()
+
+    @property
+    def needed_percent(self) -> float:
+        """What the way home takes."""
+        return (self.rate_percent_s or 0.0) * self.home_s
+
+    @property
+    def _reserve_s_percent(self) -> float:
+        return (self.rate_percent_s or 0.0) * self.reserve.seconds
 
     @property
     def floor_percent(self) -> float:
         """The percent of the battery that must be left at touchdown."""
-        return max(self.reserve_s_percent, self.low_percent or 0.0, self.reserve.percent or 0.0)
+        return max(self._reserve_s_percent, self.low_percent or 0.0, self.reserve.percent or 0.0)
 
     @property
     def percent(self) -> float:
@@ -94,34 +104,11 @@ class Margin(Struct, frozen=True):
 
     @property
     def _floor(self) -> str:
-        if self.floor_percent == self.reserve_s_percent:
-            return f"{self.reserve.seconds:g} s of reserve {self.reserve_s_percent:.0f} %"
+        if self.floor_percent == self._reserve_s_percent:
+            return f"{self.reserve.seconds:g} s of reserve {self._reserve_s_percent:.0f} %"
         if self.floor_percent == self.reserve.percent:
             return f"the reserve is {self.reserve.percent:g} %"
         return f"the vehicle's own low-battery stage is at {self.low_percent:g} %"
-
-
-def margin(
-    percent: float,
-    *,
-    rate_percent_s: float | None,
-    home_s: float,
-    reserve: Reserve,
-    low_percent: float | None = None,
-    guessed: tuple[str, ...] = (),
-) -> Margin:
-    """The margin; with `rate_percent_s` None, the way home and the reserve's seconds count as 0 %."""
-    rate = rate_percent_s or 0.0
-    return Margin(
-        left_percent=percent,
-        rate_percent_s=rate_percent_s,
-        home_s=home_s,
-        needed_percent=rate * home_s,
-        reserve=reserve,
-        reserve_s_percent=rate * reserve.seconds,
-        low_percent=low_percent,
-        guessed=guessed,
-    )
 
 
 class Consumption:
@@ -276,7 +263,7 @@ class FlightEnergy:
             return None
         way, rate = facts.way_home or UNKNOWN, self.rate_percent_s
         reported_s, percent = self._reported
-        return margin(
+        return Margin(
             percent - (rate or 0.0) * (report.time_s - reported_s),
             rate_percent_s=rate,
             home_s=LOOK_S + self._down_s(report, facts.home or home, way),

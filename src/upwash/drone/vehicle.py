@@ -1,0 +1,424 @@
+"""The vehicle as a mission uses it: each verb logged, held against the fences, and blocking until it is true."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any, Literal
+
+from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
+from upwash.core.selection.events import (
+    DescentBegun,
+    LegBegun,
+    LegEnded,
+    MissionBegun,
+    SelectionEvent,
+    TargetUnknown,
+)
+from upwash.core.vehicle.telemetry import Telemetry
+from upwash.drone.coming_down import ComingDown
+from upwash.drone.mission import MissionThread
+from upwash.drone.pending import (
+    AnswerAction,
+    Demand,
+    index_of,
+)
+from upwash.drone.site import Site, require_altitude
+from upwash.errors import AutopilotError, UsageError
+from upwash.eventlog import schema
+from upwash.eventlog.schema import SEVERITIES
+from upwash.ports import Autopilot, Journal, VehicleLimits
+from upwash.support.background import begin, first
+from upwash.support.text import printable
+
+Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]
+_LONGEST_TEXT_BYTES = 200  # four chunks of STATUSTEXT
+_AtPlace = type[
+    schema.Armed | schema.Holding | schema.Returning | schema.Landing | schema.Landed | schema.Disarmed
+]
+
+
+class Vehicle:
+    """The vehicle as a mission uses it: a method returns when its action is complete, or raises AutopilotError."""
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        thread: MissionThread,
+        journal: Journal,
+        *,
+        site: Site,
+        tell: Callable[[SelectionEvent], None],
+    ) -> None:
+        self._autopilot = autopilot
+        self._thread = thread
+        self._journal = journal
+        self._site = site
+        self._limits = VehicleLimits()  # as they were read before arming
+        self._tell = tell
+        self._in_the_air = False
+        self._found_flying = False  # it has taken off before this program began, and not landed since
+        self._coming_down: ComingDown | None = None
+        self._ground_speed_m_s: float | None = None  # as it was last set
+        self._on_a_leg = False
+        self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
+        self._place: Waypoint | Position | None = None  # where it was last sent to
+        self._open: AnswerAction[Any] | None = None
+        self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
+
+    @property
+    def position(self) -> Position:
+        """The drone's position relative to the mission's home, in metres."""
+        return self._autopilot.position
+
+    @property
+    def earth_position(self) -> EarthPosition | None:
+        """The drone's place on the Earth in degrees (WGS 84), and its altitude above the sea; None while unknown.
+
+        `above_sea_m` and `unix_s`, the time by its GPS, are None if the vehicle does not report them, as in a
+        simulation.
+        """
+        return self._autopilot.earth_position
+
+    @property
+    def in_the_air(self) -> bool:
+        """Whether the mission has taken off and not landed since."""
+        return self._in_the_air
+
+    @property
+    def coming_down(self) -> ComingDown | None:
+        """Whether the mission returns or lands now, and which; None otherwise."""
+        return self._coming_down
+
+    @property
+    def battery_percent(self) -> float | None:
+        """The battery's charge in percent, as last reported; None if the vehicle does not report it."""
+        return self._autopilot.telemetry.battery_percent
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """The vehicle's last reports: speed, attitude, heading, GPS, mode, battery."""
+        return self._autopilot.telemetry
+
+    @property
+    def on_a_leg(self) -> bool:
+        """Whether the vehicle is on its way to a place where the mission sent it."""
+        return self._on_a_leg
+
+    @property
+    def place(self) -> Waypoint | Position | None:
+        """The place where the mission last sent the vehicle; None before its first leg."""
+        return self._place
+
+    @property
+    def waypoint(self) -> int | None:
+        """The index of the waypoint where the mission last sent the vehicle; None for a place off the plan."""
+        return index_of(self._place)
+
+    @property
+    def ground_speed_m_s(self) -> float | None:
+        """The ground speed of legs as the mission last set it; None for the configured speed."""
+        return self._ground_speed_m_s
+
+    def _take_up(self) -> None:
+        """Note that the vehicle is in the air, where an earlier program left it."""
+        self._in_the_air = self._found_flying = True
+        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
+
+    def arm(self) -> None:
+        """Waits until the vehicle is ready to fly, then arms its motors.
+
+        Raises AutopilotRefused if the vehicle stands too far from the mission, or its own fence forbids a part of it.
+        """
+        if not self._found_flying:  # arming would change the mode that it flies in
+            self._thread.call(self._logged(self._arm, schema.Armed))
+
+    def takeoff(self, altitude_m: float) -> None:
+        """Takes off and climbs to the altitude above home; a vehicle found flying only climbs, and never sinks."""
+        if self._found_flying:
+            self._thread.call(self._climb(altitude_m))
+            return
+        self._stands_at = None
+        self._in_the_air = True  # from the attempt on: it may fail half-way up
+        self._thread.call(self._takeoff(altitude_m))
+
+    def set_ground_speed(self, ground_speed_m_s: float) -> None:
+        """Sets the ground speed of the following legs, in metres per second."""
+        self._thread.call(self._set_ground_speed(ground_speed_m_s))
+
+    def goto(self, place: Waypoint | Position, *, unless: Demand[Any] | None = None) -> bool:
+        """Flies to a waypoint or position; returns True on arrival, at rest, and after the waypoint's hold time.
+
+        With `unless=pending.demands(...)`, an answer with that demand stops the flight: the vehicle brakes and `goto`
+        returns False, at rest on the way, or at the target if that is nearer. Raises AutopilotRefused, without a
+        movement, if the plan's geofence forbids the place or the way.
+        """
+        if self._open is None or unless is not None:
+            return self._fly(place, unless=unless)
+        with self._settling(self._open) as answer:
+            answer.fly_on(place)
+        return True
+
+    def turn_to(self, heading_deg: float) -> None:
+        """Turns the hovering vehicle's nose to a heading, in degrees clockwise from north, until the next leg.
+
+        Raises UsageError unless the heading is from 0 to 360.
+        """
+        if not 0 <= heading_deg <= 360:
+            raise UsageError(f"turn_to: heading_deg is {heading_deg}: give degrees from 0 to 360")
+        self._settle()
+        self._thread.call(self._turn_to(heading_deg % 360))
+
+    def send_text(self, text: str, *, severity: Severity = "info") -> None:
+        """Sends a text to the ground station as the vehicle's own (MAVLink's STATUSTEXT), without a confirmation.
+
+        Raises UsageError unless the text has 1 to 200 bytes in UTF-8.
+        """
+        if severity not in SEVERITIES:
+            raise UsageError(f"send_text: no severity {severity!r}: choose of {', '.join(SEVERITIES)}")
+        if not 0 < (size := len(text.encode())) <= _LONGEST_TEXT_BYTES:
+            raise UsageError(
+                f"send_text: {size} bytes: give a text of 1 to {_LONGEST_TEXT_BYTES} bytes in UTF-8"
+            )
+        self._thread.call(self._send_text(SEVERITIES.index(severity), text))
+
+    def hover(self, duration_s: float) -> None:
+        """Hovers where the vehicle is for `duration_s`."""
+        self._thread.call(asyncio.sleep(duration_s))
+
+    def hold(self) -> None:
+        """Stops the vehicle, and returns when it hovers."""
+        self._settle()
+        self._stands_at = None
+        self._thread.call(self._logged(self._autopilot.hold, schema.Holding))
+
+    def return_home_and_land(self) -> None:
+        """Flies back to where the vehicle took off, lands, and returns when it has landed."""
+        self._come_down("return", self._autopilot.return_home_and_land, schema.Returning)
+
+    def land(self) -> None:
+        """Lands where the vehicle is, and returns when it has landed."""
+        self._come_down("land", self._autopilot.land, schema.Landing)
+
+    def disarm(self) -> None:
+        """Stops the motors of the landed vehicle."""
+        self._settle()
+        self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
+
+    def _settle(self) -> None:
+        """Wait for the open answer, if there is one, and do what it demands."""
+        if self._open is not None:
+            with self._settling(self._open) as answer:
+                answer.settle()
+
+    def _fly(
+        self, place: Waypoint | Position, *, unless: Demand[Any] | None = None, back: bool = False
+    ) -> bool:
+        """As `goto`, without settling the open answer."""
+        self._place = place
+        if isinstance(place, Waypoint):
+            verb = self._goto(
+                place.position,
+                waypoint=place.index,
+                ground_speed_m_s=place.ground_speed_m_s,
+                hold_s=0.0 if back else place.hold_s,
+                back=back,
+            )
+        else:
+            verb = self._goto(place, back=back)
+        if unless is None:
+            self._thread.call(verb)
+            return True
+        if self._thread.call(self._until_answered(verb, unless)):
+            return True
+        try:
+            goes_on = not unless.holds()
+            if not goes_on:  # before it brakes: who takes the vehicle then has it with this left undone
+                unless.note()
+        except BaseException:
+            self._thread.call(self._stop_short_of(position_of(place)))
+            raise
+        self._thread.call(self._rest_of_leg() if goes_on else self._stop_short_of(position_of(place)))
+        return goes_on
+
+    @contextlib.contextmanager
+    def _settling(self, answer: AnswerAction[Any]) -> Iterator[AnswerAction[Any]]:
+        """Close the open answer during the block, as acting on it flies too; reopen it if the block fails."""
+        self._thread.require_turn()
+        self._open = None
+        try:
+            yield answer
+        finally:
+            if not answer.is_over:
+                self._open = answer
+
+    def _come_down(
+        self, how: ComingDown, verb: Callable[[], Coroutine[Any, Any, None]], doing: _AtPlace
+    ) -> None:
+        self._settle()
+        self._coming_down = how
+        try:
+            self._thread.call(self._logged(verb, schema.Landed, begun=DescentBegun, before=doing))
+            self._in_the_air = self._found_flying = False
+        finally:
+            self._coming_down = None
+
+    async def _set_ground_speed(self, ground_speed_m_s: float) -> None:
+        await self._autopilot.set_ground_speed(ground_speed_m_s)
+        self._ground_speed_m_s = ground_speed_m_s
+
+    async def _turn_to(self, heading_deg: float) -> None:
+        await self._autopilot.turn_to(heading_deg)
+        self._journal.record(schema.Turned(heading_deg=heading_deg))
+
+    async def _send_text(self, severity: int, text: str) -> None:
+        self._autopilot.say(severity, text)
+        self._journal.record(schema.TextSent(severity=severity, text=printable(text)))
+
+    async def _goto(
+        self,
+        position: Position,
+        *,
+        waypoint: int | None = None,
+        ground_speed_m_s: float | None = None,
+        hold_s: float = 0.0,
+        back: bool = False,
+    ) -> None:
+        self._site.require_leg(self._limits, self._stands_at or self._autopilot.position, position)
+        if ground_speed_m_s is not None and ground_speed_m_s != self._ground_speed_m_s:
+            await self._set_ground_speed(ground_speed_m_s)
+        self._journal.record(
+            schema.SetOff(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, back=back)
+        )
+        self._tell(LegBegun(position, self._ground_speed_m_s, back=back))
+        self._stands_at = None
+        self._on_a_leg = True
+        try:
+            await self._autopilot.goto(position)
+        finally:
+            self._on_a_leg = False
+        self._stands_at = position
+        self._tell(LegEnded())
+        self._journal.record(
+            schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, hold_s=hold_s)
+        )
+        if hold_s:
+            await asyncio.sleep(hold_s)
+
+    async def _until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
+        """Begin to fly; return True on arrival, or False, still in flight, when the answer is there."""
+        leg = self._leg = begin(verb)
+        try:
+            await first(asyncio.wait([leg]), demand.answered())
+        except asyncio.CancelledError:
+            await self._end_leg()
+            raise
+        if not leg.done():
+            return False
+        await self._rest_of_leg()
+        return True
+
+    async def _rest_of_leg(self) -> None:
+        leg, self._leg = self._leg, None
+        if leg is not None:
+            await leg
+
+    async def _stop_short_of(self, target: Position) -> None:
+        """Brake; end the leg at its target instead if braking would lead beyond it, where no check was made."""
+        here, stopping_place = self._autopilot.position, self._autopilot.stopping_place
+        if distance_m(here, stopping_place) > distance_m(here, target):
+            await self._rest_of_leg()
+        else:
+            await self._end_leg()
+            await self._autopilot.hold()
+
+    async def _end_leg(self) -> None:
+        """Cancel the leg under way, if any."""
+        leg, self._leg = self._leg, None
+        if leg is not None:
+            leg.cancel()
+            with contextlib.suppress(asyncio.CancelledError, AutopilotError):
+                await leg
+
+    async def _arm(self) -> None:
+        await self._autopilot.ready()
+        limits = await self._autopilot.limits()
+        self._record_limits(limits)
+        stands = self._autopilot.position
+        self._site.require_reachable(stands)
+        self._site.require_within(limits, stands)
+        for why in self._site.doubts(limits, stands):
+            self._journal.record(schema.SiteDoubt(why=why))
+        self._limits = limits
+        self._journal.record(schema.Arming())
+        await self._autopilot.arm()
+        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
+
+    def _record_limits(self, limits: VehicleLimits) -> None:
+        self._journal.record(
+            schema.LimitsRead(
+                home=rounded(limits.home) if limits.home else None,
+                home_above_sea_m=limits.home_above_sea_m,
+                highest_m=limits.highest_m,
+                lowest_m=limits.lowest_m,
+                fences=[fence.name for fence in limits.fences],
+            )
+        )
+
+    async def _takeoff(self, altitude_m: float) -> None:
+        require_altitude(self._limits, altitude_m, step=f"takeoff to {altitude_m:g} m")
+        self._tell(TargetUnknown())
+        self._journal.record(schema.TakingOff(altitude_m=altitude_m))
+        await self._autopilot.takeoff(altitude_m)
+        self._journal.record(
+            schema.TookOff(altitude_m=altitude_m, position=rounded(self._autopilot.position))
+        )
+
+    async def _climb(self, altitude_m: float) -> None:
+        here = self._autopilot.position
+        if here.altitude_m < altitude_m:  # never down: only the plan knows what is below
+            require_altitude(self._limits, altitude_m, step=f"climb to {altitude_m:g} m")
+            await self._autopilot.goto(Position(here.east_m, here.north_m, altitude_m))
+
+    async def _logged(
+        self,
+        verb: Callable[[], Coroutine[Any, Any, None]],
+        after: _AtPlace,
+        *,
+        begun: type[TargetUnknown | DescentBegun] = TargetUnknown,
+        before: _AtPlace | None = None,
+    ) -> None:
+        self._tell(begun())
+        if before is not None:
+            self._journal.record(before(position=rounded(self._autopilot.position)))
+        await verb()
+        self._journal.record(after(position=rounded(self._autopilot.position)))
+
+
+class VehicleHandle:
+    """What a flight and its answers do with the vehicle, and a mission cannot."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self.settle = vehicle._settle
+        self.end_leg = vehicle._end_leg
+        self.take_up = vehicle._take_up
+        self.fly = vehicle._fly
+
+    def place(self) -> Waypoint | Position | None:
+        """Where it was last sent to."""
+        return self._vehicle.place
+
+    def position(self) -> Position:
+        """Where it is."""
+        return self._vehicle.position
+
+    def leave_open(self, answer: AnswerAction[Any]) -> None:
+        """Have the verbs that follow settle the answer."""
+        self._vehicle._open = answer
+
+
+def position_of(place: Waypoint | Position) -> Position:
+    """The position of a waypoint, or the position given."""
+    return place.position if isinstance(place, Waypoint) else place
