@@ -11,7 +11,7 @@ import pytest
 from tests.drone.test_resume import fly, scenario
 
 from upwash import Drone, Position
-from upwash.drone.pending import StartedCall
+from upwash.drone.pending import why_failed
 from upwash.errors import MissionFailed, UsageError
 from upwash.eventlog import schema
 from upwash.services import Detector
@@ -206,12 +206,9 @@ def test_a_call_that_failed_says_why(error: Exception | None, failure: str) -> N
             raise error
         return b""
 
-    async def wait() -> StartedCall:
-        call = StartedCall()
-        assert not call.is_over
-        call.task = asyncio.create_task(compute())
-        await call.over()
-        return call
+    async def wait() -> str:
+        call = asyncio.create_task(compute())
+        await asyncio.wait([call])
+        return why_failed(call)
 
-    call = run_virtually(wait())
-    assert (call.is_over, call.failure) == (True, failure)
+    assert run_virtually(wait()) == failure

@@ -14,7 +14,7 @@ from upwash.core.operation import Operation
 from upwash.core.policies.policy import Local, Remote
 from upwash.core.selection import events
 from upwash.core.selection.hedging import Hedge
-from upwash.drone.calling import Attempt, CallAnswer, Invocation, Racing
+from upwash.drone.calling import Attempt, CallAnswer, Calling, Invocation
 from upwash.errors import InstanceError
 from upwash.eventlog import schema
 from upwash.sim.loop import run_virtually
@@ -27,7 +27,7 @@ RACED = Remote("s1", 2.0, "on trial", raced=True)
 
 
 @dataclass
-class Field:
+class Field(Calling):
     """A server and the drone's own service, in place of all that a race needs; "" is no answer."""
 
     server_s: float = 1.0
@@ -45,7 +45,8 @@ class Field:
 
     def __post_init__(self) -> None:
         this: Any = self
-        self.racing = Racing(this, this, this, this)
+        self.selection, self.estimates = this, ANY
+        super().__init__(this, this, this, this, this)
 
     # --- the decisions and the journal
 
@@ -70,8 +71,8 @@ class Field:
 
     # --- calls
 
-    def attempt(self, call: Invocation, server: str, deadline_s: float) -> Attempt:
-        return Attempt(call, server, ANY, ANY, 1, deadline_s, Position(0.0, 0.0))
+    def attempt(self, call: Invocation, decision: Remote) -> Attempt:
+        return Attempt(call, decision.server, ANY, ANY, 1, decision.deadline_s, Position(0.0, 0.0))
 
     async def at_server(self, attempt: Attempt) -> str | None:
         return await self._computed(attempt.server, self.server_s, self.server) or None
@@ -122,7 +123,7 @@ def answered(decision: Any, **facts: Any) -> tuple[Field, CallAnswer, float]:
     """The field, the answer, and after how many seconds it came."""
 
     async def story(field: Field) -> tuple[Field, CallAnswer, float]:
-        return field, await field.racing.answer(decision, CALL), now_s()
+        return field, await field.answer(decision, CALL), now_s()
 
     found: tuple[Field, CallAnswer, float] = run(lambda: Field(**facts), story)
     return found
@@ -201,7 +202,7 @@ def test_a_server_that_becomes_of_use_overtakes_the_drone() -> None:
 )
 def test_a_call_that_is_given_up_leaves_nothing_that_runs(decision: Any, facts: dict[str, Any]) -> None:
     async def story(field: Field) -> None:
-        call = asyncio.create_task(field.racing.answer(decision, CALL))
+        call = asyncio.create_task(field.answer(decision, CALL))
         await asyncio.sleep(2.0)
         call.cancel()
         await asyncio.gather(call, return_exceptions=True)
@@ -213,16 +214,16 @@ def test_a_call_that_is_given_up_leaves_nothing_that_runs(decision: Any, facts: 
 
 def test_the_next_call_of_that_service_waits_for_a_loser_and_no_call_is_hedged_meanwhile() -> None:
     async def story(field: Field) -> None:
-        await field.racing.answer(RACED, CALL)
-        assert (now_s(), await field.racing.queue("counter")) == (1.0, 0.0)
+        await field.answer(RACED, CALL)
+        assert (now_s(), await field.queue("counter")) == (1.0, 0.0)
         field.hedge = Hedge(0.5, 20.0)
-        answer = await field.racing.answer(ELSEWHERE, OTHER)
+        answer = await field.answer(ELSEWHERE, OTHER)
         assert (now_s(), answer.hedged_s, field.busy) == (2.0, None, [True])
-        answer = await field.racing.answer(Local("no server"), CALL)
+        answer = await field.answer(Local("no server"), CALL)
         assert (now_s(), answer.queued_s, answer.onboard_s) == (20.0, 8.0, 10.0)
         dropped = [event for event in field.told if isinstance(event, schema.Dropped)]
         assert [(each.operation, each.place) for each in dropped] == [(str(CALL.operation), "local")]
-        await field.racing.answer(ELSEWHERE, OTHER)
+        await field.answer(ELSEWHERE, OTHER)
         assert field.busy == [True, False]
 
     run(Field, story)
@@ -230,8 +231,8 @@ def test_the_next_call_of_that_service_waits_for_a_loser_and_no_call_is_hedged_m
 
 def test_a_call_in_line_that_a_server_answers_is_not_computed() -> None:
     async def story(field: Field) -> None:
-        await field.racing.answer(RACED, CALL)
-        answer = await field.racing.answer(RACED, CALL)
+        await field.answer(RACED, CALL)
+        answer = await field.answer(RACED, CALL)
         assert (answer.reply, answer.onboard_s, answer.queued_s, now_s()) == ("s1's", 0.0, 1.0, 2.0)
         await asyncio.sleep(30.0)
         assert sum("drone from" in each for each in field.ran) == 1
@@ -242,9 +243,9 @@ def test_a_call_in_line_that_a_server_answers_is_not_computed() -> None:
 @pytest.mark.parametrize(("server_s", "loser"), [(1.0, "drone"), (30.0, "s1")])
 def test_losers_end_with_the_flight(server_s: float, loser: str) -> None:
     async def story(field: Field) -> None:
-        await field.racing.answer(RACED, CALL)
+        await field.answer(RACED, CALL)
         await asyncio.sleep(1.0)
-        await field.racing.stop_losers()
+        await field.stop_losers()
         await asyncio.sleep(0.5)
         assert field.ran[-1] == f"{loser} cancelled at {now_s() - 0.5:g}"
 

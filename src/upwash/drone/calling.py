@@ -137,7 +137,7 @@ class Calling:
         is_busy = any(not loser.done() for loser in self._losers)
         if (hedge := self._hedging.plan(decision, call.operation, is_busy=is_busy)) is not None:
             return await self._answer_hedged(decision, hedge, call)
-        attempt = self._attempt(call, decision)
+        attempt = self.attempt(call, decision)
         reply = await self.at_server(attempt)
         return await self._fall_back(call, attempt) if reply is None else CallAnswer(reply, call, attempt)
 
@@ -200,7 +200,8 @@ class Calling:
             )
         )
 
-    def _attempt(self, call: Invocation, decision: Remote) -> Attempt:
+    def attempt(self, call: Invocation, decision: Remote) -> Attempt:
+        """An attempt at the server, which is READY; it is not begun."""
         server = decision.server
         worker = self._radios.worker_at(server)
         assert worker.session is not None  # noqa: S101 - a server is READY only by its session
@@ -224,12 +225,12 @@ class Calling:
             schema.RemoteRaised(server=server, check=attempt.check, operation=operation, raised=raised)
         )
         if attempt.rival is not None and attempt.late:
-            self._test(attempt, attempt.rival.result())
+            self.test(attempt, attempt.rival.result())
         else:
             why = f"{server} says that {operation} raised {raised}"
             self._decisions.tell(events.RemoteCallRaised(server, why))
 
-    def _test(self, attempt: Attempt, onboard: Any) -> None:
+    def test(self, attempt: Attempt, onboard: Any) -> None:
         """Compare the exception that the server reported, if any, with the drone's own result of the same call."""
         if not attempt.raised or attempt.verdict:
             return
@@ -307,7 +308,7 @@ class Calling:
         return self._done_onboard(reply, computing, attempt)
 
     def _begin_at_server(self, call: Invocation, decision: Remote) -> Attempt:
-        attempt = self._attempt(call, decision)
+        attempt = self.attempt(call, decision)
         attempt.reply = begin(self.at_server(attempt))
         return attempt
 
@@ -340,7 +341,7 @@ class Calling:
         late = False
         if attempt is not None:
             late = attempt.reply is not None and not attempt.reply.done()
-            self._test(attempt, reply)
+            self.test(attempt, reply)
             if late and attempt.reply is not None:
                 self._keep(attempt.reply, None)
         self._decisions.tell(events.LocalCallEnded(computing.call.operation, delay_s))

@@ -79,10 +79,8 @@ class Pending(Generic[T]):
 
     @property
     def _failure(self) -> str:
-        """Why there is no answer; "" where there is one."""
         assert self._task is not None  # noqa: S101 - it is over
-        error = None if self._task.cancelled() else self._task.exception()
-        return "" if error is None else str(error) or type(error).__name__
+        return why_failed(self._task)
 
     def _take(self, waited_s: float, *, demanded: bool = False) -> None:
         """Logs, once, that the mission has the answer or the failure."""
@@ -93,6 +91,12 @@ class Pending(Generic[T]):
                     waypoint=self._waypoint, waited_s=waited_s, demanded=demanded, failed=self._failure
                 )
             )
+
+
+def why_failed(call: asyncio.Task[Any]) -> str:
+    """Why a call that is over has no answer; "" if it has one."""
+    error = None if call.cancelled() else call.exception()
+    return "" if error is None else str(error) or type(error).__name__
 
 
 class Demand(Generic[T]):
