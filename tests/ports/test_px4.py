@@ -109,7 +109,7 @@ async def test_a_pilot_who_takes_it_keeps_it(sky: Bench, autopilot: MavlinkAutop
     await asyncio.sleep(60.0 if moment == "call" else 3.0)
     mode = Mode.LOITER if moment == "call" else Mode.POSCTL
     sky.copter.move_sticks(sky.now_s, Sticks())
-    sky.copter.set_mode(sky.now_s, mode)
+    sky.copter.set_mode(mode)
     if moment == "call":
         await flying
     else:
@@ -133,7 +133,7 @@ async def test_no_command_follows_a_change_of_mode_that_the_driver_has_not_heard
     sky: Bench, autopilot: MavlinkAutopilot
 ) -> None:
     await take_off(autopilot)
-    sky.copter.set_mode(sky.now_s, Mode.LOITER)
+    sky.copter.set_mode(Mode.LOITER)
     since_s = sky.now_s
     with pytest.raises(AutopilotOverruled):
         await autopilot.return_home_and_land()
@@ -148,7 +148,7 @@ async def test_a_pilot_who_has_it_hover_in_the_climb_keeps_it(
     climbing = asyncio.create_task(autopilot.takeoff(20.0))
     await asyncio.sleep(8.0)
     assert 2.0 < autopilot.position.altitude_m < 16.0
-    sky.copter.set_mode(sky.now_s, Mode.LOITER)
+    sky.copter.set_mode(Mode.LOITER)
     with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
         await climbing
     await nothing_is_sent(sky)
@@ -161,7 +161,7 @@ async def test_a_pilot_who_arms_it_during_the_wait_keeps_it(sky: Bench, autopilo
     await asyncio.sleep(20.0)
     assert not waiting.done()
     sky.copter.move_sticks(sky.now_s, Sticks())
-    sky.copter.set_mode(sky.now_s, Mode.STABILIZED)
+    sky.copter.set_mode(Mode.STABILIZED)
     sky.copter.arm(sky.now_s, forced=True)
     with pytest.raises(AutopilotOverruled, match="somebody else armed it"):
         await waiting
@@ -240,7 +240,7 @@ def test_a_flight_is_resumed_where_the_vehicle_hovers_and_nowhere_else(after_s: 
     async def abandoned(sky: Bench) -> None:
         await asyncio.sleep(10.0)
         sky.copter.arm(sky.now_s, forced=True)
-        sky.copter.take_off(sky.now_s, 10.0)
+        sky.copter.take_off(10.0)
         await asyncio.sleep(after_s)
 
     async def resume(_: Bench, autopilot: MavlinkAutopilot) -> None:

@@ -21,7 +21,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 EVENT = 410
 AVAILABLE_MODES = 435
 CURRENT_MODE = 436
-RUN_PREARM_CHECKS = 401  # a command
 CUSTOM_MODE_FLAG = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 _EVENT_ARGUMENTS_BYTES = 40

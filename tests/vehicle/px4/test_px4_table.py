@@ -22,7 +22,6 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import UsageError
 from upwash.mavlink.px4 import (
     AVAILABLE_MODES,
-    RUN_PREARM_CHECKS,
     Mode,
     float_of_bytes,
 )
@@ -451,7 +450,7 @@ async def test_the_checks_are_told_again_on_request_and_its_modes(client: Px4Cli
     await client.armable()
     await asyncio.sleep(3.0)
     client.said.clear()
-    assert await client.long(RUN_PREARM_CHECKS) == 0
+    assert await client.long(mavlink.MAV_CMD_RUN_PREARM_CHECKS) == 0
     assert "no valid mission available" in [text for _, text in client.said]
     assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, AVAILABLE_MODES, 0) == 0
     modes = {each.custom_mode: each for each in client.all("AVAILABLE_MODES")}

@@ -251,6 +251,3 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         await self.vehicle.command(
             step, mavlink.MAV_CMD_DO_CHANGE_SPEED, over_ground, self._ground_speed_m_s, same_throttle
         )
-
-    def _ask_why_not_armable(self) -> None:
-        self.vehicle.question(mavlink.MAV_CMD_RUN_PREARM_CHECKS)

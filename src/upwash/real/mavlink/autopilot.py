@@ -56,7 +56,7 @@ class MavlinkAutopilot(ReportingAutopilot):
         while not self._may_be_armed():
             self._refuse_two_vehicles()
             begun_s = vehicle.now_s
-            self._ask_why_not_armable()
+            vehicle.question(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
             within_s = min(settings.ask_again_s, max(deadline_s - begun_s, settings.patience.answer_s))
             for until_s in (0.0, min(settings.words_s, within_s), within_s):
                 await vehicle.happens("arm", self._may_be_armed, within_s=begun_s + until_s - vehicle.now_s)
@@ -109,10 +109,6 @@ class MavlinkAutopilot(ReportingAutopilot):
             return (self._tracker.restless,)
         unsure = self._telemetry.can_be_armed and not self._telemetry.knows_its_place
         return ("it does not know its position yet",) if unsure else ()
-
-    @abstractmethod
-    def _ask_why_not_armable(self) -> None:
-        """Ask the vehicle for its reasons against arming."""
 
     # --- verbs ----------------------------------------------------------------------------------------------
 

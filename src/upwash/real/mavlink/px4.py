@@ -14,7 +14,6 @@ from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.way_home import PX4 as PX4_WAY_HOME
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.packets import Message
-from upwash.mavlink.px4 import RUN_PREARM_CHECKS
 from upwash.ports import VehicleLimits
 from upwash.real.mavlink.autopilot import MavlinkAutopilot
 from upwash.real.mavlink.fence import PX4_FENCE, px4_limits
@@ -111,9 +110,6 @@ class Px4Autopilot(MavlinkAutopilot):
             if modes & LOITER_STATE and severity <= _LEAST_BLOCKING
         )
         return tuple(dict.fromkeys(blocking))
-
-    def _ask_why_not_armable(self) -> None:
-        self.vehicle.question(RUN_PREARM_CHECKS)
 
     # --- in the air -----------------------------------------------------------------------------------------
 

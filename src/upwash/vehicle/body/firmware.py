@@ -112,6 +112,7 @@ class StandInFirmware(ABC, Generic[AnyCopter]):
 
     def hear(self, now_s: float, message: Message) -> Iterable[Message]:
         """Takes any other message; returns the answers for its sender."""
+        self.copter.advance(now_s)
         listener = self.listeners.get(message.get_type())
         return (listener(self, now_s, message) or ()) if listener else self._fence.hear(now_s, message)
 

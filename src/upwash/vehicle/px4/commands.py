@@ -46,7 +46,7 @@ def obey(copter: Quadrotor, now_s: float, message: Message) -> tuple[Result, ...
     return (Result.ACCEPTED, result) if message.command == mavlink.MAV_CMD_DO_SET_MODE else (result,)
 
 
-def set_mode(copter: Quadrotor, now_s: float, *, base_mode: float, main: float, sub: float) -> Result:
+def set_mode(copter: Quadrotor, *, base_mode: float, main: float, sub: float) -> Result:
     """Changes the mode; a mode that does not exist is accepted and means nothing, as with PX4."""
     if not _byte(base_mode) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return Result.ACCEPTED
@@ -58,7 +58,7 @@ def set_mode(copter: Quadrotor, now_s: float, *, base_mode: float, main: float, 
     mode = _MODES.get((main, sub))
     if mode is None:
         return Result.TEMPORARILY_REJECTED if main == _MAIN_AUTO else Result.ACCEPTED
-    return copter.set_mode(now_s, mode)
+    return copter.set_mode(mode)
 
 
 def _read(message: Message) -> VehicleCommand | None:
@@ -72,17 +72,17 @@ def _read(message: Message) -> VehicleCommand | None:
     return command
 
 
-def _take_off(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
-    return copter.take_off(now_s, command.place[2] - copter.settings.home_altitude_m)
+def _take_off(copter: Quadrotor, _now_s: float, command: VehicleCommand) -> Result:
+    return copter.take_off(command.place[2] - copter.settings.home_altitude_m)
 
 
 def _enter(mode: Mode) -> Handler:
-    return lambda copter, now_s, _command: copter.set_mode(now_s, mode)
+    return lambda copter, _now_s, _command: copter.set_mode(mode)
 
 
-def _do_set_mode(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
+def _do_set_mode(copter: Quadrotor, _now_s: float, command: VehicleCommand) -> Result:
     base_mode, main, sub, _ = command.parameters
-    return set_mode(copter, now_s, base_mode=base_mode, main=main, sub=sub)
+    return set_mode(copter, base_mode=base_mode, main=main, sub=sub)
 
 
 def _reposition(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Result:
@@ -107,8 +107,7 @@ def _reposition(copter: Quadrotor, now_s: float, command: VehicleCommand) -> Res
     return copter.reposition(now_s, wish)
 
 
-def _run_checks(copter: Quadrotor, now_s: float, _command: VehicleCommand) -> Result:
-    copter.advance(now_s)
+def _run_checks(copter: Quadrotor, _now_s: float, _command: VehicleCommand) -> Result:
     return Result.TEMPORARILY_REJECTED if copter.armed else Result.ACCEPTED
 
 
@@ -123,8 +122,8 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_NAV_LAND: _enter(Mode.LAND),
     mavlink.MAV_CMD_NAV_LOITER_UNLIM: _enter(Mode.LOITER),
     mavlink.MAV_CMD_DO_SET_MODE: _do_set_mode,
-    mavlink.MAV_CMD_DO_CHANGE_SPEED: lambda copter, now_s, command: copter.change_speed(
-        now_s, command.parameters[1]
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: lambda copter, _now_s, command: copter.change_speed(
+        command.parameters[1]
     ),
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_checks,

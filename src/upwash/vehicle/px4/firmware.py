@@ -70,6 +70,7 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
 
     def obey(self, now_s: float, message: Message) -> tuple[int, ...]:
         """One answer, or two; events tell everyone the reasons."""
+        self.copter.advance(now_s)
         results = obey(self.copter, now_s, message)
         if message.command == mavlink.MAV_CMD_RUN_PREARM_CHECKS and results[0] == 0:
             self._tell_checks(now_s)
@@ -156,7 +157,7 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         number = message.custom_mode
         if message.base_mode & CUSTOM_MODE_FLAG:
             main, sub = number >> 16 & 0xFF, number >> 24
-            set_mode(self.copter, now_s, base_mode=message.base_mode, main=main, sub=sub)
+            set_mode(self.copter, base_mode=message.base_mode, main=main, sub=sub)
 
     def _hear_sticks(self, now_s: float, message: Message) -> None:
         axes = [axis / _STICK_FULL for axis in (message.x, message.y, message.r)]

@@ -1,7 +1,7 @@
 """The answers and deeds of a stand-in PX4: modes, arming, take-off, repositions, OFFBOARD, fail-safes.
 
-It decides its modes; `Px4Flight` moves it in them. It lives in steps of `STEP_S`: each question and command brings
-the time, and it catches up. Nothing here needs a clock, a socket or a timer.
+It decides its modes; `Px4Flight` moves it in them. It lives in steps of `STEP_S`: it catches up with the time of
+each question, and before each command. Nothing here needs a clock, a socket or a timer.
 """
 
 from __future__ import annotations
@@ -169,7 +169,6 @@ class Quadrotor(Px4Flight):
 
     def arm(self, now_s: float, *, forced: bool = False) -> Result:
         """Starts the motors, once the checks pass."""
-        self.advance(now_s)
         if self.armed:
             return Result.ACCEPTED
         if not forced and not self.armable(now_s):
@@ -184,7 +183,6 @@ class Quadrotor(Px4Flight):
 
     def disarm(self, now_s: float, *, forced: bool = False) -> Result:
         """Stops the motors: on the ground only, unless forced, and then it falls."""
-        self.advance(now_s)
         if not self.armed:
             return Result.ACCEPTED
         if not self._grounded:
@@ -194,9 +192,8 @@ class Quadrotor(Px4Flight):
         self._disarm(DISARMED_BY_COMMAND)
         return Result.ACCEPTED
 
-    def set_mode(self, now_s: float, mode: Mode) -> Result:
+    def set_mode(self, mode: Mode) -> Result:
         """Changes what it is meant to do; armed only to what it could do now. LAND is always obeyed."""
-        self.advance(now_s)
         if not self._intend(mode, force=mode is Mode.LAND):
             return Result.TEMPORARILY_REJECTED
         if mode is Mode.TAKEOFF and self.armed and self._lifting_s is None:
@@ -204,12 +201,11 @@ class Quadrotor(Px4Flight):
         self._choose_mode()
         return Result.ACCEPTED
 
-    def take_off(self, now_s: float, altitude_m: float) -> Result:
+    def take_off(self, altitude_m: float) -> Result:
         """Climbs to the altitude above home, NaN for the usual one, and then holds.
 
         As a PX4 it accepts what makes no sense, turns its motors and stays where it is.
         """
-        self.advance(now_s)
         if not self._intend(Mode.TAKEOFF):
             return Result.TEMPORARILY_REJECTED
         if math.isnan(altitude_m):
@@ -224,7 +220,6 @@ class Quadrotor(Px4Flight):
 
         A place outside the fence causes an event only, and no flight. Disarmed it only changes its mode.
         """
-        self.advance(now_s)
         target = wish.target(self._body.position)
         if not is_sensible(target, lowest_m=LOWEST_M):
             return Result.DENIED
@@ -240,21 +235,18 @@ class Quadrotor(Px4Flight):
         self._navigator.reposition(wish, now_s, was_holding=was_mode is Mode.LOITER)
         return Result.ACCEPTED
 
-    def change_speed(self, now_s: float, speed_m_s: float) -> Result:
+    def change_speed(self, speed_m_s: float) -> Result:
         """Sets the speed of the present mode: lost before the take-off ends."""
-        self.advance(now_s)
         if self.mode is Mode.LOITER:
             self._navigator.change_speed(speed_m_s)
         return Result.ACCEPTED
 
     def follow(self, now_s: float, setpoint: Setpoint) -> None:
         """Takes a setpoint for OFFBOARD; in any other mode it only counts as a sign of life."""
-        self.advance(now_s)
         self._take_setpoint(now_s, setpoint)
 
     def move_sticks(self, now_s: float, sticks: Sticks) -> None:
         """Takes a pilot's sticks; where they take over, the mode becomes POSCTL."""
-        self.advance(now_s)
         if not self.parameters["COM_RC_IN_MODE"]:
             return
         known = self.inputs.hears(InputSource.STICKS, now_s)
@@ -276,7 +268,6 @@ class Quadrotor(Px4Flight):
 
     def hear(self, source: InputSource, now_s: float) -> None:
         """A ground station or a companion computer is alive."""
-        self.advance(now_s)
         if self.inputs.take(source, now_s):
             self.happened(REGAINED[source])
 
