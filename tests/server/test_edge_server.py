@@ -6,14 +6,15 @@ import asyncio
 import logging
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 import msgspec
 import pytest
 from tests.played import played
 
 from upwash.core.admission.admission import AdmissionController, AdmissionSettings
-from upwash.core.admission.clients import Client, InstanceStatus, Role
-from upwash.core.admission.server import ServerOffer
+from upwash.core.admission.clients import Client, DroneUsage, InstanceStatus, Role, TeamUsage
+from upwash.core.admission.server import Command, ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S, DENIALS
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
@@ -235,6 +236,88 @@ async def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_l
     assert instance.admitted == {"d1"}
 
 
+@pytest.mark.parametrize("request_", ["ask", "start", "prepare", "hold", "leave"])
+@played(serve, looks=False, slots=2)
+async def test_each_request_ends_the_leases_whose_time_is_over(daemon: Daemon, *, request_: str) -> None:
+    await daemon.start("d1")
+    await daemon.ask("d2")
+    (instance,) = daemon.runtime.instances
+    for _ in range(2):
+        await asyncio.sleep(0.6 * LEASE_S)
+        assert instance.admitted == {"d1", "d2"}
+        daemon.edge.seen("s1", "d1")
+    requests: dict[str, Callable[[], Coroutine[Any, Any, Any]]] = {
+        "ask": daemon.ask,
+        "start": daemon.start,
+        "prepare": lambda: daemon.prepare("s2"),
+        "hold": lambda: daemon.hold("d1", for_s=5.0),
+        "leave": lambda: daemon.leave("d2"),
+    }
+    await requests[request_]()
+    assert instance.admitted == {"d1"}
+
+
+def test_a_daemon_without_leases_and_instances_looks_at_nothing() -> None:
+    async def story(daemon: Daemon) -> int:
+        looks = 0
+
+        def look(*, now_s: float) -> list[Command]:
+            nonlocal looks
+            looks += 1
+            return AdmissionController.look(daemon.core, now_s=now_s)
+
+        with patch.object(daemon.core, "look", look):
+            await daemon.start()
+            await daemon.leave()
+            await asyncio.sleep(105.0)
+            assert daemon.runtime.living() == []
+            before = looks
+            await asyncio.sleep(1000.0)
+            return looks - before
+
+    assert serve(story) <= 1
+
+
+@played(serve)
+async def test_a_daemon_is_empty_once_no_drone_has_a_slot(daemon: Daemon) -> None:
+    await daemon.edge.emptied()
+    assert asyncio.get_running_loop().time() == 0.0
+    await daemon.ask()
+    await daemon.edge.emptied()
+    assert LEASE_S <= asyncio.get_running_loop().time() <= LEASE_S + 2.0
+
+
+@played(serve)
+async def test_a_daemon_continues_what_the_former_one_counted(daemon: Daemon) -> None:
+    used = DroneUsage("heron-1", "heron", None, 60.0, 7, 3.5, 1.0)
+    daemon.edge.take_up_usage("s1", [used], [TeamUsage("heron", 0, 60.0, 7, 3.5, 1.0)])
+    (server,) = daemon.edge.standing().servers
+    assert [(each.drone, each.calls) for each in server.drones] == [("heron-1", 7)]
+    assert [(each.team, each.slot_s) for each in server.teams] == [("heron", 60.0)]
+
+
+@played(serve)
+async def test_starts_failures_and_answers_are_observed(daemon: Daemon) -> None:
+    await daemon.start()
+    daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1))
+    await daemon.leave()
+    await asyncio.sleep(105.0)
+    daemon.runtime.broken = "no such model"
+    await daemon.start()
+    assert daemon.observed == [
+        f"detector@s1 started in {COLD_START_S:.1f} s",
+        "detector@s1 answered d1",
+        "detector@s1 failed",
+    ]
+
+
+@played(serve)
+async def test_where_a_peer_holds_no_slot_another_peer_may(daemon: Daemon) -> None:
+    await daemon.start()
+    assert (await daemon.prepare("s2")).reason == "s2 is full"
+    assert (await daemon.prepare("s3")).reason == "s3 is full"
+
+
 @played(serve)
 async def test_what_the_daemon_sees_keeps_a_lease_alive_and_what_an_instance_says_does_not(
     daemon: Daemon,
@@ -313,7 +396,11 @@ async def test_a_crashed_instance_is_absent_and_started_again_on_request(daemon:
 
 
 @played(serve)
-async def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(daemon: Daemon) -> None:
+async def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(
+    daemon: Daemon,
+    *,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     first = await daemon.start()
     daemon.runtime.called[0]("d1")
     daemon.runtime.instances[0].call_ends_in_s = 1e6
@@ -322,8 +409,24 @@ async def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_s
     await daemon.keep_asking(2.0 + 1.0 + COLD_START_S)
     assert (await daemon.ask()).endpoints["detector"] not in ("", first.endpoint)
     assert daemon.edge.standing().servers[0].instances[1].replaced == 1
+    assert "stopping detector@s1: detector of s1 is replaced: a call has kept it" in caplog.text
     await daemon.keep_asking(200.0)
     assert len(daemon.runtime.instances) == 2, "one that is well stays"
+
+
+@played(serve)
+async def test_a_drone_that_waits_for_the_next_instance_gets_it_also_where_the_former_crashes_in_its_last_call(
+    daemon: Daemon,
+) -> None:
+    first = await daemon.start()
+    daemon.runtime.called[0]("d1")
+    daemon.runtime.instances[0].call_ends_in_s = 1e6
+    while not daemon.runtime.instances[0].refuses:
+        await daemon.keep_asking(1.0)
+    starting = asyncio.create_task(daemon.start())
+    await asyncio.sleep(0.1)
+    daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
+    assert (await starting).endpoint not in ("", first.endpoint)
 
 
 @played(serve)
@@ -340,19 +443,20 @@ async def test_an_instance_without_a_sign_of_life_is_replaced(daemon: Daemon) ->
 @played(serve)
 async def test_an_instance_that_raises_what_drones_deny_is_replaced(daemon: Daemon) -> None:
     await daemon.start()
-    request = msgspec.msgpack.encode(DenyRequest("s1", ["detector"]))
     for _ in range(DENIALS):
         assert len(daemon.runtime.living()) == 1
         daemon.runtime.called[0]("d1")
         daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1, "raised"))
-        await daemon.edge.handle(DENY, request, Client("d1"))
+        await daemon.deny()
     await daemon.keep_asking(1.0 + COLD_START_S)
     assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
 
 
 @played(serve)
 async def test_an_instance_that_does_not_end_is_left_behind_and_another_one_started(
-    daemon: Daemon, *, caplog: pytest.LogCaptureFixture
+    daemon: Daemon,
+    *,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     await daemon.start()
     stuck = daemon.runtime.instances[0]
@@ -396,7 +500,12 @@ async def test_an_instance_that_cannot_be_told_whom_to_admit_is_stopped(daemon: 
 )
 @played(serve)
 async def test_what_is_not_understood_is_refused(
-    daemon: Daemon, *, path: str, body: bytes, drone: str, reason: str
+    daemon: Daemon,
+    *,
+    path: str,
+    body: bytes,
+    drone: str,
+    reason: str,
 ) -> None:
     with pytest.raises(Refused, match=reason):
         await daemon.edge.handle(path, body, Client(drone))
@@ -416,7 +525,11 @@ async def test_a_server_that_is_not_here_is_named_with_those_that_are(daemon: Da
 
 
 @played(serve)
-async def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new(daemon: Daemon) -> None:
+async def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new(
+    daemon: Daemon,
+    *,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     await daemon.start()
     (instance,) = daemon.runtime.instances
     instance.call_ends_in_s = 3.0
@@ -428,6 +541,7 @@ async def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new(daemo
     assert not instance.ended.done(), "stopped in a call"
     await draining
     assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + 3.0)
+    assert "stopping" not in caplog.text, "the operator knows"
 
 
 @played(serve)
@@ -586,7 +700,7 @@ async def test_a_certificate_that_is_revoked_is_admitted_to_no_instance_any_more
     (instance,) = daemon.runtime.instances
     assert instance.admitted == {"0a"}
     offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
-    await daemon.edge.reload(offers, images={}, revoked=frozenset({"0a"}))
+    await daemon.edge.reload(offers, images=IMAGES, revoked=frozenset({"0a"}))
     assert instance.admitted == frozenset()
 
 
