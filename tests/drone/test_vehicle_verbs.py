@@ -133,3 +133,15 @@ def test_a_mission_that_has_landed_may_leave_the_motors_to_the_program(tmp_path:
     kinds = [event.kind for event in run.events]
     assert "safe_end" not in kinds, "nothing ended early"
     assert kinds[-3:].count("disarmed") == 1
+
+
+def test_a_mission_that_stops_the_motors_itself_does_so_at_once(tmp_path: Path) -> None:
+    run = fly(
+        tmp_path,
+        "drone.autopilot.land()",
+        "drone.autopilot.disarm()",
+        "assert not drone.autopilot.telemetry.armed",
+        "return",
+    )
+    assert run.failure == ""
+    assert [event.kind for event in run.events].count("disarmed") == 1
