@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -80,12 +80,16 @@ class LocalInstance(ControlledInstance):
         with contextlib.ExitStack() as stack:
             outside: socket.socket | None = None
             if not listen:
-                outside = stack.enter_context(await self._pair())
+                with self._failing("did not start"):
+                    self._calls, outside = await direct_pair()
                 endpoint = f"pair:{next(_numbers)}"
             elif is_apart or self._lead is not None:
-                outside = stack.enter_context(self._listen_at(listen))
+                with self._failing(f"cannot listen at {listen}"):
+                    outside = listening_socket(listen)
                 endpoint = endpoint_of(outside)
                 begin = msgspec.structs.replace(begin, listen=_INSIDE if is_apart else f"{listen}-inside")
+            if outside is not None:
+                stack.enter_context(outside)
             control = await self._start(outside)
         try:
             address = await control.begin(begin)
@@ -147,30 +151,21 @@ class LocalInstance(ControlledInstance):
         if not self.control.fault:
             await asyncio.sleep(STOP_GRACE_S)
 
-    async def _pair(self) -> socket.socket:
+    @contextlib.contextmanager
+    def _failing(self, how: str) -> Iterator[None]:
         try:
-            self._calls, theirs = await direct_pair()
+            yield
         except OSError as error:
-            raise InstanceError(f"{self.spec.name} did not start: {error}") from error
-        return theirs
-
-    def _listen_at(self, address: str) -> socket.socket:
-        try:
-            return listening_socket(address)
-        except OSError as error:
-            raise InstanceError(f"{self.spec.name} cannot listen at {address}: {error}") from error
+            raise InstanceError(f"{self.spec.name} {how}: {error}") from error
 
     async def _start(self, outside: socket.socket | None) -> InstanceControl:
-        with contextlib.ExitStack() as theirs:
-            try:
-                (reports, orders), control = await connected_pair()
-                theirs.enter_context(control)
-                found = self._connect_control(reports, orders)
-                (prints, self._prints), output = await connected_pair()
-                theirs.enter_context(output)
-                self._running = await self._run(self.spec, Handed(control, output, outside))
-            except OSError as error:
-                raise InstanceError(f"{self.spec.name} did not start: {error}") from error
+        with contextlib.ExitStack() as theirs, self._failing("did not start"):
+            (reports, orders), control = await connected_pair()
+            theirs.enter_context(control)
+            found = self._connect_control(reports, orders)
+            (prints, self._prints), output = await connected_pair()
+            theirs.enter_context(output)
+            self._running = await self._run(self.spec, Handed(control, output, outside))
         self._listening = start(
             self._listen(prints), name=f"the output of {self.spec.name}", failed=only_logged
         )
