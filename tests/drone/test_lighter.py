@@ -63,6 +63,7 @@ def test_a_mission_that_has_time_is_the_same_as_without_the_keys() -> None:
     assert run.result.calls == unhurried().result.calls
     (foreseen,) = events(run, "foreseen")
     assert foreseen["as_asked_s"] == pytest.approx(unhurried().result.mission_time_s, rel=0.02)
+    assert foreseen["reached_s"] == [round(each_s, 1) for each_s in foreseen["reached_s"]]
     (unhurried_one,) = events(unhurried(), "foreseen")
     assert unhurried_one["as_asked_s"] == foreseen["as_asked_s"]
     assert "finish_by_s" not in unhurried_one and "lightest_s" not in unhurried_one
