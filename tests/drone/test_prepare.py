@@ -60,7 +60,7 @@ def test_a_refusal_costs_nothing_and_is_logged_with_its_reason() -> None:
     for run, why in (
         (fly(knows=()), "s1 is no peer of this daemon"),
         (fly(images=[]), "s2 has no image of detector"),
-        (fly(fault("s2", "off", to_s=60.0)), "s2: nobody answers"),
+        (fly(fault("s2", "off", to_s=60.0)), "s2 does not answer"),
         (fly(fault("s2", "stuck", to_s=60.0)), "no answer within 3.0 s"),
         (fly(fault("s2", "full", to_s=60.0)), "s2 has no free slot: 4 of 4 in use"),
         (fly(fault("s2", "garbage", to_s=60.0)), "cannot be decoded"),

@@ -40,7 +40,7 @@ def first(run: Run, name: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("kind", "after_s", "why"),
     [
-        ("off", 3.5, "nobody answers"),
+        ("off", 3.5, "does not answer"),
         ("stuck", 8.5, "no answer within 5.0 s"),
         ("garbage", 3.5, "a reply that cannot be decoded"),
         ("crash", 7.5, r"detector@s1 crashed while it started"),
@@ -69,7 +69,7 @@ def test_a_server_without_a_slot_has_not_failed_and_is_asked_until_it_has_one() 
 def test_a_lying_server_is_found_out_by_its_first_call() -> None:
     run = fly(fault("s1", "wrong"))
     assert first(run, "found_running")["t"] == 3.5
-    assert "s1:1: nobody answers" in first(run, "remote_failed")["why"]
+    assert "s1:1 does not answer" in first(run, "remote_failed")["why"]
     assert first(run, "call_failed_in_range")["after"] == "BLACKLISTED"
 
 
@@ -125,7 +125,7 @@ def test_what_was_ready_crashes_in_its_next_call_and_again_as_it_restarts() -> N
 
 def test_instances_that_crash_as_the_lease_is_renewed_are_started_again() -> None:
     run = fly(fault("s1", "crash", from_s=21.4, to_s=21.6), policy={"blacklist_s": 5.0})
-    assert "nobody answers" in first(run, "remote_failed")["why"]
+    assert "does not answer" in first(run, "remote_failed")["why"]
     assert len(events(run, "started")) == 2
     assert events(run, "call")[-1]["place"] == "s1"
 

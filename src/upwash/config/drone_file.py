@@ -67,7 +67,7 @@ def refuse_several(config: DroneConfig, file: Path, *, what: str) -> None:
         raise ConfigError(
             str(file),
             "drone",
-            f"{what} is of one drone, and this file has [[drone]] tables, which are for simulations: give each drone "
+            f"{what} is of one drone, and this file has [[drone]] tables, which are for simulations; give each drone "
             "a file of its own, with its name at the top and its waypoints in [mission]",
         )
 

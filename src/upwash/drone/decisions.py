@@ -203,7 +203,7 @@ class Background:
         self._alarm: asyncio.TimerHandle | None = None  # at the first look from then on
 
     async def look(self) -> NoReturn:
-        """Tick the core after each period in which something can have changed, at once after a server was left."""
+        """Tick the core after each period in which its inputs can have changed, at once after a server was left."""
         again, loop = self._decisions.server_left, asyncio.get_running_loop()
         self._decisions.looked_after = self._set_alarm
         try:
@@ -234,7 +234,7 @@ class Background:
                 self._decisions.tell(Tick())
 
     def _set_alarm(self) -> None:
-        """Schedule the next tick at the end of the first period in which something can have changed."""
+        """Schedule the next tick at the end of the first period in which the core's inputs can have changed."""
         due_s = -math.inf if self._silent else self._decisions.next_look_s() - _ROUNDING_S
         if due_s == self._due_s and self._alarm is not None:
             return

@@ -55,8 +55,8 @@ class ExplainedCall:
 class ExplainedAnswer:
     """The result of flying on before the answer of call `number` of the run, counted from 0.
 
-    The mission did something else during `hidden_s` of the call. `back_m` is the distance that the drone flew back
-    for the answer; None if it did not turn back.
+    The mission flew or did other work during `hidden_s` of the call. `back_m` is the distance that the drone flew
+    back for the answer; None if it did not turn back.
     """
 
     number: int

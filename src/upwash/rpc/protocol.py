@@ -126,7 +126,7 @@ class DenyReply(msgspec.Struct, frozen=True):
 class PrepareRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A drone announces itself to a peer of the server, where it arrives in `arrives_in_s`.
 
-    The peer is asked to start these services, and to hold a slot until `hold_s` after that.
+    The server requests of the peer to start these services, and to hold a slot until `hold_s` after that.
     """
 
     server: NameText

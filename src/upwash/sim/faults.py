@@ -199,7 +199,7 @@ class FaultyServer:
     async def _endure(self) -> None:
         match self._kind():
             case "off":
-                raise Unreachable(f"{self._name}: nobody answers")
+                raise Unreachable(f"{self._name} does not answer")
             case "stuck":
                 await never()
 

@@ -122,7 +122,7 @@ class ModelLink:
         await self._get_through()
         handler = self._dialer.switchboard.handlers.get(self._address)
         if handler is None:
-            raise Unreachable(f"{self._server} at {self._address}: nobody answers")
+            raise Unreachable(f"{self._server} at {self._address} does not answer")
         try:
             reply = await self._handled(handler, path, body)
         except InstanceError as error:

@@ -138,7 +138,7 @@ class AdmissionController:
         at.turns.gave_up(drone.name)
         return [*at.leases.end(lambda lease: lease.drone == drone, now_s=now_s)]
 
-    # --- what peers and a daemon before this one ask ----------------------------------------------------------
+    # --- requests of peers and of an earlier daemon -----------------------------------------------------------
 
     def send_ahead(
         self, server: str, peer: str, drone: Client, *, for_s: float, now_s: float
@@ -263,7 +263,7 @@ class AdmissionController:
         return all(server.is_idle for server in self._servers.values())
 
     def next_end_s(self, *, now_s: float) -> float:
-        """The earliest time at which something ends by itself, except new holds for peers."""
+        """The earliest time of an end by itself (leases, turns, holds), except new holds for peers."""
         idle_s = self.settings.idle_stop_s
         ends_s = (end_s for server in self._servers.values() for end_s in server.ends_s(idle_s))
         return min(now_s + self.settings.lease_s, now_s + idle_s, *ends_s)

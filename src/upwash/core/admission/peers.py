@@ -25,7 +25,7 @@ class _Missed:
 
 
 class _SentAhead(Struct, frozen=True):
-    """A slot that `peer` was asked to hold for a drone until `until_s`.
+    """A request to `peer` to hold a slot for a drone until `until_s`.
 
     If the peer refuses, its earlier hold still lasts until `otherwise_s`.
     """

@@ -11,7 +11,7 @@ more of its check left and has started the same services. It follows only two se
 schedule is the best if checks take as long with services running as without, and nearly the best otherwise.
 
 It first follows only ways that lose little against each call at its fastest place without a wait. If such a way
-exists, the search ends there: every way left out costs more, beats none of the followed ways, and ends costlier.
+exists, the search ends there: every way left out costs more than the followed ways, and still does at its end.
 """
 
 from __future__ import annotations

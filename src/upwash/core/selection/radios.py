@@ -82,7 +82,7 @@ class Radios:
     def use(self, server: Server, why: str, now_s: float, *, keep: bool) -> list[Effect]:
         """Use the server from now on.
 
-        With a spare radio and `keep`, the former server stays in use until this one is READY.
+        With a spare radio and `keep`, the former server stays in use until the new server is READY.
         """
         is_ready = server in self.selected and server.state is State.READY
         if keep and self.has_spare and not is_ready:

@@ -1,6 +1,6 @@
-"""Which server to use now: when the policy is asked, and with what inputs.
+"""Which server to use now: when the policy decides, and from which inputs.
 
-The policy is asked again after each change in what it is shown. Time alone makes two changes: slow calls are
+The policy decides again after each change in its inputs. Time alone makes two changes: slow calls are
 forgotten, so that a slow server gets another chance, and an announcement becomes due.
 """
 
@@ -149,7 +149,7 @@ class ServerPlanning:
         return self._settings.retry_s
 
     def next_look_s(self, now_s: float) -> float:
-        """The time before which the policy need not be asked, unless an event comes first."""
+        """The time before which the policy need not decide again, unless an event comes first."""
         if self.changed:
             return now_s
         look_s = self._prewarm.due_s
@@ -159,7 +159,7 @@ class ServerPlanning:
         return look_s
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the policy must be asked now."""
+        """Whether the policy must decide now."""
         return self.changed or self._prewarm.is_due(now_s) or self._short_of_slots(now_s) != self._short
 
     def choose(self, now_s: float, position: Position) -> Choice:

@@ -28,7 +28,7 @@ class ControlCredentials:
 
     @staticmethod
     def from_text(text: str) -> ControlCredentials:
-        """The credentials in such a line as `text()` returns."""
+        """The credentials from a line that `text()` returned."""
         return ControlCredentials(base64.b64decode(text))
 
     def text(self) -> str:

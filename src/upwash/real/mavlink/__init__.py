@@ -18,7 +18,7 @@ these together as a vehicle that answers questions, and `vehicle` adds commands.
 
 What is ugly: MAVLink answers belong to no request, so an answer may be that of an earlier attempt, and most verbs
 rely on reports instead. An absent parameter and a lost question look alike. PX4 tells its fail-safes by events whose
-texts stand in a table made from its source. Vehicles with one system id are told apart only by their clocks.
+texts stand in a table made from its source. Only their clocks distinguish vehicles with one system id.
 """
 
 from upwash.real.mavlink.autopilot import MavlinkAutopilot

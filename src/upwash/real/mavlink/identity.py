@@ -110,7 +110,7 @@ class Identity:
         return (self.vehicle.system, self.vehicle.component) if self.vehicle else None
 
     def follows(self, message: Message) -> bool:
-        """Whether the message is a heartbeat of the vehicle, or of one that can be followed while there is none."""
+        """Whether the message is a heartbeat of the vehicle or, while none is followed, of a vehicle that can be."""
         if not from_autopilot(message):
             return False
         sender = self._described(message)

@@ -71,7 +71,7 @@ class ReportingAutopilot(ABC):
 
     @property
     def dead_man(self) -> DeadMan:
-        """The dead man's switch; one that refuses everything, unless a subclass has another."""
+        """The dead man's switch; here a `NoDeadMan`, which refuses everything. Subclasses have real switches."""
         return NoDeadMan(self.vehicle.firmware.name)
 
     @property

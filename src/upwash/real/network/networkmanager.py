@@ -97,7 +97,7 @@ class Device:
 
 @dataclass(frozen=True, slots=True)
 class NetworkConnection:
-    """An active profile, or one that is being activated."""
+    """A profile that is active or being activated."""
 
     path: str
     uuid: str

@@ -1,6 +1,7 @@
 """A Darknet network in the format of ncnn: a text of layers, and the numbers of the convolutions in order.
 
-ncnn's documents call the two files param and bin. A blob has one reader, so that one with several is split before.
+ncnn's documents call the two files param and bin. A blob has one reader, so a
+split layer copies a blob that several layers read.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Photos of the park as a drone's camera takes them, with the truth about what is on them.
 
-The camera is a Raspberry Pi's Camera Module 2: 62.2 degrees wide. It looks straight down but for a little
-wind. The ground in its view is drawn on a canvas, which is then seen through the lens.
+The camera is a Raspberry Pi's Camera Module 2: 62.2 degrees wide. It looks straight down, less a few degrees
+in wind. The ground in its view is drawn on a canvas, which is then seen through the lens.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def photograph(park: Park, view: View, *, shot: int = 0) -> RenderedPhoto:
 def render_photo(seed: int, *, altitude_m: float | None = None) -> RenderedPhoto:
     """A photo of a park of its own, in any light, from `altitude_m` or, as in training and tests, from 9 to 20 m.
 
-    However high it is taken, as many faults are to be expected on it.
+    The expected number of faults on it is the same at every altitude.
     """
     rng = np.random.default_rng([seed, 7])
     usual_m = rng.uniform(9, 20)  # drawn in any case: all else of a seed stays the same

@@ -78,7 +78,7 @@ _KNOT_M_S = 0.03  # how far a phase may be from the pursuit that it is made of
 
 
 def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-    """A leg from rest to rest, with the time it takes to react."""
+    """The motion of a leg from rest to rest, with the time that the vehicle takes to react."""
     length_m = distance_m(start, end)
     if length_m < _FINEST_M:
         return (pause(end, _REACTION_S),)
@@ -90,7 +90,7 @@ def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> 
 def redirected(
     start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
 ) -> tuple[MotionPart, ...]:
-    """From its present motion to rest at a target, new or old, at a new speed."""
+    """The motion from the present velocity to rest at `end`, a new target or the old one at a new speed."""
     length_m = distance_m(start, end)
     ahead = heading_of(start, end) if length_m else direction_of(velocity)
     along_m_s = _product(velocity, ahead)
@@ -116,25 +116,25 @@ def redirected(
 
 
 def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-    """To rest, straight ahead."""
+    """The motion from the velocity to rest, straight ahead; empty at rest."""
     speed_m_s = velocity.speed_m_s
     return _BRAKING.phases(start, direction_of(velocity), speed_m_s) if speed_m_s > 0 else ()
 
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
-    """When the vehicle counts as arrived, though it still moves a little: within 1 m of the end, below 0.5 m/s."""
+    """The second at which the vehicle counts as arrived: within 1 m of the end and below 0.5 m/s."""
     return settled_s(phases, within_m=_ARRIVED_M, below_m_s=_ARRIVED_M_S)
 
 
 def takeoff(ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-    """Spools up, then climbs straight up to the altitude."""
+    """The motion of a take-off: the motors spool up, then the vehicle climbs straight up to the altitude."""
     up = Position(ground.east_m, ground.north_m, altitude_m)
     climb = ramped_leg(ground, up, cruise_m_s=_CLIMB_M_S, faster=_LIFTING, slower=_LEVELLING)
     return (pause(ground, spool_up_s), *climb)
 
 
 def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
-    """Climbs to the altitude of returns if it is lower, flies home, hovers and lands."""
+    """The motion of a return: a climb to the altitude of returns if the vehicle is lower, home, hover, landing."""
     climb = _return_climb(start, _RETURN_ALTITUDE_M)
     way = _way_from_above(climb[-1].end, home, ground_speed_m_s=_RETURN_M_S, climbed=len(climb) > 1)
     return *climb, *way, *landing(way[-1].end)
@@ -143,7 +143,7 @@ def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
 def way_home(
     start: Position, velocity: Velocity, home: Position, *, ground_speed_m_s: float, altitude_m: float
 ) -> tuple[MotionPart, ...]:
-    """Brakes and climbs to the altitude if it is lower, flies home and hovers there."""
+    """The motion of a return until the landing: brake, climb to the altitude if it is lower, home, hover."""
     climb = _return_climb(start, altitude_m)
     braking = brake(start, Velocity(velocity.east_m_s, velocity.north_m_s))
     if braking:
@@ -156,7 +156,7 @@ def way_home(
 
 
 def landing(start: Position) -> tuple[Phase, ...]:
-    """Descends to the ground, slowly on the last metres."""
+    """The motion of a descent to the ground, slow on the last metres."""
     low = Position(start.east_m, start.north_m, min(start.altitude_m, _SLOWLY_BELOW_M))
     ground = Position(start.east_m, start.north_m)
     return (
@@ -167,7 +167,7 @@ def landing(start: Position) -> tuple[Phase, ...]:
 
 
 def _return_climb(start: Position, altitude_m: float) -> tuple[Phase, ...]:
-    """To the altitude of returns; only the time that it takes to turn for home where it is as high already."""
+    """The climb to the altitude of returns; if the vehicle is that high already, only the time to turn for home."""
     if start.altitude_m >= altitude_m:
         return (pause(start, _RETURN_REACTION_S),)
     top = Position(start.east_m, start.north_m, altitude_m)
@@ -178,7 +178,10 @@ def _return_climb(start: Position, altitude_m: float) -> tuple[Phase, ...]:
 def _way_from_above(
     above: Position, home: Position, *, ground_speed_m_s: float, climbed: bool
 ) -> tuple[Phase, ...]:
-    """Home at one altitude, and the hover there: shorter after a climb, as it leaves before it is at the top."""
+    """The way home at one altitude, and the hover above home.
+
+    After a climb the hover is shorter, because the vehicle leaves before it is at the top.
+    """
     above_home = Position(home.east_m, home.north_m, above.altitude_m)
     way = ramped_leg(
         above, above_home, cruise_m_s=ground_speed_m_s, faster=_RETURN_FASTER, slower=_RETURN_SLOWER
@@ -189,7 +192,7 @@ def _way_from_above(
 
 @lru_cache(maxsize=4096)
 def _chased(length_m: float, cruise_m_s: float) -> tuple[tuple[float, float, float, float], ...]:
-    """Legs from rest in parts: of each the length, the speeds at its ends, below 0 on the way back, and its time."""
+    """A leg from rest in parts: length, speeds at both ends (below 0 on the way back) and seconds of each."""
     knots = _thinned(_turning(list(_GUIDED.chase(length_m, 0j, cruise_m_s=cruise_m_s))))
     return tuple(
         (
@@ -203,7 +206,7 @@ def _chased(length_m: float, cruise_m_s: float) -> tuple[tuple[float, float, flo
 
 
 def _turning(samples: list[PursuitSample]) -> list[PursuitSample]:
-    """The samples of a straight way, at rest where it turns back: a phase leads one way only."""
+    """The samples of a straight way, with a sample at rest where it turns back, as a phase has one direction."""
     for number, (before, after) in enumerate(itertools.pairwise(samples)):
         if before.velocity_m_s.real * after.velocity_m_s.real < 0:
             turns = min((number, number + 1), key=lambda index: abs(samples[index].velocity_m_s))
@@ -212,7 +215,7 @@ def _turning(samples: list[PursuitSample]) -> list[PursuitSample]:
 
 
 def _thinned(samples: Sequence[PursuitSample]) -> list[PursuitSample]:
-    """The first and last of the samples, and as many between as it takes to draw the rest from them."""
+    """The first and last sample, and the fewest between from which the others can be interpolated."""
     return [samples[number] for number in _knots(samples)]
 
 
@@ -230,7 +233,7 @@ def _knots(samples: Sequence[PursuitSample]) -> Iterator[int]:
 
 
 def _drawn_well(samples: Sequence[PursuitSample], begin: int, end: int) -> bool:
-    """Whether one curve between two samples is as good as those between."""
+    """Whether one curve between two samples is near enough to the samples between them."""
     before, after = samples[begin], samples[end]
     if any(not sample.velocity_m_s for sample in samples[begin + 1 : end]):
         return False
@@ -254,7 +257,7 @@ def _product(one: Velocity, other: Velocity) -> float:
 
 
 def _vector(ahead: Velocity, aside: Velocity, number: complex) -> Velocity:
-    """What the number stands for in the plane of the two directions."""
+    """The vector of the complex number: its real part along `ahead`, its imaginary part along `aside`."""
     return Velocity(
         number.real * ahead.east_m_s + number.imag * aside.east_m_s,
         number.real * ahead.north_m_s + number.imag * aside.north_m_s,

@@ -1,7 +1,7 @@
 """How an ArduCopter comes up: what it says, what it knows and why it cannot be armed, by the time since boot.
 
 The times are those of a real ArduCopter (SITL, version 4.7), which estimates its position after 41.4 s. For a
-stand-in that is ready sooner the same passes faster; one that is ready later only waits longer for its position.
+stand-in that is ready sooner all steps are faster; a later one only waits longer for its position.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ EKF_FLIES_BY_GPS = 831
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """What the vehicle says in words, and how urgently."""
+    """A text of the vehicle and its MAV_SEVERITY."""
 
     words: str
     severity: int = CRITICAL
@@ -46,11 +46,11 @@ class Story(Generic[_T]):
         self.begin()
 
     def begin(self) -> None:
-        """Has it told anew."""
+        """Starts the story again from its beginning."""
         self.told_s = -1.0
 
     def next(self, elapsed_s: float) -> list[_T]:
-        """What has happened since it was last asked."""
+        """The parts that became due since the last call; each is returned once."""
         told_s, self.told_s = self.told_s, elapsed_s
         return [part for at_s, part in self._parts if told_s < at_s <= elapsed_s]
 
@@ -98,14 +98,14 @@ class Boot:
         self._complains_s = self._scaled(_FIRST_COMPLAINT_S)
 
     def look(self, uptime_s: float, *, gps: bool) -> None:
-        """Takes note of whether there is GPS now: without it, what needs it comes later."""
+        """Notes whether there is GPS now; all steps that need GPS are delayed by the time without it."""
         begins_s = max(self._looked_s, self._scaled(_FIX_S))
         if not gps and not self.places(self._looked_s) and uptime_s > begins_s:
             self._without_gps_s += uptime_s - begins_s
         self._looked_s = uptime_s
 
     def is_up(self, uptime_s: float) -> bool:
-        """Whether it runs its checks."""
+        """Whether the vehicle runs its checks before arming."""
         return uptime_s >= self._scaled(_UP_S)
 
     def hears_satellites(self, uptime_s: float) -> bool:
@@ -121,7 +121,7 @@ class Boot:
         return uptime_s - self._without_gps_s >= self._ready_s
 
     def ekf_flags(self, uptime_s: float) -> int:
-        """The sources of its estimate, as EKF_STATUS_REPORT holds them."""
+        """The sources of the position estimate, as the flags of EKF_STATUS_REPORT."""
         if self.estimates(uptime_s):
             return EKF_FLIES_BY_GPS
         if uptime_s >= self._scaled(_ALIGNED_S):
@@ -129,13 +129,13 @@ class Boot:
         return EKF_SETTLING if uptime_s >= self._scaled(_ESTIMATES_S) else EKF_UNINITIALISED
 
     def texts(self, uptime_s: float) -> tuple[Text, ...]:
-        """What it says by itself, once."""
+        """The texts that became due since the last call; each is returned once."""
         by_gps_s = uptime_s - self._without_gps_s
         said = self._said.next(self._recorded_s(uptime_s))
         return (*said, *self._said_by_gps.next(self._recorded_s(by_gps_s)))
 
     def sensors_object(self, uptime_s: float) -> tuple[str, ...]:
-        """Why its sensors are not ready yet."""
+        """The reasons why the sensors are not ready; empty once they are."""
         if uptime_s < self._scaled(_ALIGNED_S):
             return "Need Alt Estimate", "Accels inconsistent", "EKF attitude is bad"
         if uptime_s < self._scaled(_GYROS_SETTLING_S):
@@ -143,7 +143,7 @@ class Boot:
         return ("Gyros inconsistent",) if uptime_s < self._scaled(_SENSORS_SETTLED_S) else ()
 
     def place_objects(self, uptime_s: float, *, gps: bool, by_position: bool) -> tuple[str, ...]:
-        """Why its place is not known well enough yet, for a mode that flies by it or not."""
+        """The reasons why the place is not known well enough; `by_position`: for a mode that flies by position."""
         if uptime_s >= self._scaled(_RECEIVER_S) and not (gps and self.hears_satellites(uptime_s)):
             return ("GPS 1: Bad fix",)
         if not self.places(uptime_s):
@@ -151,7 +151,7 @@ class Boot:
         return () if self.estimates(uptime_s) or not by_position else ("Need Position Estimate",)
 
     def complains(self, uptime_s: float) -> bool:
-        """Whether it is time to say why it cannot be armed, which it does twice a minute."""
+        """Whether the reasons against arming are due to be sent, as they are twice a minute."""
         if uptime_s < self._complains_s:
             return False
         self._complains_s = max(self._complains_s + _COMPLAINS_EVERY_S, uptime_s)
@@ -165,7 +165,7 @@ class Boot:
         return recorded_s * self._share
 
     def _recorded_s(self, uptime_s: float) -> float:
-        """The time at which the recorded vehicle was as far."""
+        """The time since boot at which the recorded vehicle had got as far as this one at `uptime_s`."""
         if uptime_s >= self._ready_s:
             return RECORDED_S + uptime_s - self._ready_s
         return min(uptime_s / self._share, _READIES_S)

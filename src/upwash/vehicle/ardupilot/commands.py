@@ -40,7 +40,7 @@ def obey(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
 
 
 def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) -> Result:
-    """ArduCopter's own mode of that number; MAVLink's general ones are not understood."""
+    """Changes to ArduCopter's mode `mode`; denied without the flag of custom modes in `base_mode`."""
     if not _has_flag(base_mode, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
         return Result.DENIED
     return copter.change_mode(now_s, mode)
@@ -52,7 +52,7 @@ def place_of(copter: Copter, frame: int, place: tuple[float, float, float]) -> P
 
 
 def _run_prearm_checks(copter: Copter, now_s: float, _command: VehicleCommand) -> Result:
-    """Tells the objections in words; while it is armed there is nothing to check."""
+    """Answers with the failed checks as texts; TEMPORARILY_REJECTED while the copter is armed."""
     if copter.armed(now_s):
         return Result.TEMPORARILY_REJECTED
     copter.tell_objections(now_s)
@@ -64,7 +64,7 @@ def _enter(mode: CopterMode) -> Handler:
 
 
 def _turn(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
-    """Turns its nose until its next target; without effect where it does not fly in GUIDED."""
+    """Turns the nose to the angle until the next target; no effect unless the copter flies in GUIDED."""
     angle_deg, _, _, relative = command.parameters
     if not (0 <= angle_deg <= 360 and relative in (0, 1)):
         return Result.FAILED
@@ -73,7 +73,7 @@ def _turn(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
 
 
 def _set_home(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
-    """Home is where it is, or the place, whose altitude is above the sea unless the frame says otherwise."""
+    """Sets home to the present position or the command's place; denied if that place has no position."""
     if command.parameters[0] == 1:
         return copter.set_home(copter.position(now_s))
     place = place_of(copter, command.frame, command.place)
@@ -81,7 +81,7 @@ def _set_home(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
 
 
 def _control_camera(copter: Copter, now_s: float, command: VehicleCommand) -> Result:
-    """Accepted also where no photo is taken, as the shutter is still held from the last one."""
+    """Takes a photo; also accepted while the shutter is still held, when no photo is taken."""
     if command.shoots:
         copter.shoot(now_s)
     return Result.ACCEPTED

@@ -1,4 +1,4 @@
-"""The answers and deeds of a stand-in ArduCopter: modes, arming, take-off, targets, landing; and by itself.
+"""A stand-in ArduCopter's answers to commands (modes, arming, take-off, targets), and what it does unasked.
 
 Wishes that make no sense, NaN among them, fail every comparison and are refused.
 """
@@ -64,15 +64,15 @@ class Copter(CopterFlight):
     # --- what it reports ------------------------------------------------------------------------------------
 
     def booting(self, now_s: float) -> bool:
-        """Whether it is not yet up."""
+        """Whether the firmware is still starting."""
         return not self._boot.is_up(self.uptime_s(now_s))
 
     def hears_satellites(self, now_s: float) -> bool:
-        """Whether its receiver is at work."""
+        """Whether the receiver has had the time for a fix."""
         return self._boot.hears_satellites(self.uptime_s(now_s))
 
     def has_fix(self, now_s: float) -> bool:
-        """Whether its receiver knows the place."""
+        """Whether the receiver has a fix."""
         return self.hears_satellites(now_s) and not self.suffers(FaultKind.GPS, now_s)
 
     def unix_s(self, now_s: float) -> float:
@@ -175,7 +175,7 @@ class Copter(CopterFlight):
         return is_sensible(target) and self.fence.allows(target) and self.fly_to(now_s, target)
 
     def set_home(self, place: Position) -> Result:
-        """Returns there from now on, and counts its altitudes from there."""
+        """Makes the place the home: returns go there, and altitudes count from it."""
         if not is_sensible(place.at_altitude(abs(place.altitude_m))):
             return Result.DENIED
         self.home = place
@@ -200,7 +200,7 @@ class Copter(CopterFlight):
         return Result.ACCEPTED
 
     def shoot(self, now_s: float) -> bool:
-        """Takes a photo, unless the shutter is still held from the last one; whether it did."""
+        """Takes a photo unless the shutter is still held from the last one; returns whether it did."""
         if now_s < self._shutter_free_s:
             return False
         self._shots, self._shutter_free_s = self._shots + 1, now_s + _SHUTTER_BUSY_S
@@ -208,12 +208,12 @@ class Copter(CopterFlight):
         return True
 
     def shots(self) -> Sequence[CameraShot]:
-        """The photos since it was last asked."""
+        """The photos since the last call; each is returned once."""
         untold, self._untold_shots = self._untold_shots, []
         return untold
 
     def hear_ground_station(self, now_s: float) -> None:
-        """A heartbeat of the ground station has come, unless it is out of reach."""
+        """Notes a heartbeat of the ground station, unless the fault says that none arrives."""
         if not self.suffers(FaultKind.GROUND, now_s):
             self._failsafes.heard_ground_s = now_s
 
@@ -278,7 +278,7 @@ class Copter(CopterFlight):
             self.say(Text("Manual recovery started", INFORMATION))
 
     def _switch_fence(self, state: LandedState) -> None:
-        """Kinds of its fence are switched on where its take-off ends, and off where it comes down."""
+        """Switches kinds of the fence on at the end of a take-off and off at a landing."""
         if state in (LandedState.LANDING, LandedState.ON_GROUND):
             self._is_up = False
             self.fence.begin_landing()

@@ -40,7 +40,7 @@ class Scripting:
         self._was_armed = False
 
     def obey(self, command: float, files: Files) -> Result:
-        """MAV_CMD_SCRIPTING."""
+        """Starts the scripts, or refuses, as the answer to MAV_CMD_SCRIPTING."""
         if command != _STOP_AND_RESTART:
             return Result.UNSUPPORTED
         found = _VERSION.search(bytes(files.content.get(_FILE, b"")))
@@ -53,7 +53,7 @@ class Scripting:
         return Result.ACCEPTED
 
     def hear(self, heartbeat: Any, now_s: float) -> None:
-        """Another's heartbeat; the companion's holds its promise: not to be silent for longer, or else the mode."""
+        """Takes a heartbeat. The companion's holds its order: after how many silent seconds to take which mode."""
         promises = heartbeat.custom_mode >> 16 == _MAGIC and sender_of(heartbeat) == _COMPANION
         if not self._runs or not promises:
             return
@@ -66,7 +66,7 @@ class Scripting:
             self._promise(silence_s)
 
     def tick(self, now_s: float) -> None:
-        """Acts for a companion that has broken its promise."""
+        """Changes to the ordered mode if the companion has been silent for the ordered time."""
         if not self._runs:
             return
         self._notice_arming(now_s)
@@ -81,7 +81,7 @@ class Scripting:
                 self._promise(0.0)
 
     def _notice_arming(self, now_s: float) -> None:
-        """Only promises after it count."""
+        """Drops the order at arming: only orders after it count."""
         armed = self._copter.armed(now_s)
         if armed and not self._was_armed:
             self._promise(0.0)

@@ -104,7 +104,7 @@ class Failsafes:
         low_battery: str,
         by_position: bool,
     ) -> Iterator[FailsafeTrigger]:
-        """What happens now, where those faults have lasted since those times."""
+        """The triggers due now, from the times since which the faults of `since_s` have lasted."""
         yield from self._without_gps(
             now_s, since_s.get(FaultKind.GPS), flying=flying, by_position=by_position
         )

@@ -49,7 +49,7 @@ class FenceWatch(UploadedFence):
 
     @property
     def breach(self) -> Breach:
-        """What is not kept to, as FENCE_STATUS has it."""
+        """The kind of limit that is broken now, as FENCE_STATUS reports it."""
         if self._broken & (_CIRCLE | _AREAS):
             return Breach.BOUNDARY
         if self._broken & _CEILING:
@@ -58,7 +58,7 @@ class FenceWatch(UploadedFence):
 
     @property
     def ceiling_m(self) -> float | None:
-        """As high as it returns: its ceiling without its margin; None where that is not switched on."""
+        """The highest altitude of a return in m: the ceiling less its margin; None if no ceiling is on."""
         if not self._enabled() & _CEILING:
             return None
         return self._parameters["FENCE_ALT_MAX"] - self._parameters["FENCE_MARGIN"]
@@ -78,7 +78,7 @@ class FenceWatch(UploadedFence):
         return not self._beyond(target, self._enabled(), past=operator.gt)
 
     def objections(self, place: Position | None) -> list[str]:
-        """What keeps it from being armed at that place; None where it does not know its place."""
+        """The fence's reasons against arming at the place; `place` is None if the vehicle does not know it."""
         told = self._parameters
         configured = int(told["FENCE_TYPE"])
         counts = bool(told["FENCE_ENABLE"] or told["FENCE_AUTOENABLE"])
@@ -101,27 +101,27 @@ class FenceWatch(UploadedFence):
         return int(mavlink.MAV_MISSION_ERROR)
 
     def arm(self) -> None:
-        """Its motors start."""
+        """Switches on what arming switches on."""
         if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED:
             self._switch_on(_ALL & ~_FLOOR)
 
     def disarm(self) -> None:
-        """Its motors have stopped."""
+        """Switches off what disarming switches off, and forgets breaches."""
         self._broken = 0
         if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED:
             self._switch_off(_ALL)
 
     def end_takeoff(self) -> None:
-        """It has reached the altitude of its take-off."""
+        """Switches on what the end of a take-off switches on."""
         if self._parameters["FENCE_AUTOENABLE"] in _AFTER_TAKEOFF:
             self._switch_on(_ALL)
 
     def begin_landing(self) -> None:
-        """It comes down to land: its floor is switched off, and with FENCE_AUTOENABLE 1 all of its fence."""
+        """Switches the floor off for a landing, or with FENCE_AUTOENABLE 1 all of the fence."""
         self._switch_off(_ALL if self._parameters["FENCE_AUTOENABLE"] == 1 else _FLOOR)
 
     def watch(self, position: Position | None, now_s: float) -> bool:
-        """Watches the place where it flies, None where it does not fly; whether that is a new breach."""
+        """Checks the place, None unless the vehicle flies; returns whether a limit is newly broken."""
         if position is not None and self._reaches_floor(position):
             self._on |= _FLOOR
             self._say(Text("Min Alt fence enabled (auto enable)", NOTICE))
@@ -165,7 +165,7 @@ class FenceWatch(UploadedFence):
         return may and off and position.altitude_m >= told["FENCE_ALT_MIN"] + told["FENCE_MARGIN"]
 
     def _breached(self, place: Position, kinds: int) -> int:
-        """The kinds of those that are not kept to at the place: at a border they are not."""
+        """Those of the kinds that the place breaks; a place on a border breaks them."""
         return self._beyond(place, kinds, past=operator.ge)
 
     def _beyond(self, place: Position, kinds: int, *, past: Callable[[float, float], bool]) -> int:
@@ -179,7 +179,7 @@ class FenceWatch(UploadedFence):
         return sum(kind for kind, is_beyond in beyond.items() if kinds & kind and is_beyond)
 
     def _in_areas(self, position: Position) -> bool:
-        """Whether it keeps to its areas; FENCE_OPTIONS may join the areas to stay in."""
+        """Whether the place is allowed by the areas; FENCE_OPTIONS may join the areas to stay in."""
         inclusions = [area.allows(position) for area in self.areas if area.inclusion]
         enough = any if int(self._parameters["FENCE_OPTIONS"]) & _JOINS else all
         outside = all(area.allows(position) for area in self.areas if not area.inclusion)

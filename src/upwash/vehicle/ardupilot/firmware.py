@@ -46,7 +46,7 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
         self._unsaid: list[Message] = []
 
     def live(self, now_s: float) -> Iterator[Message]:
-        """Where its origin is, and what is wrong with it."""
+        """The messages due now that nobody requested: TIMESYNC, the origin when it is first known, and texts."""
         copter = self.copter
         if self._synchronises_s is None or now_s >= self._synchronises_s:
             self._synchronises_s = now_s + _TIMESYNC_S
@@ -59,7 +59,7 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
         yield from self.said()
 
     def said(self) -> Iterator[Message]:
-        """Its texts, its photos, and where its origin is."""
+        """The messages for all peers since the last call: texts, photos and origins."""
         for text in self.copter.said():
             yield mavlink.MAVLink_statustext_message(text.severity, text.words.encode())
         yield from map(self._telemetry.camera_feedback, self.copter.shots())
@@ -67,7 +67,7 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
         yield from unsaid
 
     def obey(self, now_s: float, message: Message) -> tuple[int, ...]:
-        """Its one answer; at arming, and for a new home, it tells everyone its origin."""
+        """Carries the command out; returns the result. At arming and for a new home all peers get the origin."""
         if message.command == MAV_CMD_SCRIPTING:
             return (self._scripting.obey(message.param1, self.files),)
         was_armed, home = self.copter.armed(now_s), self.copter.home

@@ -102,20 +102,20 @@ class CopterFlight(Multicopter):
         self._unsaid += texts
 
     def said(self) -> list[Text]:
-        """Its texts since it was last asked."""
+        """The texts since the last call; each is returned once."""
         unsaid, self._unsaid = self._unsaid, []
         return unsaid
 
     def position(self, now_s: float) -> Position:
-        """Where it is, relative to its home."""
+        """The position in m, relative to home."""
         return self._motion.position(now_s)
 
     def velocity(self, now_s: float) -> Velocity:
-        """How it moves."""
+        """The velocity in m/s."""
         return self._motion.velocity(now_s)
 
     def heading_deg(self, now_s: float) -> float:
-        """Where its nose points, clockwise from north: it turns to where it flies, unless it returns or lands."""
+        """The heading in degrees clockwise from north; the nose follows the way, except in returns and landings."""
         self._turned_s = max(self._turned_s, now_s - _LONGEST_TURN_S)
         while self._turned_s < now_s:
             step_s = min(_TURN_STEP_S, now_s - self._turned_s)
@@ -131,13 +131,13 @@ class CopterFlight(Multicopter):
         return self._heading_deg
 
     def turn_to(self, now_s: float, heading_deg: float) -> None:
-        """Turns there by the shortest way, if it flies in GUIDED, until its next target."""
+        """Turns to the heading by the shortest way until the next target; no effect unless it flies in GUIDED."""
         if self.mode is CopterMode.GUIDED and self.flying(now_s):
             self.heading_deg(now_s)
             self._told_deg = heading_deg
 
     def target(self, now_s: float) -> Position | None:
-        """The target in GUIDED, if it has one: a take-off is no target."""
+        """The target in GUIDED; None without a target, also at a take-off."""
         return self._target if self.mode is CopterMode.GUIDED and self.armed(now_s) else None
 
     @property
@@ -176,25 +176,25 @@ class CopterFlight(Multicopter):
         return LandedState.IN_AIR
 
     def motors_stop_s(self) -> float:
-        """When they stop by themselves."""
+        """The time at which the motors stop by themselves; inf if they do not."""
         if self._doing is _Doing.LANDING:
             return self._motion.ends_s + self.settings.auto_disarm_s
         delay_s = self.parameters["DISARM_DELAY"]
         return self._armed_s + delay_s if self._doing is _Doing.NOTHING and delay_s > 0 else math.inf
 
     def start_motors(self, now_s: float) -> None:
-        """Stands armed."""
+        """Arms the copter on the ground."""
         self._motors_started = True
         self._armed_s = now_s
         self._doing = _Doing.NOTHING
         self._motion = Motion(now_s, (), self.position(now_s))
 
     def stop_motors(self) -> None:
-        """Stands disarmed, or falls on."""
+        """Disarms the copter; one that falls goes on falling."""
         self._motors_started = False
 
     def climb(self, now_s: float, altitude_m: float) -> bool:
-        """Climbs straight up, if it stands armed in GUIDED; whether it does."""
+        """Takes off straight up if it stands armed in GUIDED; returns whether it does."""
         ready = self.armed(now_s) and not self.flying(now_s) and self.mode is CopterMode.GUIDED
         if not (ready and 0 < altitude_m <= _HIGHEST_M):
             return False
@@ -208,13 +208,13 @@ class CopterFlight(Multicopter):
         return True
 
     def fly_at(self, now_s: float, speed_m_s: float) -> None:
-        """Flies on to its target with that speed; without one nothing happens."""
+        """Flies on to the target at that speed; no effect without a target."""
         if self._target is not None and self._doing is _Doing.FLYING:
             self._speed_m_s = speed_m_s
             self._redirect(now_s, self.position(now_s), self._target)
 
     def fly_to(self, now_s: float, target: Position) -> bool:
-        """Flies to the target, if it flies in GUIDED; whether it does."""
+        """Flies to the target if it flies in GUIDED; returns whether it does."""
         if self.mode is not CopterMode.GUIDED or not self.flying(now_s):
             return False
         if self._told_deg is not None:
@@ -241,7 +241,7 @@ class CopterFlight(Multicopter):
         self._motion = Motion(now_s, (down,), here.at_altitude(0.0))
 
     def shift(self, now_s: float, north_m: float) -> None:
-        """Its estimate of its place jumps, and it flies on to its target from where it believes to be."""
+        """Moves the estimated position north by `north_m`; a flight to a target goes on from there."""
         if north_m == 0:
             return
         here = self.position(now_s)
@@ -281,7 +281,7 @@ class CopterFlight(Multicopter):
         self._motion = Motion(now_s, stretches, here.at_altitude(0.0))
 
     def _return_altitude_m(self) -> float:
-        """As high as it returns, no higher than its fence allows."""
+        """The altitude of returns in m, no higher than the fence allows."""
         altitude_m, ceiling_m = self.parameters["RTL_ALT"] / 100, self.fence.ceiling_m
         return altitude_m if ceiling_m is None else min(altitude_m, ceiling_m)
 
@@ -297,7 +297,7 @@ class CopterFlight(Multicopter):
         self._motion = Motion(now_s, stretches, target)
 
     def _default_speed_m_s(self) -> float:
-        """The legs' own speed, until the parameter for it changes."""
+        """The speed of legs without a commanded speed, in m/s: the settings' until the parameter changes."""
         told_cm_s = self.parameters["WPNAV_SPEED"]
         if told_cm_s == self._default_speed_cm_s:
             return self.settings.ground_speed_m_s

@@ -27,15 +27,15 @@ class Ramp:
 
     @cached_property
     def full_s(self) -> float:
-        """How long that takes."""
+        """The seconds that the pairs add up to."""
         return sum(duration_s for duration_s, _ in self.knots)
 
     def length_m(self, speed_m_s: float) -> float:
-        """How far the vehicle comes from rest to that speed, or from that speed to rest."""
+        """The distance in m from rest to the speed, or from the speed to rest."""
         return self._share * speed_m_s * self._slowness(speed_m_s) * self.full_s
 
     def phases(self, start: Position, heading: Velocity, speed_m_s: float) -> tuple[Phase, ...]:
-        """From rest to the speed; or, where the accelerations are negative, from the speed to rest."""
+        """The motion from rest to the speed or, with negative accelerations, from the speed to rest."""
         slowness = self._slowness(speed_m_s)
         strength = speed_m_s / self.full_m_s / slowness
         now_m_s = speed_m_s if self._brakes else 0.0

@@ -20,17 +20,17 @@ class Symmetric:
     spool_up_s: float = 0.0
 
     def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-        """Straight up, at once."""
+        """The motion of a take-off straight up."""
         return self._leg(ground, ground.at_altitude(altitude_m), cruise_m_s=self.climb_m_s)
 
     def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-        """From rest to rest."""
+        """The motion of a leg from rest to rest."""
         return self._leg(start, end, cruise_m_s=self._cruise_m_s(start, end, ground_speed_m_s))
 
     def redirected(
         self, start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
     ) -> tuple[Phase, ...]:
-        """Goes on if it flies to the target no faster than it may; else it brakes first, and then flies there."""
+        """The motion to a new target: straight on if the way and speed allow it, else brake first."""
         speed_m_s, cruise_m_s = velocity.speed_m_s, self._cruise_m_s(start, end, ground_speed_m_s)
         length_m = distance_m(start, end)
         if (
@@ -51,7 +51,7 @@ class Symmetric:
         return *braked, *self.waypoint_leg(here, end, ground_speed_m_s=ground_speed_m_s)
 
     def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-        """To rest, straight ahead."""
+        """The motion from the velocity to rest, straight ahead."""
         return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
 
     def way_home(
@@ -63,7 +63,7 @@ class Symmetric:
         ground_speed_m_s: float,
         altitude_m: float,
     ) -> tuple[Phase, ...]:
-        """Brakes, climbs to the altitude if it is lower, and flies home."""
+        """The motion of a return until the landing: brake, climb to the altitude if it is lower, home."""
         braked = self.brake(start, velocity)
         start = braked[-1].end if braked else start
         top_m = max(start.altitude_m, altitude_m)
@@ -75,7 +75,7 @@ class Symmetric:
         )
 
     def landing(self, start: Position) -> tuple[Phase, ...]:
-        """Straight down to the ground."""
+        """The motion of a landing straight down."""
         return self._leg(start, start.at_altitude(0.0), cruise_m_s=self.descent_m_s)
 
     def _leg(

@@ -40,7 +40,7 @@ _SATELLITES, _TOO_FEW_SATELLITES = 10, 3
 
 
 class CopterTelemetry(StandInTelemetry[Copter]):
-    """What it reports, message by message."""
+    """The reports of a stand-in ArduCopter, one method for each message."""
 
     throttle_percent = 35
     vtol_state = mavlink.MAV_VTOL_STATE_MC

@@ -1,4 +1,4 @@
-"""What a stand-in has with either autopilot.
+"""The parts of a stand-in that both autopilots share.
 
 - `copter`: the base of all vehicles: settings, faults, the battery, and the questions that reports ask.
 - `parameters`: named values with types; each autopilot's names and defaults are in its `parameters.csv`.

@@ -40,7 +40,7 @@ class StandIn:
         return self._started_s + (self._loop.time() - self._started_s) * self._speedup
 
     async def sleep_until(self, time_s: float) -> None:
-        """Returns when the clock shows the time, and not before others had their turn."""
+        """Waits until the vehicle's clock shows the time; lets other tasks run even if the time has passed."""
         await asyncio.sleep(max(0.0, (time_s - self.now_s()) / self._speedup))
 
     def silent(self) -> bool:
@@ -48,7 +48,7 @@ class StandIn:
         return bool(self.firmware.copter.suffers(FaultKind.LINK, self.now_s()))
 
     async def live(self) -> None:
-        """Says what it says by itself."""
+        """Sends the firmware's unrequested messages to all peers, for ever."""
         wakes_s = self.now_s()
         while True:
             now_s = self.now_s()
@@ -65,7 +65,7 @@ class StandIn:
 
 
 class PeerConnection:
-    """One peer: what it says, and the streams of reports that it asked for."""
+    """A peer of the stand-in: takes its messages and sends the streams of reports that it requested."""
 
     def __init__(
         self, vehicle: StandIn, *, write: Callable[[bytes], None], hang_up: Callable[[], None] = lambda: None
@@ -85,7 +85,7 @@ class PeerConnection:
 
     @property
     def spared_texts(self) -> bool:
-        """Whether STATUSTEXT is not for this peer."""
+        """Whether this peer gets no STATUSTEXT."""
         return self._firmware.texts_only_to_ground_stations and not self._from_ground_station
 
     def end(self) -> None:
@@ -103,7 +103,7 @@ class PeerConnection:
             self._write(data)
 
     def hear(self, message: Message) -> None:
-        """Does what a message asks, if the vehicle knows it and it is meant for it."""
+        """Obeys a message that is addressed to the vehicle and known to it; ignores all others."""
         if self._vehicle.silent():
             return
         self.heard_s = asyncio.get_running_loop().time()

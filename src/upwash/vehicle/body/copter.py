@@ -40,7 +40,7 @@ class Result(IntEnum):
 
 
 class FaultKind(StrEnum):
-    """What is wrong."""
+    """A fault that the stand-in can be given."""
 
     LINK = "link"  # it hears nothing and says nothing; connections stay open
     GPS = "gps"  # its receiver has no fix: it cannot be armed, and lands where it flies by position
@@ -115,19 +115,19 @@ class Multicopter(ABC):
     # --- where it is ----------------------------------------------------------------------------------------
 
     def advance(self, now_s: float) -> None:  # noqa: B027 - nothing to do for a motion that is known in advance
-        """Catches up with the time."""
+        """Simulates the vehicle up to the time."""
 
     @abstractmethod
     def position(self, now_s: float) -> Position:
-        """The place, relative to where it was switched on."""
+        """The position in m, relative to where the vehicle was switched on."""
 
     @abstractmethod
     def velocity(self, now_s: float) -> Velocity:
-        """The velocity."""
+        """The velocity in m/s."""
 
     @abstractmethod
     def heading_deg(self, now_s: float) -> float:
-        """The direction of its nose, clockwise from north."""
+        """The heading in degrees clockwise from north."""
 
     @abstractmethod
     def flying(self, now_s: float) -> bool:
@@ -151,7 +151,7 @@ class Multicopter(ABC):
 
     @abstractmethod
     def has_origin(self, now_s: float) -> bool:
-        """Whether it has an origin to tell positions from."""
+        """Whether it has an origin, without which it reports no position."""
 
     @abstractmethod
     def unix_s(self, now_s: float) -> float:
@@ -164,7 +164,7 @@ class Multicopter(ABC):
         return now_s - self._booted_s
 
     def suffers(self, kind: FaultKind, now_s: float) -> bool:
-        """Whether it has that fault now."""
+        """Whether a fault of that kind lasts now."""
         return any(fault.kind is kind and fault.lasts(self.uptime_s(now_s)) for fault in self._faults)
 
     def fail(self, kind: FaultKind, now_s: float) -> None:
@@ -176,7 +176,7 @@ class Multicopter(ABC):
         self._faults = [fault for fault in self._faults if fault.kind is not kind]
 
     def faults_since_s(self, now_s: float) -> dict[FaultKind, float]:
-        """The faults that it has now, and since when."""
+        """The kinds of the faults that last now, each with the time at which it began."""
         return {
             kind: self._booted_s + min(fault.begins_s for fault in self._faults if fault.kind is kind)
             for kind in {fault.kind for fault in self._faults if fault.lasts(self.uptime_s(now_s))}
@@ -185,20 +185,20 @@ class Multicopter(ABC):
     # --- its battery ----------------------------------------------------------------------------------------
 
     def start_draining(self, now_s: float) -> None:
-        """The motors have started."""
+        """Lets the battery drain from now on; call this when the motors start."""
         self._charge_percent, self._drains_since_s = self.charge_percent(now_s), now_s
 
     def stop_draining(self, now_s: float) -> None:
-        """The motors have stopped."""
+        """Ends the drain of the battery; call this when the motors stop."""
         self._charge_percent, self._drains_since_s = self.charge_percent(now_s), None
 
     def charge_percent(self, now_s: float) -> float:
-        """The charge of the battery, without faults."""
+        """The charge of the battery in percent, without faults."""
         drains_s = 0.0 if self._drains_since_s is None else now_s - self._drains_since_s
         return max(0.0, self._charge_percent - drains_s * 100 / self.settings.endurance_s)
 
     def battery_percent(self, now_s: float) -> float:
-        """The charge of the battery as it is reported."""
+        """The charge of the battery in percent as the vehicle reports it, with faults."""
         charge_percent = self.charge_percent(now_s)
         if self.suffers(FaultKind.BATTERY, now_s):
             return min(charge_percent, self.at_most_percent_in_fault)

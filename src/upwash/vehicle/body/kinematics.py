@@ -161,7 +161,7 @@ class Motion(Generic[AnyStretch_co]):
 
     @property
     def ends_s(self) -> float:
-        """When the vehicle is at rest."""
+        """The time at which the vehicle comes to rest."""
         return self.begun_s + duration_s(self.phases)
 
     def position(self, now_s: float) -> Position:
@@ -170,7 +170,7 @@ class Motion(Generic[AnyStretch_co]):
         return current[0].position(current[1]) if current else self.end
 
     def velocity(self, now_s: float) -> Velocity:
-        """How it moves; not at all once the motion is over."""
+        """The velocity in m/s; zero once the motion is over."""
         current = self._current(now_s)
         return current[0].velocity(current[1]) if current else Velocity()
 

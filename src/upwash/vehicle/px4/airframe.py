@@ -38,7 +38,7 @@ _RETURN_M_S, _RETURN_ALTITUDE_M = 5.0, 30.0  # MPC_XY_CRUISE, RTL_RETURN_ALT
 
 
 def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-    """A leg from rest to rest, with the overshoot and the creeping back."""
+    """The motion of a leg from rest to rest, with the overshoot and the way back."""
     length_m = distance_m(start, end)
     if length_m == 0:
         return ()
@@ -47,7 +47,7 @@ def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> 
 
 
 def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-    """To rest, straight ahead; the last of its speed takes no time and no way."""
+    """The motion from the velocity to rest, straight ahead; empty at a speed at which the vehicle turns at once."""
     speed_m_s = velocity.speed_m_s
     if speed_m_s <= _TURNS_AT_ONCE_M_S:
         return ()
@@ -60,7 +60,7 @@ def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
 
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
-    """When the vehicle first counts as arrived: within 1 m of the end, below 0.5 m/s, and after it flew."""
+    """The second at which the vehicle first counts as arrived: within 1 m of the end, below 0.5 m/s, having flown."""
     elapsed_s, flew = 0.0, False
     for phase in phases:
         slow = phase.speed_m_s <= _ARRIVED_M_S
@@ -72,14 +72,14 @@ def arrival_s(phases: tuple[Phase, ...]) -> float:
 
 
 def takeoff(ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-    """Spools up, then climbs straight up to the altitude."""
+    """The motion of a take-off: the motors spool up, then the vehicle climbs straight up to the altitude."""
     steering = Steering(altitude_m=altitude_m, climb_m_s=CLIMB_M_S, climb_m_s2=CLIMBING_M_S2)
     up = _along(ground, _UP, _vertical(ground.altitude_m, lambda _: steering))
     return (pause(ground, spool_up_s), *up)
 
 
 def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
-    """Climbs to the altitude of returns if it is lower, flies home and lands."""
+    """The motion of a return: a climb to the altitude of returns if the vehicle is lower, home, landing."""
     top_m = max(start.altitude_m, _RETURN_ALTITUDE_M)
     above_start, above_home = start.at_altitude(top_m), home.at_altitude(top_m)
     steering = Steering(altitude_m=top_m)
@@ -90,7 +90,7 @@ def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
 
 
 def landing(start: Position) -> tuple[Phase, ...]:
-    """Descends to the ground, slowly on the last metres, and waits there until it believes that it has landed."""
+    """The motion of a landing, slow on the last metres, and the wait until the vehicle reports that it has landed."""
 
     def sinking(body: Body) -> Steering:
         return Steering(altitude_m=-math.inf, sink_m_s=landing_sink_m_s(body.altitude_m))
@@ -131,7 +131,7 @@ def _brake_samples(speed_m_s: float) -> tuple[_Sample, ...]:
 
 
 def _vertical(altitude_m: float, steering: Callable[[Body], Steering]) -> tuple[_Sample, ...]:
-    """From rest to the steering's altitude, or to the ground."""
+    """Samples of a climb or descent from rest to the steering's altitude, or to the ground."""
     body = Body(altitude_m=altitude_m)
     end_m = max(0.0, steering(body).altitude_m or 0.0)
 

@@ -59,7 +59,7 @@ class Steering:
 class Body:
     """The vehicle as a point, with what its controllers remember."""
 
-    place_m: complex = 0j  # east, and north as the imaginary part; so are the velocities
+    place_m: complex = 0j  # east, and north as the imaginary part, as in the velocities
     altitude_m: float = 0.0
     ground_m_s: complex = 0j
     up_m_s: float = 0.0
@@ -85,21 +85,21 @@ class Body:
 
     @property
     def told_to_stand(self) -> bool:
-        """Whether its controllers have braked to a stop; the rest of its speed overshoots."""
+        """Whether the controllers demand no speed any more; the body may still overshoot."""
         return self._told == 0
 
     def rest(self) -> None:
-        """Stands still, as on the ground."""
+        """Stops the body and its controllers, as on the ground."""
         self.ground_m_s, self.up_m_s = 0j, 0.0
         self._held = self._thrust = self._told = 0j
 
     def cruise(self, east_m_s: float) -> None:
-        """Moves steadily, and has done so for long."""
+        """Sets the body to a steady speed east, with controllers that have settled at it."""
         self.ground_m_s = self._told = complex(east_m_s)
         self._held = self._thrust = _DRAG * self.ground_m_s
 
     def step(self, steering: Steering) -> None:
-        """Goes on for `STEP_S`."""
+        """Moves the body by one step of `STEP_S`."""
         self._move_over_ground(steering)
         self._move_vertically(steering)
         self._turn(steering)
@@ -165,7 +165,7 @@ class Body:
 
 
 def landing_sink_m_s(altitude_m: float) -> float:
-    """How fast it sinks on the way to the ground: slower on the last metres."""
+    """The speed of descent at the altitude, in m/s: lower on the last metres."""
     share = (altitude_m - _SLOW_BELOW_M) / (_SLOWER_BELOW_M - _SLOW_BELOW_M)
     return _SINKING_LOW_M_S + (SINKING_M_S - _SINKING_LOW_M_S) * max(0.0, min(1.0, share))
 

@@ -10,7 +10,7 @@ from upwash.mavlink.px4 import Mode
 
 
 class Cause(Enum):
-    """Why."""
+    """Why a fail-safe acts."""
 
     LOW_BATTERY = auto()
     CRITICAL_BATTERY = auto()
@@ -23,7 +23,7 @@ class Cause(Enum):
 
 
 class Action(IntEnum):
-    """What is done, from the mildest on; the numbers are those of PX4's events."""
+    """What a fail-safe does, from the mildest on; the numbers are those of PX4's events."""
 
     WARN = 1
     POSCTL = 2
@@ -82,7 +82,7 @@ class Danger:
 
 @dataclass(frozen=True, slots=True)
 class FailsafeChange:
-    """What is begun: the action, or the time in Hold before it."""
+    """A fail-safe that begins: its action, or with `waits` the time in Hold before it."""
 
     cause: Cause
     action: Action
@@ -90,7 +90,7 @@ class FailsafeChange:
 
 
 class Failsafe:
-    """What is dangerous now, and what is done about it."""
+    """The present dangers, and the action against the most severe one."""
 
     def __init__(self) -> None:
         self._known: dict[Cause, Danger] = {}
@@ -105,7 +105,7 @@ class Failsafe:
         return self._announced is not None and self._announced.waits
 
     def because_of(self, cause: Cause) -> bool:
-        """Whether that is why it acts."""
+        """Whether the present action is because of the cause."""
         return self.action is not None and self._announced is not None and self._announced.cause is cause
 
     def watch(
@@ -145,7 +145,7 @@ class Failsafe:
         self.action = Action.HOLD if change.waits else danger.action
 
     def overrule(self) -> bool:
-        """A person has given another command; whether that ended an action."""
+        """Ends the action for a person's command; returns whether there was one."""
         acted = self.action is not None
         self._overruled = set(self._known)
         self.action, self._announced = None, None

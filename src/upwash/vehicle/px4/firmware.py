@@ -58,7 +58,7 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         self._checks_s = -math.inf
 
     def live(self, now_s: float) -> Iterator[Message]:
-        """That it is alive, and what happened."""
+        """The messages due now that nobody requested: the heartbeat, events and texts."""
         self.copter.advance(now_s)
         if self._beats_s is None or now_s >= self._beats_s:
             begun_s = now_s if self._beats_s is None else self._beats_s
@@ -84,7 +84,7 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         return self.report(now_s, message.param1)
 
     def set_parameter(self, now_s: float, name: str, value: float) -> Iterable[Message]:
-        """Changes it, and those that must not be above it."""
+        """Sets the parameter, and lowers those that must not exceed it; yields messages about the lowered ones."""
         self.copter.advance(now_s)
         if self.copter.parameters.receive(name, value) and name == "MPC_XY_VEL_MAX":
             lowered = (
@@ -101,7 +101,7 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
     # --- what happened --------------------------------------------------------------------------------------
 
     def said(self) -> Iterator[Message]:
-        """Its events, and those for people as texts too."""
+        """The messages for all peers since the last call: events, and the texts of those for people."""
         for event in self.copter.said():
             yield event
             text = event_text(event)

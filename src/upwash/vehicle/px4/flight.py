@@ -76,7 +76,7 @@ class Px4Flight(Multicopter):
         self._unsaid.append(event)
 
     def said(self) -> list[EventMessage]:
-        """Its events since it was last asked."""
+        """The events since the last call; each is returned once."""
         unsaid, self._unsaid = self._unsaid, []
         return unsaid
 
@@ -97,7 +97,7 @@ class Px4Flight(Multicopter):
             self._lifting_s, self._disarms_s = self._time_s, None
 
     def _take_off_to(self, altitude_m: float) -> None:
-        """Spools up for that altitude, if it makes sense."""
+        """Begins a take-off to the altitude, if it is above the vehicle and within reach."""
         if self._navigator.take_off_to(altitude_m, grounded=self._grounded):
             self._lift()
 
@@ -131,7 +131,7 @@ class Px4Flight(Multicopter):
         return _DISARMED_BEFORE_FLIGHT if waits and late else None
 
     def _look_for_ground(self) -> None:
-        """Takes note of a touch, and believes it after a while."""
+        """Notes a touch of the ground; after a while the vehicle counts as landed."""
         touches = not self._grounded and self._body.altitude_m <= _TOUCHING_M and self._body.up_m_s <= 0
         if not touches:
             self._touched_s = None
@@ -167,7 +167,7 @@ class Px4Flight(Multicopter):
         return mode is Mode.TAKEOFF and flies and self._navigator.ends_climb()
 
     def _step(self, mode: Mode, *, blindly: bool) -> None:
-        """Goes on for `STEP_S`; blindly it only sinks."""
+        """Moves the vehicle by one step of `STEP_S`; `blindly`, without a position, it only sinks."""
         body = self._body
         if self._falls:
             body.up_m_s -= GRAVITY_M_S2 * STEP_S

@@ -31,7 +31,7 @@ class Reposition:
     yaw_deg: float | None
 
     def target(self, here: Position) -> Position:
-        """The place that it means, told there."""
+        """The position to fly to, for a command received at `here`."""
         target = Position(*(self.east_north_m or (here.east_m, here.north_m)), here.altitude_m)
         return target if self.altitude_m is None else target.at_altitude(self.altitude_m)
 
@@ -70,7 +70,7 @@ class Navigator:
 
     @property
     def target(self) -> Position | None:
-        """Where it flies to, if anywhere."""
+        """The position that it flies to; None if it flies to none."""
         return self._place.at_altitude(self._altitude_m) if self._place else None
 
     @property
@@ -98,7 +98,7 @@ class Navigator:
         self._tell("vrtl_return_at", round(above_sea_m), round(self._altitude_m))
 
     def take_off_to(self, altitude_m: float, *, grounded: bool) -> bool:
-        """Takes an altitude to climb to; whether it makes sense to lift for it."""
+        """Sets the altitude of a take-off; returns False if it is not above the vehicle or too high."""
         self.takeoff_altitude_m = None
         if not self._body.altitude_m + LEAST_LIFT_M < altitude_m <= _HIGHEST_M:
             if not grounded:
@@ -108,11 +108,11 @@ class Navigator:
         return True
 
     def lifted(self) -> None:
-        """It has left the ground."""
+        """Notes that the vehicle has left the ground: it climbs above this place."""
         self._place, self._altitude_m = self._body.position, self.takeoff_altitude_m or 0.0
 
     def reposition(self, wish: Reposition, now_s: float, *, was_holding: bool) -> None:
-        """Sets out for the place; the speed of before lasts only where it was holding already."""
+        """Flies to the place; the former speed is kept only if the vehicle was holding and no other is given."""
         target = wish.target(self._body.position)
         if 0 < wish.speed_m_s < math.inf:
             self._cruise_m_s = wish.speed_m_s
@@ -140,7 +140,7 @@ class Navigator:
         return True
 
     def climbing(self, now_s: float) -> Steering:
-        """Straight up at a take-off."""
+        """The steering of a take-off: straight up."""
         return replace(
             self._holding_at(self._climbs_to_m(), now_s),
             climb_m_s=CLIMB_M_S,
@@ -152,11 +152,11 @@ class Navigator:
         return self.takeoff_altitude_m if self.takeoff_altitude_m is not None else self._body.altitude_m
 
     def holding(self, now_s: float) -> Steering:
-        """To its place, and there."""
+        """The steering to the place that it holds."""
         return self._holding_at(self._altitude_m, now_s)
 
     def _holding_at(self, altitude_m: float, now_s: float) -> Steering:
-        """At its place, or to a stop, which is its place from then on."""
+        """The steering that holds its place or, without one, brakes; where it stops is its place from then on."""
         if self._place is None and self._body.told_to_stand:
             self._place = self._body.position
         if now_s < self._moves_s:
@@ -176,7 +176,7 @@ class Navigator:
         return math.degrees(math.atan2(east_m, north_m)) % 360
 
     def on_the_way_home(self, now_s: float) -> Steering:
-        """Up, home, and down."""
+        """The steering of a return: up, home, and down."""
         if self._returning is _Returning.CLIMBS:
             if abs(self._altitude_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
                 return self.holding(now_s)
@@ -189,7 +189,7 @@ class Navigator:
         return self.landing(now_s)
 
     def landing(self, now_s: float) -> Steering:
-        """Down to the ground."""
+        """The steering of a landing: down to the ground."""
         sink_m_s = landing_sink_m_s(self._body.altitude_m)
         return replace(self._holding_at(-math.inf, now_s), sink_m_s=sink_m_s, turns_to_deg=None)
 

@@ -59,7 +59,7 @@ def available_modes(index: int) -> tuple[Message, ...]:
 
 
 class Px4Telemetry(StandInTelemetry[Quadrotor]):
-    """What it reports, message by message."""
+    """The reports of a stand-in PX4, one method for each message."""
 
     drawn, consumed = -100, 0
     throttle_percent = 50

@@ -56,28 +56,28 @@ class Quadrotor(Px4Flight):
     # --- what it reports ------------------------------------------------------------------------------------
 
     def advance(self, now_s: float) -> None:
-        """Catches up with the time."""
+        """Simulates the vehicle up to the time, in steps."""
         while self._time_s + STEP_S <= now_s:
             self._time_s += STEP_S
             self._live()
 
     def position(self, now_s: float) -> Position:
-        """Where it is, relative to its home."""
+        """The position in m, relative to home."""
         self.advance(now_s)
         return self._body.ahead(min(max(0.0, now_s - self._time_s), STEP_S))
 
     def velocity(self, now_s: float) -> Velocity:
-        """How it moves."""
+        """The velocity in m/s."""
         self.advance(now_s)
         return self._body.velocity
 
     def heading_deg(self, now_s: float) -> float:
-        """Where its nose points, clockwise from north."""
+        """The heading in degrees clockwise from north."""
         self.advance(now_s)
         return self._body.heading_deg
 
     def home_altitude_m(self) -> float:
-        """Of its home above the sea, as it knows it: before the first arming not very well."""
+        """The altitude of home above the sea in m, as the vehicle knows it: before the first arming, roughly."""
         return self.settings.home_altitude_m - (0.0 if self._ever_armed else _HOME_MOVES_M)
 
     def target(self, now_s: float) -> Position | None:

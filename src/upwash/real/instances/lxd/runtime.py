@@ -95,7 +95,7 @@ class LxdRuntime(ContainerRuntime):
         return image
 
     async def _recover(self, container: LxdContainer, *, keep: bool) -> bool:
-        """Stop a container, and delete it unless it is to be kept; returns whether it can be used."""
+        """Stop a container, and delete it unless `keep`; returns whether it can be used."""
         try:
             if container.status != "Stopped":
                 _log.info("%s was left by an earlier daemon: stopping it", container.name)
