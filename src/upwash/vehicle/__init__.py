@@ -7,6 +7,7 @@
 
 Both dialects import the body, and never each other. A chain of classes makes a vehicle: `Multicopter` (body), then
 how it flies, then what it obeys. The firmware beside it translates messages.
+A vehicle collects its texts or events; after each message, and by itself, its firmware sends them to all peers.
 
 Laws: time is an argument everywhere below `body/connection.py`, so a stand-in lives on virtual time as on real time.
 Figures and texts are those of recorded flights (tests/vehicle), which judge every change. No message may raise.

@@ -38,7 +38,7 @@ class Text:
 _T = TypeVar("_T")
 
 
-class Story(Generic[_T]):
+class RecordedStory(Generic[_T]):
     """What happens at recorded times after its beginning."""
 
     def __init__(self, parts: Sequence[tuple[float, _T]]) -> None:
@@ -94,7 +94,7 @@ class Boot:
         self._share = min(1.0, ready_s / RECORDED_S)
         self._without_gps_s = 0.0
         self._looked_s = 0.0
-        self._said, self._said_by_gps = Story(_TEXTS), Story(_TEXTS_BY_GPS)
+        self._said, self._said_by_gps = RecordedStory(_TEXTS), RecordedStory(_TEXTS_BY_GPS)
         self._complains_s = self._scaled(_FIRST_COMPLAINT_S)
 
     def look(self, uptime_s: float, *, gps: bool) -> None:

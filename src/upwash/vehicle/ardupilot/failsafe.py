@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Story, Text
+from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, RecordedStory, Text
 from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.body.parameters import ParameterTable
 
@@ -34,9 +34,9 @@ def _lane_switch(lane: int) -> tuple[Text, ...]:
 _CLEARED = FailsafeTrigger((Text("Glitch cleared"),))
 
 
-def _gps_jumps(jump_m: float, cleared_s: float) -> Story[FailsafeTrigger]:
+def _gps_jumps(jump_m: float, cleared_s: float) -> RecordedStory[FailsafeTrigger]:
     """The vehicle doubts its GPS, believes it, and takes the glitch for over, whether it is or not."""
-    return Story(
+    return RecordedStory(
         (
             (0.2, FailsafeTrigger(_lane_switch(1))),
             (0.4, FailsafeTrigger(_lane_switch(0))),
@@ -47,9 +47,9 @@ def _gps_jumps(jump_m: float, cleared_s: float) -> Story[FailsafeTrigger]:
     )
 
 
-def _glitch_ends(jump_m: float) -> Story[FailsafeTrigger]:
+def _glitch_ends(jump_m: float) -> RecordedStory[FailsafeTrigger]:
     """The GPS jumps back before the vehicle took the glitch for over."""
-    return Story(
+    return RecordedStory(
         (
             (0.2, FailsafeTrigger(_lane_switch(0))),
             (5.2, FailsafeTrigger(_lane_switch(1))),
@@ -84,7 +84,7 @@ class Failsafes:
         self.heard_ground_s: float | None = None
         self._landed = False
         self._lost_links: set[str] = set()
-        self._no_gps = Story(_NO_GPS)
+        self._no_gps = RecordedStory(_NO_GPS)
         self._glitch_s: float | None = None
         self._glitch_over_s: float | None = None
 

@@ -7,7 +7,8 @@
 - `telemetry`: the reports. `firmware`: what a connection needs of an autopilot, and how commands are read.
 - `connection`: peers, their streams of reports and their requests, on a clock that may run faster.
 
-An autopilot adds to `Multicopter`, `StandInTelemetry`, `FenceTransfer` and `StandInFirmware` by subclasses.
+An autopilot adds to `Multicopter`, `StandInTelemetry` and `StandInFirmware` by subclasses, and gives `FenceTransfer`
+its rules.
 
 Ugly: `ftp` serves ArduPilot only, as the stand-in PX4 runs no scripts; but it knows nothing of ArduPilot.
 """

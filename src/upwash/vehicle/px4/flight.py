@@ -21,7 +21,7 @@ _DISARMS_LATE_S = 1.0  # after COM_DISARM_PRFLT
 _TAKEOFF_SEEN_S, _TAKEOFF_SHOWN_S = 1.0, 1.2  # after the command, long before it lifts
 _TOUCHING_M = 0.02
 _THROTTLE_UP = 700
-_FIRST_EVENT = 65_526  # soon after that the count begins anew
+_FIRST_EVENT = 65_526  # so that the count soon restarts at 0
 
 
 class Px4Flight(Multicopter):
