@@ -14,7 +14,7 @@ LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --genera
 # Without it each of the programs that a test starts would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-long test-system test-all search native lint format docs pictures bench bench-peers lock clean
+.PHONY: run test test-long test-system test-all collect search native lint format docs pictures bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
 run: $(RUNS)
@@ -37,6 +37,10 @@ test-system: $(READY)
 test-all: $(READY)
 	tests/system/install-packages
 	$(PYTEST) -n 8 -m "not search"
+
+# Compiles each module once, which all processes of a first run would do at the same time.
+collect: $(READY)
+	$(BIN)/python -m pytest --collect-only --quiet >/dev/null
 
 # Many more drawn worlds than the tests above search; some are those of the day.
 search: $(READY)
