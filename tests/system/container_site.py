@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,15 +78,6 @@ class Host:
     def left(self) -> list[str]:
         """What there still is of instances; nothing once all have ended."""
         return self.engine.running() if self.keeps else self.engine.there()
-
-    def at(self, use: Callable[[Site], Awaitable[None]], **settings: Any) -> None:
-        """Opens a site for something that uses it."""
-
-        async def run() -> None:
-            async with self.open_site(**settings) as site:
-                await use(site)
-
-        asyncio.run(run())
 
     def configured(self, folder: Path, keys: Path | None, idle: str | None = None, **tables: Any) -> Path:
         """The configuration of a daemon that soon finds containers idle; a table changes or adds to what there is."""

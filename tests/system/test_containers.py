@@ -6,12 +6,11 @@ import asyncio
 import os
 import re
 import signal
-import subprocess
 from pathlib import Path
 
 import pytest
-from tests.programs import UPWASH
-from tests.system.container_site import DISK_BYTES, PROCESSES, Host, Site
+from tests.programs import running
+from tests.system.container_site import DISK_BYTES, PROCESSES, Host
 from tests.system.daemons import Guest
 from tests.waiting import wait_for
 
@@ -33,10 +32,10 @@ def host(request: pytest.FixtureRequest) -> Host:
 
 
 @pytest.mark.parametrize("harm", ["eat_memory", "fork_without_end", "fill_disk"])
-def test_an_instance_out_of_control_harms_neither_its_neighbours_nor_the_daemon(
+async def test_an_instance_out_of_control_harms_neither_its_neighbours_nor_the_daemon(
     host: Host, harm: str
 ) -> None:
-    async def use(site: Site) -> None:
+    async with host.open_site() as site:
         vandal, neighbour = await site.start("s1", "vandal"), await site.start("s1", "workbench")
         free_before = os.statvfs("/tmp").f_bavail * os.statvfs("/tmp").f_frsize
         rampage = asyncio.create_task(site.call(vandal, "s1", harm, timeout_s=25.0))
@@ -61,11 +60,9 @@ def test_an_instance_out_of_control_harms_neither_its_neighbours_nor_the_daemon(
         for instance in (again, neighbour):
             await instance.stop()
 
-    host.at(use)
 
-
-def test_a_service_that_crashes_ends_its_container_with_its_last_words(host: Host) -> None:
-    async def use(site: Site) -> None:
+async def test_a_service_that_crashes_ends_its_container_with_its_last_words(host: Host) -> None:
+    async with host.open_site() as site:
         instance = await site.start("s1", "workbench")
         await site.call(instance, "s1", "say", "the lens is broken")
         with pytest.raises(LinkError):
@@ -75,11 +72,9 @@ def test_a_service_that_crashes_ends_its_container_with_its_last_words(host: Hos
         await instance.stop()
         assert host.left() == []
 
-    host.at(use)
 
-
-def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(host: Host) -> None:
-    async def use(site: Site) -> None:
+async def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(host: Host) -> None:
+    async with host.open_site() as site:
         instance = await site.start("s1", "workbench")
         (container,) = host.engine.running()
         os.kill(host.engine.process_1(container), signal.SIGKILL)
@@ -91,11 +86,9 @@ def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(ho
         await again.stop()
         assert host.left() == []
 
-    host.at(use)
 
-
-def test_a_frozen_instance_thaws_as_it_was_and_forgets_whom_it_admitted(host: Host) -> None:
-    async def use(site: Site) -> None:
+async def test_a_frozen_instance_thaws_as_it_was_and_forgets_whom_it_admitted(host: Host) -> None:
+    async with host.open_site(freezes=True) as site:
         first = await site.start("s1", "workbench")
         process = await site.call(first, "s1", "process_id")
         await first.stop()
@@ -106,49 +99,32 @@ def test_a_frozen_instance_thaws_as_it_was_and_forgets_whom_it_admitted(host: Ho
         await second.admit(site.heron)
         assert await site.call(second, "s1", "process_id") == process
         await second.stop()
-
-    host.at(use, freezes=True)
     assert host.left() == []
 
 
-def test_what_a_killed_daemon_left_ends_by_itself_or_at_the_next_start(
+async def test_what_a_killed_daemon_left_ends_by_itself_or_at_the_next_start(
     host: Host, tmp_path: Path, keys: Path, services: Path
 ) -> None:
-    config = str(host.configured(tmp_path, keys, "freeze"))
-
-    async def use(site: Site) -> None:
-        async def visit(server: str, *, leave: bool) -> None:
-            guest = Guest(site.dialer, server, address, f"{services}:Workbench")
-            endpoint = (await guest.start()).endpoint
-            assert await guest.call(endpoint, "echo", b"photo") == b"photo"
-            if leave:
-                await guest.leave()
-            await guest.close()
-
-        serve = (*UPWASH, "serve", "--config", config)
-        with (tmp_path / "stderr").open("w") as stderr:
-            process = await asyncio.create_subprocess_exec(*serve, stdout=subprocess.PIPE, stderr=stderr)
-        try:
-            assert process.stdout is not None
-            address = (await process.stdout.readline()).decode().split()[-1]
-            await visit("s2", leave=True)
-            await asyncio.to_thread(wait_for, lambda: len(host.engine.frozen()) == 1, within_s=10.0)
-            await visit("s1", leave=False)
+    config = host.configured(tmp_path, keys, "freeze")
+    async with host.open_site() as site:
+        with running("serve", "--config", config, stderr=None) as daemon:
+            assert daemon.stdout is not None
+            address = daemon.stdout.readline().split()[-1]
+            for server in ("s2", "s1"):
+                guest = Guest(site.dialer, server, address, f"{services}:Workbench")
+                endpoint = (await guest.start()).endpoint
+                assert await guest.call(endpoint, "echo", b"photo") == b"photo"
+                if server == "s2":
+                    await guest.leave()
+                    wait_for(lambda: len(host.engine.frozen()) == 1, within_s=10.0)
+                await guest.close()
             assert len(host.engine.running()) == 2
-        finally:
-            process.kill()
-            await process.wait()
         # The one that runs reads the end of its line; the frozen one cannot.
-        await asyncio.to_thread(wait_for, lambda: len(host.engine.running()) == 1, within_s=10.0)
-
-    host.at(use)
+        wait_for(lambda: len(host.engine.running()) == 1, within_s=10.0)
     made = host.engine.there()
-
-    async def again(site: Site) -> None:
+    async with host.open_site() as site:
         assert host.left() == []
         assert host.engine.there() == (made if host.keeps else [])
         instance = await site.start("s2", "workbench")
         assert await site.call(instance, "s2", "echo", b"photo") == b"photo"
         await instance.stop()
-
-    host.at(again)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tests.podman import OwnPodman
 from tests.programs import ROOT, running
-from tests.system.container_site import Host, Site
+from tests.system.container_site import Host
 from tests.system.daemons import MAX_MESSAGE_BYTES, Guest
 
 from upwash.cli.main import main
@@ -22,27 +22,23 @@ pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("pod
 # --- what a service can do ----------------------------------------------------------------------------------
 
 
-def test_a_service_has_no_rights_and_reaches_nobody(docker_host: Host) -> None:
-    async def use(site: Site) -> None:
+async def test_a_service_has_no_rights_and_reaches_nobody(docker_host: Host) -> None:
+    async with docker_host.open_site() as site:
         vandal = await site.start("s1", "vandal")
         assert await site.call(vandal, "s1", "identity") == [1000, 0]
         for host in ("127.0.0.1", "169.254.0.1", "10.88.0.1"):
             assert await site.call(vandal, "s1", "reach", host, 22) != "connected"
         await vandal.stop()
 
-    docker_host.at(use)
 
-
-def test_a_device_is_there_where_it_was_given(docker_host: Host, podman: OwnPodman) -> None:
-    async def use(site: Site) -> None:
+async def test_a_device_is_there_where_it_was_given(docker_host: Host, podman: OwnPodman) -> None:
+    if not Path("/dev/fuse").exists():
+        pytest.skip("no /dev/fuse here")
+    async with docker_host.open_site(devices=["/dev/fuse"]) as site:
         instance = await site.start("s1", "workbench")
         (container,) = podman.running()
         assert "/dev/fuse" in podman.command("exec", container, "ls", "/dev/fuse")
         await instance.stop()
-
-    if not Path("/dev/fuse").exists():
-        pytest.skip("no /dev/fuse here")
-    docker_host.at(use, devices=["/dev/fuse"])
 
 
 def test_a_program_in_cpp_answers_in_a_container_without_certificates(
@@ -74,7 +70,9 @@ def test_a_program_in_cpp_answers_in_a_container_without_certificates(
 # --- images -------------------------------------------------------------------------------------------------
 
 
-def test_an_image_of_a_dockerfile_is_served(docker_host: Host, podman: OwnPodman, tmp_path: Path) -> None:
+async def test_an_image_of_a_dockerfile_is_served(
+    docker_host: Host, podman: OwnPodman, tmp_path: Path
+) -> None:
     """Whoever writes one needs upwash for its Python, and two labels."""
     (tmp_path / "Containerfile").write_text(
         'FROM upwash-workbench\nLABEL upwash.service=workbench upwash.methods="" upwash.concurrency=""\n'
@@ -83,14 +81,12 @@ def test_an_image_of_a_dockerfile_is_served(docker_host: Host, podman: OwnPodman
     (tmp_path / "note.txt").write_text("made by hand")
     podman.command("build", "--network=none", "--tag", "by-hand", str(tmp_path))
 
-    async def use(site: Site) -> None:
+    async with docker_host.open_site(images={"workbench": "by-hand"}) as site:
         instance = await site.start("s1", "workbench")
         assert await site.call(instance, "s1", "echo", b"photo") == b"photo"
         (container,) = podman.running()
         assert podman.command("exec", container, "cat", "/note.txt") == "made by hand"
         await instance.stop()
-
-    docker_host.at(use, images={"workbench": "by-hand"})
 
 
 @pytest.mark.parametrize(
@@ -103,17 +99,15 @@ def test_an_image_of_a_dockerfile_is_served(docker_host: Host, podman: OwnPodman
         ({"unpackaged": "upwash-workbench"}, "upwash-workbench is an image of workbench, not of unpackaged"),
     ],
 )
-def test_a_start_with_a_wrong_image_names_the_remedy(
+async def test_a_start_with_a_wrong_image_names_the_remedy(
     docker_host: Host, images: dict[str, str], message: str
 ) -> None:
-    async def use(_: Site) -> None:
-        pytest.fail("it was prepared")
-
     with pytest.raises(EngineError, match=message):
-        docker_host.at(use, images=images)
+        async with docker_host.open_site(images=images):
+            pytest.fail("it was prepared")
 
 
-def test_an_image_whose_program_is_missing_says_so(
+async def test_an_image_whose_program_is_missing_says_so(
     docker_host: Host, podman: OwnPodman, tmp_path: Path
 ) -> None:
     (tmp_path / "Containerfile").write_text(
@@ -121,23 +115,16 @@ def test_an_image_whose_program_is_missing_says_so(
     )
     podman.command("build", "--network=none", "--tag", "lost", str(tmp_path))
 
-    async def use(_: Site) -> None:
-        pytest.fail("it was prepared")
-
     with pytest.raises(EngineError, match=r"does not say what lost\.py:Workbench declares: .*lost\.py"):
-        docker_host.at(use, images={"workbench": "lost"})
+        async with docker_host.open_site(images={"workbench": "lost"}):
+            pytest.fail("it was prepared")
 
 
-def test_without_an_engine_the_daemon_does_not_start_and_says_what_to_do() -> None:
-    async def connect() -> None:
-        engine = DockerEngine("unix:///nowhere.sock")
-        try:
-            await engine.connect()
-        finally:
-            await engine.close()
-
+async def test_without_an_engine_the_daemon_does_not_start_and_says_what_to_do() -> None:
+    engine = DockerEngine("unix:///nowhere.sock")
     with pytest.raises(UsageError, match=r"no engine answers at unix:///nowhere\.sock: is it running"):
-        asyncio.run(connect())
+        await engine.connect()
+    await engine.close()
 
 
 def test_what_a_daemon_can_run_is_listed_and_an_image_is_packaged_into_its_engine(
@@ -155,13 +142,11 @@ def test_what_a_daemon_can_run_is_listed_and_an_image_is_packaged_into_its_engin
     assert "upwash-workbench" in listed["workbench"]
 
 
-def test_a_daemon_that_cannot_start_an_instance_leaves_no_container(
+async def test_a_daemon_that_cannot_start_an_instance_leaves_no_container(
     docker_host: Host, podman: OwnPodman, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def use(site: Site) -> None:
+    async with docker_host.open_site() as site:
         monkeypatch.setattr("upwash.real.instances.docker.container.COMMAND", ("/bin/false",))
         with pytest.raises(InstanceError, match="did not start"):
             await site.start("s1", "workbench")
         assert podman.there() == []
-
-    docker_host.at(use)

@@ -70,15 +70,6 @@ def test_a_flight_that_is_killed_is_taken_up_where_it_broke_off(
     assert both[-1]["event"] == "mission_completed"
 
 
-def test_a_flight_that_goes_on_is_not_taken_up_by_another_program(folder: Path, fly: tuple[str, ...]) -> None:
-    log = folder / "events.jsonl"
-    with running(*fly, "--log", log, folder=folder):
-        wait_for_events(log, "arrived", 1)
-        second = upwash(*fly, "--resume", log, folder=folder)
-    assert second.returncode == 2
-    assert "is the flight still under way?" in second.stderr
-
-
 def test_a_log_that_is_not_there_cannot_be_resumed(folder: Path) -> None:
     done = upwash("fly", "--config", "drone.toml", "--resume", "nothing.jsonl", folder=folder)
     assert done.returncode == 2

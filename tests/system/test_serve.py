@@ -29,7 +29,6 @@ from tests.system.daemons import (
     channel,
     config,
     daemon,
-    eventually,
     guests,
     shown,
     started,
@@ -139,64 +138,6 @@ async def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_o
         await heron1.call(first.endpoint, "echo", b"photo")
 
 
-@played("visited", "heron@s1", "stork@s1", lease_s=2.0)
-async def test_a_lease_ends_by_itself_and_asking_keeps_it(_: Daemon, heron: Guest, stork: Guest) -> None:
-    endpoint = (await heron.start()).endpoint
-    for _again in range(6):  # for longer than a lease
-        await heron.call(endpoint, "pause", 0.5)
-        await heron.availability()
-    assert not (await stork.availability()).available
-    await eventually(stork.availability, lambda answer: answer.available)
-    with pytest.raises(Refused, match="heron has no lease"):
-        await heron.call(endpoint, "echo", b"photo")
-
-
-@played("visited", "heron@s1")
-async def test_starts_at_the_same_time_make_one_instance(at: Daemon, heron: Guest) -> None:
-    replies = await asyncio.gather(*(heron.start() for _ in range(5)))
-    assert len({reply.endpoint for reply in replies}) == 1
-    assert replies[0].endpoint
-    assert len(at.instances()) == 1
-
-
-@played("visited", "heron@s1")
-async def test_a_killed_instance_is_reported_absent_and_started_again_on_request(
-    _: Daemon, heron: Guest
-) -> None:
-    endpoint = (await heron.start()).endpoint
-    first = await heron.call(endpoint, "process_id")
-    os.kill(first, signal.SIGKILL)
-    await eventually(lambda: heron.availability("workbench"), lambda answer: not answer.endpoints)
-    endpoint = (await heron.start()).endpoint
-    assert await heron.call(endpoint, "process_id") != first
-
-
-@played("visited", "heron@s1", lease_s=2.0, idle_stop_s=0.3)
-async def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(
-    at: Daemon, heron: Guest
-) -> None:
-    await heron.start()
-    assert len(at.instances()) == 1
-    await asyncio.to_thread(wait_for, lambda: not at.instances())
-    await served(heron)
-
-
-@played("visited", "heron@s1", start_timeout_s=1.5)
-async def test_a_service_that_cannot_start_is_refused_with_its_reason(at: Daemon, heron: Guest) -> None:
-    for _ in range(2):
-        reply = await heron.start("unstartable")
-        assert (reply.endpoint, "model.onnx is missing" in reply.reason) == ("", True)
-    assert "not ready within" in (await heron.start("slowtostart")).reason
-    assert at.instances() == []
-    assert "s1 has no image of submarine" in (await heron.start("submarine")).reason
-
-
-@played("visited", "heron@s3", certified=None)
-async def test_a_server_that_the_daemon_is_not_is_refused_by_name(_: Daemon, heron: Guest) -> None:
-    refused = await heron.availability("workbench")
-    assert (refused.available, refused.reason) == (False, "no server s3 here; this daemon is s1, s2")
-
-
 @played("socket_visited", "heron@s1")
 async def test_a_daemon_on_a_unix_socket_needs_no_certificates(_: Daemon, heron: Guest) -> None:
     assert (await served(heron)).startswith("unix:")
@@ -249,12 +190,6 @@ async def test_garbage_does_not_harm_it(at: Daemon, heron: Guest) -> None:
                 await heron.daemon.request(path, body, timeout_s=5.0)
             assert "log says why" not in str(refusal.value)
     assert (await heron.availability("workbench")).available
-
-
-@played("visited", "@s1", certified=None)
-async def test_a_drone_without_a_name_is_refused(_: Daemon, nobody: Guest) -> None:
-    with pytest.raises(Refused, match="names no drone"):
-        await nobody.availability("workbench")
 
 
 # --- how it ends --------------------------------------------------------------------------------------------
@@ -321,29 +256,9 @@ async def test_a_signal_ends_it_while_a_service_starts(at: Daemon, heron: Guest,
     await asyncio.gather(starting, return_exceptions=True)
 
 
-@played("visited", "heron@s1")
-async def test_its_instances_end_when_it_is_killed(at: Daemon, heron: Guest) -> None:
-    processes = [await heron.call((await heron.start()).endpoint, "spawn"), *at.instances()]
-    assert at.end(signal.SIGKILL) == -signal.SIGKILL
-    wait_for(lambda: not any(map(is_alive, processes)))
-
-
 # --- what its operator does ---------------------------------------------------------------------------------
 
 READ_AGAIN = "the configuration was read again"
-
-
-def test_drones_of_the_former_authority_and_of_the_present_one_are_served(
-    own_visited: Visited, own_keys: Path
-) -> None:
-    renew_authority(own_keys)
-    make_keys(own_keys, drones=["egret"])
-
-    async def scene(_: Daemon, *drones: Guest) -> None:
-        for drone in drones:
-            await served(drone)
-
-    own_visited(scene, "heron@s1", "egret@s2")
 
 
 @played("own_visited", "stork@s1")
@@ -660,12 +575,6 @@ def refused(folder: Path, text: str, **settings: str) -> str:
     return said
 
 
-def test_a_port_in_use_is_named_in_one_line(tmp_path: Path, keys: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        address = f"127.0.0.1:{other.getsockname()[1]}"
-        assert f"cannot listen on {address}" in refused(tmp_path, config(keys, listen=address))
-
-
 def test_the_port_of_another_daemon_is_not_shared(tmp_path: Path, keys: Path) -> None:
     (tmp_path / "first").mkdir()
     with daemon(tmp_path / "first", config(keys)) as at:
@@ -687,19 +596,6 @@ def test_a_drones_certificate_is_refused(tmp_path: Path, keys: Path) -> None:
     assert "heron.pem: not a certificate for a daemon" in refused(tmp_path, text)
 
 
-def test_a_foreign_certificate_is_refused(tmp_path: Path, keys: Path) -> None:
-    text = config(keys).replace(f"{keys}/authority.pem", f"{keys}/other/authority.pem")
-    assert "s1.pem: not issued by" in refused(tmp_path, text)
-
-
-@pytest.mark.parametrize(
-    ("program", "said"),
-    [
-        ("no_such_package:Workbench", "no_such_package"),
-        ("services_for_tests:NoSuchClass", "NoSuchClass"),
-        ("services_for_tests:Overheated", "put @service above the class"),
-        ("services_for_tests:Unstartable", "which is declared as 'unstartable'"),
-    ],
-)
-def test_a_service_that_is_not_there_is_named(tmp_path: Path, program: str, said: str) -> None:
-    assert said in refused(tmp_path, config(None).replace("services_for_tests:Workbench", program))
+def test_a_service_of_another_name_is_told_its_own(tmp_path: Path) -> None:
+    text = config(None, service=[{"name": "workbench", "program": "services_for_tests:Unstartable"}])
+    assert "which is declared as 'unstartable'" in refused(tmp_path, text)
