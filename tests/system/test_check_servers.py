@@ -108,80 +108,82 @@ class Late:
 """
 
 
-def served(keys: Path, programs: str, **settings: Any) -> str:
-    services = [
-        {"name": cls.lower(), "program": f"{programs}:{cls}"} for cls in ("Finder", "Failing", "Mute", "Late")
-    ]
-    return config(keys, listen="127.0.0.2:0", service=services, server=[{"name": "s1"}], **settings)
-
-
-def found(
+async def found(
     folder: Path,
     keys: Path,
     program: str,
     *,
     forward: bool = False,
     mapped: Mapping[int, int] | None = None,
-    daemons_s: float = 60.0,
     settings: Mapping[str, Any] | None = None,
     **tables: Any,
 ) -> SurveyFinding:
-    async def survey(address: str) -> SurveyFinding:
-        async with contextlib.AsyncExitStack() as stack:
-            if forward:
-                address = await stack.enter_async_context(forwarded(address))
-            for outside, inside in (mapped or {}).items():
-                await stack.enter_async_context(forwarded(f"127.0.0.2:{inside}", at=outside))
-            (finding,) = await survey_servers(drone(folder, keys, program, address, **tables))
-            return finding
+    classes = ("Finder", "Failing", "Mute", "Late")
+    file = program.rpartition(":")[0]
+    services = [{"name": cls.lower(), "program": f"{file}:{cls}"} for cls in classes]
+    fixed = {
+        "listen": "127.0.0.2:0",
+        "service": services,
+        "server": [{"name": "s1"}],
+        "start_timeout_s": 60.0,
+    }
+    async with contextlib.AsyncExitStack() as stack:
+        at = stack.enter_context(daemon(folder, config(keys, **fixed | dict(settings or {})), names="s1"))
+        address = await stack.enter_async_context(forwarded(at.address)) if forward else at.address
+        for outside, inside in (mapped or {}).items():
+            await stack.enter_async_context(forwarded(f"127.0.0.2:{inside}", at=outside))
+        (finding,) = await survey_servers(drone(folder, keys, program, address, **tables))
+        return finding
 
-    told = {"start_timeout_s": daemons_s} | dict(settings or {})
-    with daemon(folder, served(keys, program.rpartition(":")[0], **told), names="s1") as at:
-        return asyncio.run(survey(at.address))
 
-
-def test_a_service_is_called_with_the_cameras_photo(tmp_path: Path, keys: Path, programs: Path) -> None:
-    finding = found(tmp_path, keys, f"{programs}:Finder")
+async def test_a_service_is_called_with_the_cameras_photo(tmp_path: Path, keys: Path, programs: Path) -> None:
+    finding = await found(tmp_path, keys, f"{programs}:Finder")
     assert finding.trouble == ""
     assert "started finder" in finding.found and "called finder.find in" in finding.found
 
 
 @pytest.mark.parametrize("cls", ["Finder", "Mute"])
-def test_a_server_of_which_only_the_daemons_port_is_reached_is_not_ready(
+async def test_a_server_of_which_only_the_daemons_port_is_reached_is_not_ready(
     tmp_path: Path, keys: Path, programs: Path, cls: str
 ) -> None:
-    finding = found(tmp_path, keys, f"{programs}:{cls}", forward=True)
+    finding = await found(tmp_path, keys, f"{programs}:{cls}", forward=True)
     assert "instance_ports" in finding.trouble
 
 
-def test_a_server_whose_ports_are_mapped_is_ready(tmp_path: Path, keys: Path, programs: Path) -> None:
+async def test_a_server_whose_ports_are_mapped_is_ready(tmp_path: Path, keys: Path, programs: Path) -> None:
     first = random.randrange(20_000, 29_000, 8)  # below those that the system hands out
     inside, outside = range(first, first + 4), range(first + 4, first + 8)
     settings = {"instance_ports": [inside[0], inside[-1]], "outside_ports": [outside[0], outside[-1]]}
     mapped = dict(zip(outside, inside, strict=True))
-    finding = found(tmp_path, keys, f"{programs}:Finder", forward=True, mapped=mapped, settings=settings)
+    finding = await found(
+        tmp_path, keys, f"{programs}:Finder", forward=True, mapped=mapped, settings=settings
+    )
     assert finding.trouble == ""
 
 
-def test_a_service_that_fails_on_the_photo_is_not_ready(tmp_path: Path, keys: Path, programs: Path) -> None:
-    assert "failing.find failed on 1.jpg" in found(tmp_path, keys, f"{programs}:Failing").trouble
+async def test_a_service_that_fails_on_the_photo_is_not_ready(
+    tmp_path: Path, keys: Path, programs: Path
+) -> None:
+    assert "failing.find failed on 1.jpg" in (await found(tmp_path, keys, f"{programs}:Failing")).trouble
 
 
 @pytest.mark.parametrize(("daemons_s", "own_s"), [(1.0, 30.0), (60.0, 0.1)])
-def test_a_start_that_takes_too_long_names_the_key(
+async def test_a_start_that_takes_too_long_names_the_key(
     tmp_path: Path, keys: Path, programs: Path, daemons_s: float, own_s: float
 ) -> None:
     late = f"{programs}:Late"
-    trouble = found(tmp_path, keys, late, daemons_s=daemons_s, start_timeout_s=own_s).trouble
+    trouble = (
+        await found(tmp_path, keys, late, settings={"start_timeout_s": daemons_s}, start_timeout_s=own_s)
+    ).trouble
     whose = "daemon" if daemons_s < own_s else "drone"
     assert f"raise start_timeout_s in the {whose}'s configuration" in trouble
 
 
-def test_a_camera_without_a_photo_is_told_beside_the_servers(
+async def test_a_camera_without_a_photo_is_told_beside_the_servers(
     tmp_path: Path, keys: Path, programs: Path
 ) -> None:
     camera = {"folder": "paintings"}
     blind = drone(tmp_path, keys, f"{programs}:Finder", "127.0.0.1:1", camera=camera)
-    told, server = asyncio.run(survey_servers(blind))
+    told, server = await survey_servers(blind)
     assert "there is no folder" in told.trouble
     assert server.subject == "s1 at 127.0.0.1:1" and server.trouble

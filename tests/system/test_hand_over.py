@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.children import is_alive
-from tests.system.daemons import Daemon, config, daemon, eventually
+from tests.system.daemons import config, daemon, eventually
 from tests.system.flying import Flying
 from tests.waiting import wait_for
 
@@ -30,33 +30,10 @@ def own_keys(tmp_path: Path) -> Path:
     return folder
 
 
-def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
+async def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
     tmp_path: Path, services: Path, own_keys: Path
 ) -> None:
-    text = config(own_keys, lease_s=LEASE_S, server=[{"name": name, "slots": 20} for name in ("s1", "s2")])
-
-    async def visit(at: Daemon) -> list[Flying]:
-        drones = [Flying(name, at.address, own_keys, f"{services}:Workbench") for name in DRONES]
-        enough, here = asyncio.Event(), asyncio.Semaphore(0)
-        async with asyncio.TaskGroup() as flights:
-            for drone in drones:
-                flights.create_task(drone.fly(enough, here.release))
-            for _ in drones:
-                await here.acquire()
-            await eventually(lambda: calls_told(at), lambda told: all(map(told.get, DRONES)))
-            at.process.send_signal(signal.SIGUSR2)
-            async with asyncio.timeout(120.0):
-                for drone in drones:
-                    await drone.answered_by(2)
-                await asyncio.to_thread(at.process.wait)
-            enough.set()
-        await eventually(
-            lambda: calls_told(at),
-            lambda told: all(of_both(told, *each) for each in zip(DRONES, drones, strict=True)),
-        )
-        return drones
-
-    async def calls_told(at: Daemon) -> dict[str, int]:
+    async def calls_told() -> dict[str, int]:
         reply = await ask_status(at.address, server="s1", operator="alice", keys=own_keys)
         return {each.drone: each.calls for server in reply.servers for each in server.drones}
 
@@ -65,8 +42,24 @@ def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
         _, after = dict.fromkeys(drone.answered)
         return told[name] > drone.answered.count(after)
 
+    text = config(own_keys, lease_s=LEASE_S, server=[{"name": name, "slots": 20} for name in ("s1", "s2")])
     with daemon(tmp_path, text) as at:
-        drones = asyncio.run(visit(at))
+        drones = [Flying(name, at.address, own_keys, f"{services}:Workbench") for name in DRONES]
+        enough, here = asyncio.Event(), asyncio.Semaphore(0)
+        async with asyncio.TaskGroup() as flights:
+            for drone in drones:
+                flights.create_task(drone.fly(enough, here.release))
+            for _ in drones:
+                await here.acquire()
+            await eventually(calls_told, lambda told: all(map(told.get, DRONES)))
+            at.process.send_signal(signal.SIGUSR2)
+            async with asyncio.timeout(120.0):
+                for drone in drones:
+                    await drone.answered_by(2)
+                await asyncio.to_thread(at.process.wait)
+            enough.set()
+        named = list(zip(DRONES, drones, strict=True))
+        await eventually(calls_told, lambda told: all(of_both(told, *each) for each in named))
         new = int(re.findall(r"process (\d+) has taken this daemon's place", at.said())[0])
         try:
             assert at.process.wait() == 0
@@ -80,10 +73,10 @@ def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
             wait_for(lambda: not is_alive(new))
 
 
-def test_a_program_that_does_not_come_up_leaves_the_daemon_as_it_is(
+async def test_a_program_that_does_not_come_up_leaves_the_daemon_as_it_is(
     tmp_path: Path, services: Path, own_keys: Path
 ) -> None:
-    async def visit(at: Daemon) -> set[int]:
+    with daemon(tmp_path, config(own_keys)) as at:
         drone = Flying(DRONES[0], at.address, own_keys, f"{services}:Workbench")
         enough, here = asyncio.Event(), asyncio.Event()
         async with asyncio.TaskGroup() as flights:
@@ -97,10 +90,7 @@ def test_a_program_that_does_not_come_up_leaves_the_daemon_as_it_is(
                 while len(drone.answered) < count + 10:
                     await drone.called()
             enough.set()
-        return set(drone.answered)
-
-    with daemon(tmp_path, config(own_keys)) as at:
-        assert len(asyncio.run(visit(at))) == 1
+        assert len(set(drone.answered)) == 1
         assert at.process.poll() is None
 
 

@@ -21,7 +21,6 @@ from tests.children import children, is_alive
 from tests.played import played
 from tests.programs import upwash
 from tests.system.daemons import (
-    MAX_MESSAGE_BYTES,
     SERVERS,
     SERVICES,
     Daemon,
@@ -38,7 +37,6 @@ from tests.waiting import wait_for
 from upwash.errors import LinkError, Refused, Unreachable, UsageError
 from upwash.launch.status import ask_status
 from upwash.real.instances.sandbox import find_sandbox
-from upwash.real.link.link import GrpcDialer
 from upwash.real.trust.authority import drop_former_authorities, make_keys, renew_authority, revoke
 from upwash.real.trust.credentials import Credentials
 from upwash.rpc.protocol import AVAILABILITY, LEAVE, START
@@ -419,16 +417,13 @@ def verbosity(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     return str(request.param)
 
 
-def test_its_log_can_be_json_lines_and_tells_of_a_refused_certificate(
+async def test_its_log_can_be_json_lines_and_tells_of_a_refused_certificate(
     verbosity: str, tmp_path: Path, services: Path, keys: Path, strangers: list[Credentials | None]
 ) -> None:
-    async def visit(at: Daemon) -> None:
+    with daemon(tmp_path, config(keys), "--log-format", "json") as at:
         async with guests(at, services, ("heron", strangers[1], "s1")) as (stranger,):
             with pytest.raises(Unreachable):
                 await stranger.availability("workbench")
-
-    with daemon(tmp_path, config(keys), "--log-format", "json") as at:
-        asyncio.run(visit(at))
         at.has_said("CERTIFICATE_VERIFY_FAILED")
         at.end()
         lines = [json.loads(line) for line in at.said().splitlines()]
@@ -505,30 +500,26 @@ class Greedy(Eater):
 
 @pytest.mark.sandbox
 @pytest.mark.usefixtures("_sandbox")
-def test_limits_of_one_service_hold_and_are_not_anothers(
-    tmp_path: Path, own_keys: Path, own_visited: Visited
-) -> None:
+async def test_limits_of_one_service_hold_and_are_not_anothers(tmp_path: Path, own_keys: Path) -> None:
     program = tmp_path / "eaters.py"
     program.write_text(EATERS)
-
-    async def scene(at: Daemon) -> None:
-        dialer = GrpcDialer("heron", shown(own_keys, "heron"), max_message_bytes=MAX_MESSAGE_BYTES)
-        said = []
-        for name in ("Modest", "Greedy"):
-            guest = Guest(dialer, "s1", at.address, f"{program}:{name}")
-            endpoint = (await guest.start(name.lower())).endpoint
-            said.append([await guest.call(endpoint, "eat", 2**29), await guest.call(endpoint, "processors")])
-            if name == "Modest":
-                assert await guest.call(endpoint, "take_all_processors") == "PermissionError"
-            await guest.close()
-        assert said == [["no memory", 1], [str(2**29), len(os.sched_getaffinity(0))]]
-        reply = await ask_status(at.address, server="s1", operator="alice", keys=own_keys)
-        assert (reply.limits["modest"].memory_bytes, reply.limits["modest"].cpus) == (2**28, 1)
-        assert (reply.limits["greedy"].memory_bytes, reply.limits["greedy"].cpus) == (2**31, None)
-
     modest = {"name": "modest", "program": f"{program}:Modest", "memory_bytes": 2**28, "cpus": 1}
     greedy = {"name": "greedy", "program": f"{program}:Greedy"}
-    own_visited(scene, runtime={"sandbox": "required"}, service=[*SERVICES, modest, greedy])
+    text = config(own_keys, runtime={"sandbox": "required"}, service=[*SERVICES, modest, greedy])
+    said = []
+    with daemon(tmp_path, text) as at:
+        for name in ("Modest", "Greedy"):
+            known = ("heron", shown(own_keys, "heron"), "s1")
+            async with guests(at, f"{program}:{name}", known) as (heron,):
+                endpoint = (await heron.start(name.lower())).endpoint
+                eaten = await heron.call(endpoint, "eat", 2**29)
+                said.append([eaten, await heron.call(endpoint, "processors")])
+                if name == "Modest":
+                    assert await heron.call(endpoint, "take_all_processors") == "PermissionError"
+        reply = await ask_status(at.address, server="s1", operator="alice", keys=own_keys)
+    assert said == [["no memory", 1], [str(2**29), len(os.sched_getaffinity(0))]]
+    assert (reply.limits["modest"].memory_bytes, reply.limits["modest"].cpus) == (2**28, 1)
+    assert (reply.limits["greedy"].memory_bytes, reply.limits["greedy"].cpus) == (2**31, None)
 
 
 def test_a_limit_that_would_not_hold_ends_the_start_with_its_name(tmp_path: Path, keys: Path) -> None:
@@ -545,15 +536,12 @@ def test_root_makes_no_sandbox_unless_it_is_told_to(tmp_path: Path, keys: Path, 
     assert "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true" in said
 
 
-def test_without_bubblewrap_it_serves_and_says_so_unless_a_sandbox_is_required(
+async def test_without_bubblewrap_it_serves_and_says_so_unless_a_sandbox_is_required(
     tmp_path: Path, services: Path, keys: Path
 ) -> None:
-    async def visit(at: Daemon) -> None:
+    with daemon(tmp_path, config(keys, runtime={"sandbox": "auto"}), path=str(tmp_path)) as at:
         async with guests(at, services, ("heron", shown(keys, "heron"), "s1")) as (heron,):
             await served(heron)
-
-    with daemon(tmp_path, config(keys, runtime={"sandbox": "auto"}), path=str(tmp_path)) as at:
-        asyncio.run(visit(at))
         said = at.said()
         assert "services run without a sandbox: bubblewrap is not installed: `apt install bubblewrap`" in said
     required = config(keys, runtime={"sandbox": "required"})

@@ -16,6 +16,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+from tests.events import read
+from tests.programs import UPWASH, write_drone
 from tests.waiting import wait_for
 
 from upwash.real.trust.authority import make_keys
@@ -23,7 +26,6 @@ from upwash.real.trust.authority import make_keys
 WORK = Path("/root/flights")
 FOUND = Path("/found/flights")
 PATIENCE_S = 240.0  # the machine is emulated in software
-UPWASH = (sys.executable, "-m", "upwash")
 
 MISSION = """
 from services_for_tests import Workbench
@@ -38,57 +40,25 @@ def fly(drone):
     drone.end_flight()
     drone.autopilot.disarm()
 """
-DRONE = """
-name = "heron"
-[mission]
-program = "mission.py:fly"
-home = {{ latitude_deg = 39.3666, longitude_deg = 22.9507 }}
-waypoints_m = {waypoints}
-altitude_m = 5.0
-ground_speed_m_s = 3.0
-[policy]
-blacklist_s = 5.0
-[autopilot]
-connection = "{connection}"
-[network]
-kind = "networkmanager"
-interfaces = {interfaces}
-radios = {radios}
-[keys]
-authority = "keys/authority.pem"
-certificate = "keys/heron.pem"
-key = "keys/heron.key"
-[[service]]
-name = "workbench"
-program = "services_for_tests.py:Workbench"
-local_call_s = {{ light = 6.0, heavy = 6.0 }}
-local_pace_s = {{ light = 6.0, heavy = 6.0 }}
-"""
-SERVER = """
-[[server]]
-name = "s{number}"
-network = "s{number}-net"
-address = "10.10.{number}.1:7070"
-east_m = {east_m}
-north_m = 0.0
-range_m = {range_m}
-check_s = 12.0
-check_running_s = 8.0
-remote_call_s = {{ light = 0.5, heavy = 0.5 }}
-"""
-DAEMON = """
-listen = "10.10.{number}.1:7070"
-runtime = {{ sandbox = "off" }}
-[keys]
-authority = "keys/authority.pem"
-certificate = "keys/s{number}.pem"
-key = "keys/s{number}.key"
-[[service]]
-name = "workbench"
-program = "services_for_tests.py:Workbench"
-[[server]]
-name = "s{number}"
-"""
+WORKBENCH = {"name": "workbench", "program": "services_for_tests.py:Workbench"}
+
+
+def keys_of(holder: str) -> dict[str, str]:
+    """The files of the holder of a certificate."""
+    return {
+        "authority": "keys/authority.pem",
+        "certificate": f"keys/{holder}.pem",
+        "key": f"keys/{holder}.key",
+    }
+
+
+def server_of(number: int, east_m: float, range_m: float) -> dict[str, Any]:
+    """A server for the drone, so far east and with that range in metres."""
+    place = {"east_m": east_m, "north_m": 0.0, "range_m": range_m, "address": f"10.10.{number}.1:7070"}
+    delays_s = {"check_s": 12.0, "check_running_s": 8.0, "remote_call_s": {"light": 0.5, "heavy": 0.5}}
+    return {"name": f"s{number}", "network": f"s{number}-net", **place, **delays_s}
+
+
 ACCESS_POINT = """
 interface=wlan{number}
 driver=nl80211
@@ -144,15 +114,9 @@ class Air:
     def addresses(self, number: int) -> None:
         """DHCP answers there, from now on."""
         self.no_addresses(number)
-        options = [
-            "--keep-in-foreground",
-            "--conf-file=/dev/null",
-            "--port=0",
-            "--bind-interfaces",
-            f"--interface=wlan{number}",
-            f"--dhcp-range=10.10.{number}.50,10.10.{number}.99,10m",
-            f"--dhcp-leasefile={WORK}/leases{number}",
-        ]
+        options = ["--keep-in-foreground", "--conf-file=/dev/null", "--port=0", "--bind-interfaces"]
+        options += [f"--interface=wlan{number}", f"--dhcp-leasefile={WORK}/leases{number}"]
+        options += [f"--dhcp-range=10.10.{number}.50,10.10.{number}.99,10m"]
         self._addresses[number] = subprocess.Popen([*self.at(number), "dnsmasq", *options])
 
     def no_addresses(self, number: int) -> None:
@@ -184,11 +148,9 @@ class Flight:
     process: subprocess.Popen[bytes]
     log: Path
 
-    def events(self, name: str = "") -> list[dict[str, Any]]:
+    def events(self, *names: str) -> list[dict[str, Any]]:
         """What is in the log by now."""
-        lines = self.log.read_bytes().splitlines(keepends=True) if self.log.exists() else []
-        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
-        return [event for event in events if name in ("", event["event"])]
+        return read(self.log, *names)
 
     def after(self, seen: Callable[[Sequence[dict[str, Any]]], bool]) -> None:
         """Returns once the log shows it."""
@@ -210,7 +172,7 @@ class Case:
     shows: Callable[[Found], bool] = lambda found: True
     servers: Sequence[tuple[float, float]] = (
         (0.0, 1000.0),
-    )  # of s1, s2: how far east, and their range, in metres
+    )  # how far east s1 and s2 are, and their range, in m
     radios: int = 1
     waypoints: int = 4
 
@@ -226,9 +188,7 @@ class Found:
     remote: int
     calls: int
     told: list[str]
-    after_descent: list[str] = field(
-        default_factory=list
-    )  # networks joined after the drone began to come down
+    after_descent: list[str] = field(default_factory=list)  # networks joined while the drone came down
     ended: int = 0
     wrong: str = ""
 
@@ -333,7 +293,6 @@ def main() -> None:
     wanted = [case for case in CASES if case.name in (sys.argv[1:] or [case.name])]
     WORK.mkdir(exist_ok=True)
     make_keys(WORK / "keys", servers=[["s1"], ["s2"]], drones=["heron"])
-    (WORK / "mission.py").write_text(MISSION)
     (WORK / "services_for_tests.py").write_text(Path("/checkout/tests/services_for_tests.py").read_text())
     air = Air()
     air.begin()
@@ -351,7 +310,14 @@ def main() -> None:
 @contextlib.contextmanager
 def server(air: Air, number: int) -> Iterator[None]:
     """An edge daemon at its access point, until the end of the block."""
-    (WORK / f"s{number}.toml").write_text(DAEMON.format(number=number))
+    document = {
+        "listen": f"10.10.{number}.1:7070",
+        "runtime": {"sandbox": "off"},
+        "keys": keys_of(f"s{number}"),
+        "service": [WORKBENCH],
+        "server": [{"name": f"s{number}"}],
+    }
+    (WORK / f"s{number}.toml").write_text(tomli_w.dumps(document))
     with ready([*air.at(number), *UPWASH, "serve", "--config", f"s{number}.toml"], f"s{number}"):
         yield
 
@@ -365,15 +331,24 @@ def flown(air: Air, case: Case) -> Found:
     with ready(
         [*UPWASH, "vehicle", "--listen", "tcp:127.0.0.1:0", "--armable-after", "0"], "vehicle"
     ) as connection:
-        text = DRONE.format(
-            waypoints=[[10 * number, 0] for number in range(case.waypoints)],
-            connection=connection,
-            interfaces=json.dumps(["wlan0", "wlan3"][: case.radios]),
-            radios=case.radios,
+        own = {
+            "local_call_s": {"light": 6.0, "heavy": 6.0},
+            "local_pace_s": {"light": 6.0, "heavy": 6.0},
+        }
+        interfaces = ["wlan0", "wlan3"][: case.radios]
+        plan = {"altitude_m": 5.0, "ground_speed_m_s": 3.0}
+        plan["waypoints_m"] = [[10 * number, 0] for number in range(case.waypoints)]
+        write_drone(
+            WORK,
+            MISSION,
+            mission=plan,
+            policy={"blacklist_s": 5.0},
+            autopilot={"connection": connection},
+            network={"kind": "networkmanager", "interfaces": interfaces, "radios": case.radios},
+            keys=keys_of("heron"),
+            service=[WORKBENCH | own],
+            server=[server_of(number, *place) for number, place in enumerate(case.servers, start=1)],
         )
-        for number, (east_m, range_m) in enumerate(case.servers, start=1):
-            text += SERVER.format(number=number, east_m=east_m, range_m=range_m)
-        (WORK / "drone.toml").write_text(text)
         log = folder / "events.jsonl"
         with (folder / "terminal").open("wb") as terminal:
             process = subprocess.Popen(
@@ -393,7 +368,7 @@ def flown(air: Air, case: Case) -> Found:
             end(process)
         quick_to_leave()
     run("cp", "-r", str(folder), "/found/")
-    found = read(case, flight)
+    found = found_by(case, flight)
     found.wrong = wrong or (
         "" if found.ended == 0 and found.reached == case.waypoints else "it did not end well"
     )
@@ -404,13 +379,11 @@ def flown(air: Air, case: Case) -> Found:
     return found
 
 
-def read(case: Case, flight: Flight) -> Found:
+def found_by(case: Case, flight: Flight) -> Found:
     """What the log says."""
     events = flight.events()
-    calls = [event for event in events if event["event"] == "call"]
-    down_s = next(
-        (event["t"] for event in events if event["event"] in ("returning", "landing")), float("inf")
-    )
+    calls = flight.events("call")
+    down_s = min((event["t"] for event in flight.events("returning", "landing")), default=float("inf"))
     changes = [event for event in events if "after" in event and "server" in event]
     joins_s, begun_s, left_s, hand_over_s = [], 0.0, None, None
     for event in sorted([*changes, *flight.events("joined")], key=lambda event: float(event["t"])):
@@ -422,9 +395,7 @@ def read(case: Case, flight: Flight) -> Found:
             left_s = event["t"]
         elif event["after"] == "READY" and event["server"] == "s2" and left_s is not None:
             hand_over_s = round(event["t"] - left_s, 2)
-    trouble = [
-        event for event in events if event["event"] in ("check_failed", "network_lost", "leave_failed")
-    ]
+    trouble = flight.events("check_failed", "network_lost", "leave_failed")
     return Found(
         case=case.name,
         reached=len(flight.events("arrived")),

@@ -76,17 +76,15 @@ def build(folder: Path) -> None:
     wanted = root / "etc/systemd/system/multi-user.target.wants/flights.service"
     wanted.symlink_to("/etc/systemd/system/flights.service")
     for unit in (
-        "hostapd",
-        "wpa_supplicant-nl80211",
-        "systemd-networkd",
+        "hostapd.service",
+        "wpa_supplicant-nl80211.service",
+        "systemd-networkd.service",
         "apt-daily.timer",
-        "NetworkManager",
     ):
-        name = unit if "." in unit else f"{unit}.service"
-        (root / "etc/systemd/system" / name).unlink(missing_ok=True)
-        if unit != "NetworkManager":
-            (root / "etc/systemd/system" / name).symlink_to("/dev/null")
-    (root / "etc/systemd/system/multi-user.target.wants/NetworkManager.service").unlink(missing_ok=True)
+        (root / "etc/systemd/system" / unit).unlink(missing_ok=True)
+        (root / "etc/systemd/system" / unit).symlink_to("/dev/null")
+    for folder_of in ("", "multi-user.target.wants/"):
+        (root / f"etc/systemd/system/{folder_of}NetworkManager.service").unlink(missing_ok=True)
     for name in ("vmlinuz", "initrd.img"):
         (found,) = (root / "boot").glob(f"{name}-*")
         shutil.copy(found, folder / name)
