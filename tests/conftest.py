@@ -31,13 +31,7 @@ from upwash.sim.loop import run_virtually
 SCENARIOS = ROOT / "scenarios"
 WAITING_GROUPS = (
     *(f"flights-{number}" for number in range(4)),
-    "browser",
-    "emulate",
-    "ns3",
-    "podman",
-    "lxd",
-    "incus",
-    "tutorial",
+    *("browser", "emulate", "ns3", "podman", "lxd", "incus", "tutorial"),
 )
 ON_VIRTUAL_TIME = {"core", "lab", "sim"}  # folders of tests
 PRIORITY = os.getpriority(os.PRIO_PROCESS, 0)

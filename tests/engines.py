@@ -43,14 +43,9 @@ class OwnEngine:
         """What the engine's own client answers; raises CalledProcessError."""
         program = "lxc" if self.kind == "lxd" else "incus"
         return subprocess.run(
-            (program, *arguments),
-            env=_environment(self.kind, self.folder),
-            input=given,
-            capture_output=True,
-            check=True,
-            text=True,
-            timeout=60.0,
-        ).stdout
+            (program, *arguments), env=_environment(self.kind, self.folder), input=given, capture_output=True,
+            check=True, text=True, timeout=60.0,
+        ).stdout  # fmt: skip
 
     def process_1(self, container: str) -> int:
         """The id of a running container's first process."""
@@ -144,10 +139,7 @@ def _daemon(kind: Kind) -> str:
 
 def _environment(kind: Kind, folder: Path) -> dict[str, str]:
     home = folder.parent / f"{kind}-client"
-    return {
-        **os.environ,
-        f"{kind.upper()}_DIR": str(folder),
-        "HOME": str(home),
-        "LXD_CONF": str(home),
-        "INCUS_CONF": str(home),
-    }
+    places = {f"{kind.upper()}_DIR": str(folder)} | dict.fromkeys(
+        ("HOME", "LXD_CONF", "INCUS_CONF"), str(home)
+    )
+    return os.environ | places

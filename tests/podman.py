@@ -40,13 +40,9 @@ class OwnPodman:
     def command(self, *arguments: str) -> str:
         """What Podman's own command answers; raises CalledProcessError."""
         return subprocess.run(
-            (*_podman(self.folder), *arguments),
-            env=_environment(self.folder),
-            capture_output=True,
-            check=True,
-            text=True,
-            timeout=60.0,
-        ).stdout
+            (*_podman(self.folder), *arguments), env=_environment(self.folder), capture_output=True, check=True,
+            text=True, timeout=60.0,
+        ).stdout  # fmt: skip
 
     def running(self) -> list[str]:
         """The ids of the containers that run or are frozen."""
@@ -88,12 +84,9 @@ def own_podman() -> Iterator[OwnPodman]:
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(
             (*_podman(folder), "system", "service", "--time=0", f"unix://{podman.socket}"),
-            env=_environment(folder),
             cwd=folder,  # where a note is left of each container that ran out of memory
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-        )
+            env=_environment(folder), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+        )  # fmt: skip
     try:
         wait_for(podman.socket.exists, within_s=30.0, seen=(folder / "log").read_text)
         yield podman

@@ -45,12 +45,18 @@ _DRONE: dict[str, Any] = {
 
 
 def ended(
-    command: Sequence[str | Path], folder: Path | None = None, *, timeout_s: float | None = 120.0
+    command: Sequence[object], folder: Path | None = None, *, timeout_s: float | None = 120.0
 ) -> subprocess.CompletedProcess[str]:
     """How a program ended, and what it printed."""
     wide = os.environ | _WIDE
     return subprocess.run(
-        command, cwd=folder, env=wide, timeout=timeout_s, capture_output=True, text=True, check=False
+        [*map(str, command)],
+        cwd=folder,
+        env=wide,
+        timeout=timeout_s,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 

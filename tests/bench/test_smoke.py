@@ -31,12 +31,8 @@ QUICK = {  # what each prints, among others
     "vehicle": r"\| total \| [\d.]+ \| [\d.]+ \|",
 }
 BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}
-AS_ROOT = {
-    "containers",
-    "links",
-    "peers",
-    "validate",
-}  # test_smoke_as_root.py, tests/system/test_peers_bench.py
+# In test_smoke_as_root.py and tests/system/test_peers_bench.py.
+AS_ROOT = {"containers", "links", "peers", "validate"}
 ENDS = {"client", "servers"}  # which `call` and `load` start
 
 

@@ -16,18 +16,8 @@ from upwash.real.trust.authority import make_keys
 
 # Packages that a flight, or a service's process, loads only where its configuration or its user asks for them.
 ASKED_FOR = {
-    *(
-        "cryptography",
-        "cv2",
-        "dbus_fast",
-        "distributed",
-        "matplotlib",
-        "numpy",
-        "onnx",
-        "onnxruntime",
-        "packaging",
-    ),
-    *("prometheus_client", "pyarrow", "pylxd", "rich", "starlette", "uvicorn"),
+    *("cryptography", "cv2", "dbus_fast", "distributed", "matplotlib", "numpy", "onnx", "onnxruntime"),
+    *("packaging", "prometheus_client", "pyarrow", "pylxd", "rich", "starlette", "uvicorn"),
     *("http.server", "importlib.metadata", "multiprocessing", "unittest"),
 }
 # Parts of upwash that are other programs', or are for what is asked for at the end.

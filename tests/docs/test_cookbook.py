@@ -48,15 +48,8 @@ def test_every_file_has_its_recipe() -> None:
 
 def test_the_marker_service_reads_a_code() -> None:
     drawn = cv2.QRCodeEncoder.create().encode("panel 17")
-    large = cv2.copyMakeBorder(
-        cv2.resize(drawn, None, fx=8, fy=8, interpolation=cv2.INTER_NEAREST),
-        40,
-        40,
-        40,
-        40,
-        cv2.BORDER_CONSTANT,
-        value=255,
-    )
+    large = cv2.resize(drawn, None, fx=8, fy=8, interpolation=cv2.INTER_NEAREST)
+    large = cv2.copyMakeBorder(large, *(40, 40, 40, 40), cv2.BORDER_CONSTANT, value=255)
     _, photo = cv2.imencode(".jpg", large)
     markers = runpy.run_path(str(FOLDER / "markers.py"))["Markers"]()
     assert markers.read(photo.tobytes()) == ["panel 17"]

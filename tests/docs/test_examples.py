@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,23 +10,19 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from tests.programs import ROOT, ended, upwash
 
 from upwash.config import read_daemon_config, read_drone_config
 from upwash.missions.bundled import load_services
 from upwash.rpc.service import spec_of
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = ROOT / "examples"
 SCENARIOS = sorted(file for file in EXAMPLES.glob("*.toml") if "[mission]" in file.read_text())
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
 def test_an_example_is_flown_on_the_drone_and_on_its_server(scenario: Path) -> None:
-    run = subprocess.run(
-        [sys.executable, "-m", "upwash", "simulate", str(scenario), "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run = upwash("simulate", scenario, "--json")
     assert run.returncode == 0, run.stderr
     totals = msgspec.json.decode(run.stdout)["totals"]
     assert totals["local"] > 0
@@ -35,13 +30,7 @@ def test_an_example_is_flown_on_the_drone_and_on_its_server(scenario: Path) -> N
 
 
 def test_a_notebook_shows_what_a_server_is_worth_in_any_folder(tmp_path: Path) -> None:
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "notebook.py")],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run = ended([sys.executable, EXAMPLES / "notebook.py"], tmp_path)
     assert run.returncode == 0, run.stderr
     alone, offloading, *_ = (line for line in run.stdout.splitlines() if "calls on the drone" in line)
     assert alone.endswith("5 of 5 calls on the drone")

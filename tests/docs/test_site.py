@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.programs import ROOT, ended
 
 from upwash.config import read_drone_config
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 
@@ -23,24 +22,8 @@ def blocks(page: str, language: str) -> list[str]:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site; a link that leads nowhere, or a page that nothing leads to, fails the build."""
     folder = tmp_path_factory.mktemp("site")
-    built = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "mkdocs",
-            "build",
-            "--quiet",
-            "--strict",
-            "-f",
-            "site/mkdocs.yml",
-            "-d",
-            str(folder),
-        ],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    build = ["mkdocs", "build", "--quiet", "--strict", "-f", "site/mkdocs.yml", "-d", folder]
+    built = ended([sys.executable, "-m", *build], ROOT, timeout_s=None)
     assert built.returncode == 0, built.stdout + built.stderr
     return folder
 

@@ -36,13 +36,7 @@ def bus_daemon(folder: Path) -> Iterator[str]:
     if program is None:
         pytest.skip("dbus-daemon is not installed: tests/system/install-packages installs it")
     (folder / "bus.conf").write_text(_BUS_CONFIG.format(socket=folder / "bus"))
-    command = [
-        program,
-        "--nofork",
-        "--nopidfile",
-        "--print-address=1",
-        f"--config-file={folder / 'bus.conf'}",
-    ]
+    command = [program, "--nofork", "--nopidfile", "--print-address=1", f"--config-file={folder}/bus.conf"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
         assert daemon.stdout is not None
         try:
@@ -131,13 +125,8 @@ class FakeManager:
     def set_carrier(self, device: str, *, is_up: bool) -> None:
         flags = 0x1 | LOWER_UP if is_up else 0x1
         self.devices[device].flags = flags
-        self._signal(
-            device,
-            "org.freedesktop.DBus.Properties",
-            "PropertiesChanged",
-            "sa{sv}as",
-            [DEVICE, {"InterfaceFlags": Variant("u", flags)}, []],
-        )
+        changed = [DEVICE, {"InterfaceFlags": Variant("u", flags)}, []]
+        self._signal(device, "org.freedesktop.DBus.Properties", "PropertiesChanged", "sa{sv}as", changed)
 
     def take_off_the_air(self, name: str) -> None:
         """The network is gone: for whoever is there, and for whoever comes."""

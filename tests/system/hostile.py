@@ -330,15 +330,8 @@ def frame(kind: int, flags: int, payload: bytes, *, stream: int = 1) -> bytes:
 
 def head(path: str, *, length: int | None = None, encoding: str = "identity", stream: int = 1) -> bytes:
     """The frame of headers that begins a request."""
-    headers = {
-        ":method": "POST",
-        ":scheme": "https",
-        ":path": path,
-        ":authority": "s1",
-        "te": "trailers",
-        "content-type": "application/grpc",
-        "grpc-encoding": encoding,
-    }
+    headers = {":method": "POST", ":scheme": "https", ":path": path, ":authority": "s1"}
+    headers |= {"te": "trailers", "content-type": "application/grpc", "grpc-encoding": encoding}
     if length is not None:
         headers["content-length"] = str(length)
     literals = (

@@ -46,10 +46,7 @@ def cluster(request: pytest.FixtureRequest) -> Iterator[OwnCluster]:
 
 
 def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
-    cluster: OwnCluster,
-    services: Path,
-    tmp_path: Path,
-    workbench_image: Path,
+    cluster: OwnCluster, services: Path, tmp_path: Path, workbench_image: Path
 ) -> None:
     make_keys(tmp_path, servers=[SERVERS], drones=["heron"])
 
@@ -114,10 +111,7 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
 
 
 async def with_runtime(
-    cluster: OwnCluster,
-    credentials: Credentials,
-    image: Path,
-    use: Callable[[LxdRuntime], Awaitable[None]],
+    cluster: OwnCluster, credentials: Credentials, image: Path, use: Callable[[LxdRuntime], Awaitable[None]]
 ) -> None:
     config = RuntimeConfig(
         kind="lxd",

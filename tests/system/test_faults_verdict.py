@@ -51,15 +51,7 @@ class Log:
         facts = {"server": place, "deadline_s": 1.2, "state": "READY", "local_s": 1.2, "remote_s": 0.4}
         self._add("decided", operation="spotter.look", decision="remote", position=at, **facts)
         self._t_s += CALL_S
-        facts = {
-            "delay_s": CALL_S,
-            "onboard_s": 0.0,
-            "waited_s": 0.0,
-            "at_s": 0.0,
-            "wait": "",
-            "decision": "",
-        }
-        self._add("call", operation="spotter.look", place=place, fell_back=False, **facts)
+        self._add("call", operation="spotter.look", place=place, delay_s=CALL_S)
         self._add("notified", message=message)
 
     def _add(self, event: str, **facts: Any) -> None:

@@ -24,14 +24,9 @@ from upwash.vehicle.server import serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)
 AGILE = VehicleSettings(
-    home=HOME,
-    acceleration_m_s2=300.0,
-    climb_m_s=100.0,
-    descent_m_s=100.0,
-    return_speed_m_s=100.0,
-    return_altitude_m=0.0,
-    armable_after_s=0.0,
-)
+    home=HOME, acceleration_m_s2=300.0, climb_m_s=100.0, descent_m_s=100.0,
+    return_speed_m_s=100.0, return_altitude_m=0.0, armable_after_s=0.0,
+)  # fmt: skip
 HASTY = FlightSettings(
     arm_again_s=0.2,
     progress_s=0.5,

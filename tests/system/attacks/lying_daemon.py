@@ -132,9 +132,8 @@ class LyingDaemon:
     def __init__(self, lie: Lie, keys: Path) -> None:
         self._lie = lie
         self._elsewhere = [
-            _listening("127.0.0.2", socket.AF_INET),
-            _listening(f"\0{ELSEWHERE}", socket.AF_UNIX),
-        ]
+            _listening("127.0.0.2", socket.AF_INET), _listening(f"\0{ELSEWHERE}", socket.AF_UNIX),
+        ]  # fmt: skip
         self.called_elsewhere = 0
         self.asked: Counter[str] = Counter()
         files = keys_in(keys, SERVER)
@@ -172,10 +171,8 @@ class LyingDaemon:
         if reply and "endpoints" in reply:
             host, port = self._elsewhere[0].getsockname()
             places = {"{port}": self.address.rpartition(":")[2], "{elsewhere}": f"{host}:{port}"}
-            reply = {
-                **reply,
-                "endpoints": {name: _filled(each, places) for name, each in reply["endpoints"].items()},
-            }
+            filled = {name: _filled(each, places) for name, each in reply["endpoints"].items()}
+            reply = {**reply, "endpoints": filled}
         return msgspec.msgpack.encode(reply or {})
 
     def _answer(self, path: str, body: bytes, context: grpc.ServicerContext) -> bytes:

@@ -336,7 +336,7 @@ def flown(air: Air, case: Case) -> Found:
             "local_pace_s": {"light": 6.0, "heavy": 6.0},
         }
         interfaces = ["wlan0", "wlan3"][: case.radios]
-        plan = {"altitude_m": 5.0, "ground_speed_m_s": 3.0}
+        plan: dict[str, Any] = {"altitude_m": 5.0, "ground_speed_m_s": 3.0}
         plan["waypoints_m"] = [[10 * number, 0] for number in range(case.waypoints)]
         write_drone(
             WORK,

@@ -75,16 +75,13 @@ def build(folder: Path) -> None:
     (root / "etc/systemd/system/flights.service").write_text(UNIT)
     wanted = root / "etc/systemd/system/multi-user.target.wants/flights.service"
     wanted.symlink_to("/etc/systemd/system/flights.service")
-    for unit in (
-        "hostapd.service",
-        "wpa_supplicant-nl80211.service",
-        "systemd-networkd.service",
-        "apt-daily.timer",
-    ):
-        (root / "etc/systemd/system" / unit).unlink(missing_ok=True)
-        (root / "etc/systemd/system" / unit).symlink_to("/dev/null")
-    for folder_of in ("", "multi-user.target.wants/"):
-        (root / f"etc/systemd/system/{folder_of}NetworkManager.service").unlink(missing_ok=True)
+    units = root / "etc/systemd/system"
+    for name in ("hostapd", "wpa_supplicant-nl80211", "systemd-networkd", "apt-daily.timer"):
+        unit = units / (name if "." in name else f"{name}.service")
+        unit.unlink(missing_ok=True)
+        unit.symlink_to("/dev/null")
+    for place in (units, units / "multi-user.target.wants"):
+        (place / "NetworkManager.service").unlink(missing_ok=True)
     for name in ("vmlinuz", "initrd.img"):
         (found,) = (root / "boot").glob(f"{name}-*")
         shutil.copy(found, folder / name)
@@ -100,17 +97,8 @@ def flights(folder: Path, cases: Sequence[str], found: Path, *, timeout_s: float
     with (found / "qemu.log").open("wb") as log:
         subprocess.run(
             [
-                *(
-                    "qemu-system-x86_64",
-                    "-accel",
-                    "tcg,thread=multi",
-                    "-cpu",
-                    "max",
-                    "-m",
-                    "2048",
-                    "-smp",
-                    "2",
-                ),
+                *("qemu-system-x86_64", "-accel", "tcg,thread=multi"),
+                *("-cpu", "max", "-m", "2048", "-smp", "2"),
                 *("-display", "none", "-no-reboot", "-nic", "none", "-serial", f"file:{found}/console.log"),
                 *("-kernel", f"{folder}/vmlinuz", "-initrd", f"{folder}/initrd.img"),
                 *("-append", "root=/dev/vda rw console=ttyS0 quiet systemd.show_status=no"),
