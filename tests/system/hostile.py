@@ -360,12 +360,13 @@ def call_of_echo(data: bytes) -> Iterator[bytes]:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Attacked:
     """How an honest drone was served, and how much more memory was held than without the attack, at most."""
 
     usual_s: float
     attacked_s: float
     grown_bytes: int
+    attack: str
 
 
 class Peak:
@@ -383,8 +384,8 @@ class Peak:
         return most
 
 
-async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, calls: int) -> Outcome:
-    """Has an honest drone call before and during the attack; raises where a call is not answered."""
+async def attacked(at: Daemon, keys: Path, services: Path, name: str, *, calls: int) -> Attacked:
+    """Has an honest drone call before and during the attack of that name; raises where a call is not answered."""
     believed = shown(keys, "heron")
     async with guests(at, services, ("heron", believed, "s1")) as (heron,):
         endpoint = (await heron.start()).endpoint
@@ -393,7 +394,7 @@ async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, ca
         peak = Peak([at.process.pid, *at.instances()])
         usual_s = await _served(heron, endpoint, 2 * calls)
         usual_bytes = peak.taken()
-        attacking = attack(target)
+        attacking = ATTACKS[name](target)
         await asyncio.to_thread(attacking.__enter__)
         try:
             attacked_s = await _served(heron, endpoint, 2 * calls)
@@ -404,7 +405,7 @@ async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, ca
         usual_s += await _served(
             heron, endpoint, 2 * calls
         )  # while what the attack left behind is dealt with
-        return Outcome(median(usual_s), median(attacked_s), peak.taken() - usual_bytes)
+        return Attacked(median(usual_s), median(attacked_s), peak.taken() - usual_bytes, name)
 
 
 async def _served(drone: Guest, endpoint: str, calls: int) -> list[float]:
@@ -418,13 +419,6 @@ async def _served(drone: Guest, endpoint: str, calls: int) -> list[float]:
     return delays_s
 
 
-@dataclass(frozen=True)
-class Attacked(Outcome):
-    """What came of the attack of that name."""
-
-    attack: str
-
-
 def main() -> None:
     """Prints the table."""
     services = Path(__file__).parents[1] / "services_for_tests.py"
@@ -434,20 +428,20 @@ def main() -> None:
     options = parser.parse_args()
     figures = []
     print("| attack | usual, ms | attacked, ms | ratio | memory, MB |\n|---|---|---|---|---|")
-    for name, attack in ATTACKS.items():
+    for name in ATTACKS:
         if options.only not in name:
             continue
         with tempfile.TemporaryDirectory() as folder:
             text, keys = attacked_site(Path(folder))
             with daemon(Path(folder), text) as at:
-                outcome = asyncio.run(attacked(at, keys, services, attack, calls=150))
+                outcome = asyncio.run(attacked(at, keys, services, name, calls=150))
         ratio = outcome.attacked_s / outcome.usual_s
         print(
             f"| {name} | {outcome.usual_s * 1e3:.1f} | {outcome.attacked_s * 1e3:.1f} | {ratio:.2f} "
             f"| {outcome.grown_bytes / 1e6:.1f} |",
             flush=True,
         )
-        figures.append(Attacked(outcome.usual_s, outcome.attacked_s, outcome.grown_bytes, attack=name))
+        figures.append(outcome)
     if options.out:
         leave(options.out, command="python -m tests.system.hostile", figures=figures)
 

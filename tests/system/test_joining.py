@@ -48,6 +48,13 @@ class Stage:
     network: ManagedNetwork
     journal: MemoryJournal
 
+    async def joins(self, network: str) -> None:
+        await self.network.join(network, timeout_s=LOOK_S)
+
+    async def refuses(self, network: str, why: str) -> None:
+        with pytest.raises(NetworkError, match=why):
+            await self.joins(network)
+
     def events(self, name: str) -> list[dict[str, Any]]:
         return [event for event in written(self.journal.events) if event["event"] == name]
 
@@ -88,21 +95,19 @@ async def stage(
 )
 async def test_why_a_network_cannot_be_joined(reason: int, why: str) -> None:
     async with stage(profile("s1-net", fails=reason), profile("s2-net")) as on:
-        with pytest.raises(NetworkError, match=f"s1-net cannot be joined: {why}"):
-            await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.refuses("s1-net", f"s1-net cannot be joined: {why}")
         assert on.manager.active == []
-        await on.network.join("s2-net", timeout_s=LOOK_S)
+        await on.joins("s2-net")
         assert on.manager.active == ["s2-net"]
 
 
 async def test_a_secret_that_was_right_is_not_blamed_when_the_access_point_goes() -> None:
     gone = profile("s1-net")
     async with stage(gone) as on:
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
         await on.network.leave()
         gone.fails = 7
-        with pytest.raises(NetworkError, match="the access point did not answer; its secret was right"):
-            await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.refuses("s1-net", "the access point did not answer; its secret was right")
 
 
 @pytest.mark.parametrize("trouble", [{"is_stuck": True}, {"lacks_address": True}])
@@ -124,7 +129,7 @@ async def test_a_join_that_is_cancelled_does_not_go_on() -> None:
 
 async def test_a_carrier_that_is_gone_is_a_lost_network_though_the_manager_still_holds_on_to_it() -> None:
     async with stage(profile("s1-net")) as on:
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
         on.manager.take_off_the_air("s1-net")
         assert await on.network.lost() == "its carrier is gone"
         assert on.manager.active == ["s1-net"]
@@ -134,7 +139,7 @@ async def test_a_carrier_that_is_gone_is_a_lost_network_though_the_manager_still
 
 async def test_a_connection_that_is_ended_by_someone_else_is_lost_with_the_reason() -> None:
     async with stage(profile("s1-net")) as on:
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
         (connection,) = on.manager.connections
         on.manager.end(connection, device_reason=36)
         assert await on.network.lost() == "the interface was taken out"
@@ -145,48 +150,42 @@ async def test_a_connection_that_is_ended_by_someone_else_is_lost_with_the_reaso
 
 async def test_a_network_without_a_profile_is_said_to_have_none() -> None:
     async with stage(profile("s1-net")) as on:
-        with pytest.raises(NetworkError, match="no connection profile s9-net is on this drone"):
-            await on.network.join("s9-net", timeout_s=LOOK_S)
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.refuses("s9-net", "no connection profile s9-net is on this drone")
+        await on.joins("s1-net")
 
 
 async def test_profiles_are_known_by_their_uuid_too_which_alone_tells_namesakes_apart() -> None:
     async with stage(FakeProfile("s1-net", "one"), FakeProfile("s1-net", "two")) as on:
-        with pytest.raises(NetworkError, match=r"2 connection profiles are called s1-net: .*one, two"):
-            await on.network.join("s1-net", timeout_s=LOOK_S)
-        await on.network.join("two", timeout_s=LOOK_S)
+        await on.refuses("s1-net", r"2 connection profiles are called s1-net: .*one, two")
+        await on.joins("two")
 
 
 async def test_a_profile_for_an_interface_that_is_not_upwashs_is_not_activated() -> None:
     section = {"connection": {"interface-name": Variant("s", "wlan0")}}
     async with stage(profile("s1-net", settings=section)) as on:
-        with pytest.raises(NetworkError, match=r"for wlan0, which is not among network\.interfaces"):
-            await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.refuses("s1-net", r"for wlan0, which is not among network\.interfaces")
         assert "ActivateConnection" not in on.manager.calls
 
 
 async def test_a_wired_profile_is_not_activated_on_a_radio() -> None:
     async with stage(profile("s1-net", kind="802-3-ethernet")) as on:
-        with pytest.raises(NetworkError, match="needs an interface that is not there: 802-3-ethernet"):
-            await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.refuses("s1-net", "needs an interface that is not there: 802-3-ethernet")
 
 
 async def test_a_vpn_needs_no_interface_and_has_reasons_of_its_own() -> None:
     refused = profile("s2-net", kind="vpn", fails_itself=10)
     async with stage(profile("s1-net", kind="vpn"), refused) as on:
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
         assert [place for _, place, _ in on.manager.connections.values()] == ["/"]
         await on.network.leave()
         assert on.manager.active == []
-        with pytest.raises(NetworkError, match="s2-net cannot be joined: its secret is wrong"):
-            await on.network.join("s2-net", timeout_s=LOOK_S)
+        await on.refuses("s2-net", "s2-net cannot be joined: its secret is wrong")
 
 
 async def test_a_user_without_the_right_is_told_of_the_rule() -> None:
     async with stage(profile("s1-net")) as on:
         on.manager.refusal = (f"{NAME}.PermissionDenied", "Not authorized to control networking.")
-        with pytest.raises(NetworkError, match=r"Not authorized .* docs/networks\.md has the polkit rule"):
-            await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.refuses("s1-net", r"Not authorized .* docs/networks\.md has the polkit rule")
 
 
 async def test_idle_radios_look_for_networks_and_others_do_not() -> None:
@@ -247,40 +246,39 @@ async def test_a_manager_that_hangs_costs_the_time_allowed_and_is_forgiven(ignor
         with pytest.raises(NetworkError, match=r"s1-net was not joined within 0\.2 s"):
             await on.network.join("s1-net", timeout_s=0.2)
         on.manager.ignored = frozenset()
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
 
 
 async def test_a_manager_that_hangs_while_a_network_is_left_is_logged_and_tidied_up_after() -> None:
     async with stage(profile("s1-net"), profile("s2-net")) as on:
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
         on.manager.ignored = EVERYTHING
         await on.network.leave()
         (failed,) = on.events("leave_failed")
         assert failed["network"] == "s1-net"
         assert failed["why"].startswith(("NetworkManager did not answer DeactivateConnection", "it is still"))
         on.manager.ignored = frozenset()
-        await on.network.join("s2-net", timeout_s=LOOK_S)
+        await on.joins("s2-net")
         assert on.manager.active == ["s2-net"]
         assert [event["network"] for event in on.events("left_over")] == ["s1-net"]
 
 
 async def test_a_restart_of_the_manager_loses_the_network_which_is_left_under_its_new_path() -> None:
     async with stage(profile("s1-net")) as on:
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
         await on.manager.restart()
         assert await on.network.lost() == "NetworkManager has stopped"
         await on.network.leave()
         await on.manager.until(lambda: on.manager.active == [])
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
 
 
 async def test_without_a_manager_the_remedy_is_told() -> None:
     async with stage(profile("s1-net")) as on:
         await on.manager.stop()
-        with pytest.raises(NetworkError, match="NetworkManager is not on the system bus: install it"):
-            await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.refuses("s1-net", "NetworkManager is not on the system bus: install it")
         await on.manager.start()
-        await on.network.join("s1-net", timeout_s=LOOK_S)
+        await on.joins("s1-net")
 
 
 async def test_without_a_bus_the_remedy_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,9 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import grpc
 import pytest
-from grpc_health.v1 import health_pb2, health_pb2_grpc
 from tests.children import children, is_alive
 from tests.played import played
 from tests.programs import upwash
@@ -25,7 +23,6 @@ from tests.system.daemons import (
     SERVICES,
     Daemon,
     Guest,
-    channel,
     config,
     daemon,
     guests,
@@ -139,18 +136,6 @@ async def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_o
 @played("socket_visited", "heron@s1")
 async def test_a_daemon_on_a_unix_socket_needs_no_certificates(_: Daemon, heron: Guest) -> None:
     assert (await served(heron)).startswith("unix:")
-
-
-@played("visited")
-async def test_the_standard_health_service_answers(at: Daemon, *, keys: Path) -> None:
-    with channel(at.address, shown(keys, "heron"), "s2") as heron:
-        health = health_pb2_grpc.HealthStub(heron)
-        for name in ("", "s1", "s2"):
-            reply = health.Check(health_pb2.HealthCheckRequest(service=name), timeout=5.0)
-            assert reply.status == health_pb2.HealthCheckResponse.SERVING
-        with pytest.raises(grpc.RpcError) as refusal:
-            health.Check(health_pb2.HealthCheckRequest(service="s3"), timeout=5.0)
-        assert refusal.value.code() is grpc.StatusCode.NOT_FOUND
 
 
 # --- whom it does not serve ---------------------------------------------------------------------------------
