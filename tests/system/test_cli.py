@@ -335,15 +335,6 @@ def test_keys_prints_the_files_that_it_made_and_only_the_owner_reads_the_keys(
         assert mode == (0o600 if name.endswith(".key") else 0o644)
 
 
-def test_keys_of_a_second_run_are_of_the_same_authority_and_nothing_is_overwritten(
-    tmp_path: Path, run: Run
-) -> None:
-    assert run("keys", ".", "--drone", "heron").returncode == 0
-    second = run("keys", ".", "--server", "s1")
-    assert second.stdout.splitlines() == ["s1.pem", "s1.key"]
-    assert "heron.key: already there" in complaint(run("keys", ".", "--drone", "heron"))
-
-
 def test_keys_says_what_is_left_to_do_with_a_list_and_with_another_authority(
     tmp_path: Path, run: Run
 ) -> None:
