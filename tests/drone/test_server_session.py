@@ -8,7 +8,9 @@ from typing import Any
 
 import msgspec
 import pytest
+from tests.scenarios import scenario, server
 
+from upwash.drone.preparation import endpoints, make_estimates
 from upwash.drone.server_session import MOST_MOVES, ServerEndpoint, ServerSession
 from upwash.errors import (
     DeadlineExceeded,
@@ -30,6 +32,8 @@ from upwash.rpc.protocol import (
     LeaveReply,
     StartReply,
 )
+from upwash.rpc.service import spec_of
+from upwash.services import Detector
 from upwash.sim.loop import run_virtually
 
 READY = AvailabilityReply(
@@ -391,3 +395,16 @@ def test_a_daemon_that_is_silent_or_expects_nothing_hears_no_farewell() -> None:
         assert not await field.session.end(in_range=True)
 
     tell(story)
+
+
+@pytest.mark.parametrize("address", ["10.0.0.1:7070", "mdns"])
+def test_only_a_server_without_an_address_of_its_own_is_looked_up(address: str) -> None:
+    async def find(name: str) -> str:
+        return f"{name}.found:7"
+
+    config = scenario(server("s1", 0.0, 0.0))
+    servers = [msgspec.structs.replace(each, address=address) for each in config.servers]
+    config = msgspec.structs.replace(config, servers=servers)
+    endpoint = endpoints(config, make_estimates(config, {"detector": spec_of(Detector)}), find)["s1"]
+    assert (endpoint.finder is find) is (address == "mdns")
+    assert endpoint.services == ("detector",)

@@ -18,6 +18,8 @@ from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.px4 import Mode
 from upwash.ports import VehicleLimits, VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
+from upwash.real.mavlink.parameters import read_parameters
+from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body.connection import PeerConnection
@@ -175,6 +177,25 @@ async def test_what_happens_at_a_px4s_fence_is_told(_: Bench, autopilot: Mavlink
     await autopilot.limits()
     told = {each.name for each in news if isinstance(each, VehicleSetting)}
     assert {"GF_ACTION", "GF_PREDICT"} <= told
+
+
+@pytest.mark.parametrize(("avoids", "told"), [({}, []), ({"OA_TYPE": 0.0}, []), ({"OA_TYPE": 1.0}, [1.0])])
+def test_an_arducopter_that_flies_round_obstacles_is_told(
+    monkeypatch: pytest.MonkeyPatch, avoids: dict[str, float], told: list[float]
+) -> None:
+    news: list[VehicleNews] = []
+
+    async def read(vehicle: MavlinkVehicle, names: Sequence[str]) -> dict[str, float]:
+        return {**await read_parameters(vehicle, names), **avoids}
+
+    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
+        autopilot.listen(news.append)
+        await autopilot.limits()
+
+    monkeypatch.setattr("upwash.real.mavlink.arducopter.read_parameters", read)
+    fly(flight, ARDUCOPTER, {})
+    found = [each for each in news if isinstance(each, VehicleSetting) and each.name == "OA_TYPE"]
+    assert [each.value for each in found] == told
 
 
 def test_a_fence_that_a_vehicle_does_not_tell_is_a_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
