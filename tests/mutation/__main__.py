@@ -18,14 +18,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
 from tests.mutation.mutants import Mutant, mutants_of
-from tests.mutation.planted import HANGS_S, Job, Outcome
+from tests.mutation.planted import Job, Outcome
 
 ROOT = Path(__file__).parents[2]
 ARGUED = Path(__file__).with_name("argued.txt")
@@ -89,25 +88,35 @@ def noted(package: str, folder: Path) -> Notes:
     return Notes({test: entered for part in parts for test, entered in part.functions.items()})
 
 
-def judged(jobs: Sequence[Job], folder: Path) -> list[Outcome]:
-    """What becomes of each defect in a function: planted in forks of one process."""
+def judged(jobs: Sequence[Job], folder: Path, place: Path = ROOT) -> list[Outcome]:
+    """What becomes of each defect, by the tests and sources of a place; fewer where tests cannot be collected."""
     if not jobs:
         return []
     file = folder / "jobs"
+    outcomes = file.with_suffix(".outcomes")
+    outcomes.unlink(missing_ok=True)
     file.write_bytes(b"".join(msgspec.json.encode(job, enc_hook=str) + b"\n" for job in jobs))
-    paths = sorted({test.partition("::")[0] for job in jobs for test in job.tests})
+    paths = {test.partition("::")[0] for job in jobs for test in job.tests}
     subprocess.run(
-        (*_PYTEST, "-p", "tests.mutation.planted", "-m", _ORDINARY, *paths),
-        cwd=ROOT,
-        env=os.environ | {"MUTATION_JOBS": str(file), "PYTHONPATH": str(ROOT / "src")},
+        (
+            *_PYTEST,
+            "-p",
+            "tests.mutation.planted",
+            "-m",
+            _ORDINARY,
+            *sorted(path for path in paths if (place / path).exists()),
+        ),
+        cwd=place,
+        env=os.environ
+        | {"MUTATION_JOBS": str(file), "PYTHONPATH": str(place / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
         stdout=subprocess.DEVNULL,
-        check=True,
+        check=False,
     )
-    lines = file.with_suffix(".outcomes").read_bytes().splitlines()
+    lines = outcomes.read_bytes().splitlines() if outcomes.exists() else []
     return [msgspec.json.decode(line, type=Outcome) for line in lines]
 
 
-def judged_alone(job: Job, folder: Path) -> Outcome:
+def judged_alone(mutant: Mutant, tests: list[str], folder: Path) -> Outcome:
     """What becomes of a defect that must perhaps be there at the import: planted in a copy of the sources."""
     place = folder / "copy"
     shutil.rmtree(place, ignore_errors=True)
@@ -117,25 +126,9 @@ def judged_alone(job: Job, folder: Path) -> Outcome:
             shutil.copytree(entry, place / "src", ignore=shutil.ignore_patterns("__pycache__"))
         elif not entry.name.startswith((".git", ".venv")) or entry.name == ".gitignore":
             (place / entry.name).symlink_to(entry)
-    (place / job.mutant.file.relative_to(ROOT)).write_bytes(job.mutant.applied())
-    began_s = time.monotonic()
-    with subprocess.Popen(
-        (*_PYTEST, "-x", "-m", _ORDINARY, *job.tests[:_SMALLEST]),
-        cwd=place,
-        env=os.environ | {"PYTHONPATH": str(place / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    ) as running:
-        try:
-            printed, _ = running.communicate(timeout=HANGS_S)
-        except subprocess.TimeoutExpired:
-            os.killpg(running.pid, 9)
-            return Outcome("", time.monotonic() - began_s)
-    failed = [line for line in printed.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    found_by = failed[0] if failed else "" if running.returncode == 0 else printed[-300:]
-    return Outcome(found_by, time.monotonic() - began_s)
+    (place / mutant.file.relative_to(ROOT)).write_bytes(mutant.applied())
+    outcomes = judged([Job(None, tests)], folder, place)
+    return outcomes[0] if outcomes else Outcome("the collection of the tests", 0.0)
 
 
 def drawn(package: str, count: int, seed: int) -> list[Mutant]:
@@ -149,20 +142,18 @@ def score(package: str, mutants: Sequence[Mutant], notes: Notes, folder: Path) -
     """Judges the mutants and prints what finds each; the row of the table."""
     harmless = {line.partition("  # ")[0] for line in ARGUED.read_text().splitlines()}
     argued = [mutant for mutant in mutants if _key(mutant) in harmless]
-    jobs = [Job(mutant, notes.tests_of(mutant)) for mutant in mutants if mutant not in argued]
-    in_functions = [job for job in jobs if job.mutant.function]
-    outcomes = dict(zip((job.mutant for job in in_functions), judged(in_functions, folder), strict=True))
+    tests = {mutant: notes.tests_of(mutant) for mutant in mutants if mutant not in argued}
+    in_functions = [mutant for mutant in tests if mutant.function]
+    outcomes = judged([Job(mutant, tests[mutant]) for mutant in in_functions], folder)
+    known = dict(zip(in_functions, outcomes, strict=True))
     found = 0
-    for job in jobs:
-        outcome = outcomes.get(job.mutant)
+    for mutant, chosen in tests.items():
+        outcome = known.get(mutant)
         if outcome is None or not outcome.found_by:
-            outcome = judged_alone(job, folder)
+            outcome = judged_alone(mutant, chosen, folder)
         found += bool(outcome.found_by)
-        place = str(job.mutant).removeprefix(f"{ROOT}/")
-        print(
-            f"{outcome.took_s:5.0f} s  {place}  {outcome.found_by or f'SURVIVED  {_key(job.mutant)}'}",
-            flush=True,
-        )
+        by = outcome.found_by or f"SURVIVED  {_key(mutant)}"
+        print(f"{outcome.took_s:5.0f} s  {str(mutant).removeprefix(f'{ROOT}/')}  {by}", flush=True)
     return f"{len(mutants)} planted, {found} found, {len(argued)} argued"
 
 

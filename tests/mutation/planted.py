@@ -24,9 +24,9 @@ HANGS_S = 400.0  # pytest ends a test that hangs, unless the interpreter itself 
 
 
 class Job(msgspec.Struct):
-    """A defect, and the tests that judge it, in order."""
+    """A defect, None where it is in the sources already, and the tests that judge it, in order."""
 
-    mutant: Mutant
+    mutant: Mutant | None
     tests: list[str]
 
 
@@ -48,6 +48,8 @@ class Planting:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Judge each defect."""
+        if session.testsfailed:
+            raise session.Interrupted("the tests cannot be collected")
         items = {item.nodeid: item for item in session.items}
         file = Path(os.environ["MUTATION_JOBS"])
         gc.freeze()
@@ -59,7 +61,7 @@ class Planting:
         return True
 
 
-def _in_fork(mutant: Mutant, tests: Sequence[pytest.Item], session: pytest.Session) -> Outcome:
+def _in_fork(mutant: Mutant | None, tests: Sequence[pytest.Item], session: pytest.Session) -> Outcome:
     began_s = time.monotonic()
     reads, writes = os.pipe()
     child = os.fork()
@@ -68,7 +70,7 @@ def _in_fork(mutant: Mutant, tests: Sequence[pytest.Item], session: pytest.Sessi
         silence = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silence, 1)
         os.dup2(silence, 2)
-        found_by = _first_failure(tests, session) if plant(mutant) else None
+        found_by = _first_failure(tests, session) if mutant is None or plant(mutant) else None
         os.write(writes, json.dumps(found_by).encode())
         os._exit(0)
     os.close(writes)
