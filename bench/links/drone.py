@@ -43,7 +43,8 @@ async def visit(session: ServerSession, order: Order) -> Seen:
     began_s, failure = now_s(), ""
     for _ in range(order.checks):
         try:
-            if not (await session.ask()).running:
+            await session.ask()
+            if not session.running:
                 await session.start(timeout_s=START_S)
             break
         except LinkError as error:

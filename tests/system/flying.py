@@ -49,7 +49,8 @@ class Flying:
     async def fly(self, until: asyncio.Event, arrived: Callable[[], None]) -> None:
         session = self._session
         await session.join(timeout_s=5.0)
-        if not (await session.ask()).running:
+        await session.ask()
+        if not session.running:
             await session.start(timeout_s=60.0)
         keeping = asyncio.create_task(session.keep_lease())
         arrived()

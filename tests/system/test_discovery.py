@@ -57,7 +57,8 @@ async def test_a_drone_finds_a_daemon_and_its_services_by_the_servers_name(
 ) -> None:
     with daemon(tmp_path, config(keys, announce=True)):
         async with session_of(keys, "workbench") as session:
-            assert not (await session.ask()).running
+            await session.ask()
+            assert not session.running
             await session.start(timeout_s=60.0)
             assert await session.call("workbench", "process_id", b"\x80", deadline_s=10.0)
 
