@@ -121,6 +121,7 @@ class Daemon:
     def __init__(self, *, slots: int = 1, start_timeout_s: float = 60.0) -> None:
         self.runtime = Runtime()
         self.observed: list[str] = []
+        self.peer_answers_in_s = 0.0
         self.core = AdmissionController(
             {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
             AdmissionSettings(lease_s=LEASE_S, idle_stop_s=100),
@@ -165,6 +166,7 @@ class Daemon:
         await self.edge.handle(DENY, msgspec.msgpack.encode(DenyRequest("s1", ["detector"])), Client(drone))
 
     async def _nothing_to_hold(self, path: str, body: bytes, client: Client) -> bytes:
+        await asyncio.sleep(self.peer_answers_in_s)
         peer = msgspec.msgpack.decode(body, type=HoldRequest).server
         return msgspec.msgpack.encode(HoldReply(held=False, reason=f"{peer} is full"))
 
@@ -427,6 +429,33 @@ async def test_a_drone_that_waits_for_the_next_instance_gets_it_also_where_the_f
     await asyncio.sleep(0.1)
     daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
     assert (await starting).endpoint not in ("", first.endpoint)
+
+
+@played(serve)
+async def test_an_instance_of_no_use_has_2_s_for_other_calls_and_30_s_to_be_gone(daemon: Daemon) -> None:
+    await daemon.start()
+    (instance,) = daemon.runtime.instances
+    instance.call_ends_in_s = instance.stops_in_s = 1e6
+    daemon.runtime.called[0]("d1")
+    while not instance.refuses:
+        await daemon.keep_asking(0.09)
+    began_s = asyncio.get_running_loop().time()
+    while len(daemon.runtime.instances) == 1:
+        await daemon.keep_asking(0.09)
+    replaced_s = asyncio.get_running_loop().time() - began_s
+    assert replaced_s == pytest.approx(2.0 + STOP_S + COLD_START_S, abs=0.3)
+    instance.ended.set_result("at last")
+
+
+@played(serve)
+async def test_a_peer_that_is_silent_is_waited_for_as_long_as_it_may_take(daemon: Daemon) -> None:
+    await daemon.start()
+    daemon.peer_answers_in_s = 2.9
+    assert (await daemon.prepare("s2")).reason == "s2 is full"
+    daemon.peer_answers_in_s = 3.1
+    began_s = asyncio.get_running_loop().time()
+    assert "no answer within 3.0 s" in (await daemon.prepare("s2")).reason
+    assert asyncio.get_running_loop().time() - began_s == pytest.approx(3.0)
 
 
 @played(serve)
