@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from upwash.core.geo import Position
-from upwash.core.knowledge.coverage import MOST_PLACES, NEAR_M, SAME_M, Coverage
+from upwash.core.knowledge.coverage import MOST_PLACES, NEAR_M, SAME_M, Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
 
@@ -101,3 +101,21 @@ def test_the_places_of_a_server_are_bounded() -> None:
     assert len(list(known.places("lte"))) == MOST_PLACES
     assert known.at("lte", Position(0.0, 10.0 * (MOST_PLACES + 9))) is not None
     assert known.at("lte", Position(0.0, -10.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("answered", "tried", "reached"), [(0, 0, True), (1, 1, True), (1, 2, True), (1, 3, False), (0, 1, False)]
+)
+def test_a_place_is_reached_where_half_of_the_calls_are_answered(
+    answered: int, tried: int, *, reached: bool
+) -> None:
+    assert MeasuredPlace(HERE, tried, answered).reached is reached
+
+
+def test_the_goodput_of_a_place_is_that_of_large_calls() -> None:
+    place = MeasuredPlace(HERE)
+    place.carry(9_999, 1.0)
+    assert place.goodput_bit_s is None
+    place.carry(10_000, 2.0)
+    place.carry(30_000, 3.0)
+    assert place.goodput_bit_s == 8 * 40_000 / 5.0

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import pytest
 
 from upwash.core.geo import Circle, Position
-from upwash.core.knowledge.servers import CHECKING, SELECTED, TRANSITIONS, Change, Server, State, Trigger
+from upwash.core.knowledge.servers import (
+    CHECKING,
+    SELECTED,
+    TRANSITIONS,
+    Change,
+    Server,
+    ServerTable,
+    State,
+    Trigger,
+)
 from upwash.errors import TransitionError
 
 AVL, AVL_R, CHECK, CHECK_R, READY, BLACKLISTED = (
@@ -154,3 +164,26 @@ def test_the_history_keeps_the_latest_steps_only() -> None:
         server.apply(Trigger.SELECTED if step % 2 == 0 else Trigger.DESELECTED, now_s=float(step))
     assert len(server.history) == 20
     assert server.history[-1].at_s == 999.0
+
+
+def test_nothing_expires_but_a_blacklisting_that_no_probe_ends_and_the_belief_in_services() -> None:
+    table = ServerTable({"s1": Circle(Position(0.0, 0.0), 100.0)}, idle_s=60.0)
+    server = table.servers["s1"]
+    for state in State:
+        server.state, server.since_s, server.left_alone_s = state, 10.0, 25.0
+        table.meet()
+        due_s = {AVL_R: 70.0, BLACKLISTED: 35.0}.get(state, math.inf)
+        assert table.next_expiry_s(probed=()) == due_s
+        assert table.next_expiry_s(probed=[server]) == (math.inf if state is BLACKLISTED else due_s)
+        assert table.expire(due_s - 0.001, probed=()) == []
+        if due_s < math.inf:
+            assert [change.after for change in table.expire(due_s, probed=())] == [AVL]
+
+
+def test_a_blacklisting_of_a_probed_server_does_not_expire() -> None:
+    table = ServerTable({"s1": Circle(Position(0.0, 0.0), 100.0)}, idle_s=60.0)
+    server = table.servers["s1"]
+    server.state, server.left_alone_s = BLACKLISTED, 25.0
+    table.meet()
+    assert table.blacklisted == [server]
+    assert table.expire(99.0, probed=[server]) == []
