@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -112,7 +112,7 @@ def simulate_fleet(
     added to `seen`.
     """
     drones = [
-        _Drone(_at_own_host(config), presence)
+        _Drone(config, presence)
         for config, presence in zip(fleet, there or [Presence() for _ in fleet], strict=True)
     ]
     ends = [_End() for _ in drones]
@@ -137,19 +137,17 @@ class _End(NamedTuple):
     coverage: Coverage | None = None
 
 
-@dataclass(frozen=True, slots=True)
 class _Drone:
-    config: DroneConfig
-    presence: Presence
-    journal: MemoryJournal = field(default_factory=MemoryJournal)
-    range_intervals: list[RangeInterval] = field(default_factory=list)
+    """One drone among servers at hosts of their own: what it is given, and what it leaves behind."""
 
-
-def _at_own_host(config: DroneConfig) -> DroneConfig:
-    servers = tuple(
-        msgspec.structs.replace(server, address=daemon_address(server.name)) for server in config.servers
-    )
-    return msgspec.structs.replace(config, servers=servers)
+    def __init__(self, config: DroneConfig, presence: Presence) -> None:
+        replace = msgspec.structs.replace
+        servers = tuple(replace(server, address=daemon_address(server.name)) for server in config.servers)
+        self.config = replace(config, servers=servers)
+        self.presence = presence
+        self.chance, self.faults = Chance(config.seed), Faults(config.faults)
+        self.journal = MemoryJournal()
+        self.range_intervals: list[RangeInterval] = []
 
 
 async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Seen] | None) -> list[_End]:
@@ -179,7 +177,7 @@ async def _fly_one(
     config, presence, journal = drone.config, drone.presence, drone.journal
     if presence.departs_s:
         await asyncio.sleep(presence.departs_s)
-    chance, faults = Chance(config.seed), Faults(config.faults)
+    chance, faults = drone.chance, drone.faults
     journal.meter = _energy(config)
     observe: Observe = unobserved
     if seen is not None:
@@ -197,15 +195,13 @@ async def _fly_one(
         observe=observe,
     )
     areas = true_areas(config)
-    radios = _radios(
-        config, areas, autopilot, switchboard, faults=faults, chance=chance, journal=journal, observe=observe
-    )
+    radios = _radios(drone, areas, autopilot, switchboard, observe)
     flight = Flight(
         load_mission(config.mission.program, mode=config.mission.mode),
         config,
         services=software.classes,
         programs=software.programs,
-        ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observe=observe),
+        ports=_ports(drone, autopilot, radios, software, observe),
     )
     try:
         async with beside(observe_ranges(autopilot, areas, drone.range_intervals), name="observer of ranges"):
@@ -223,22 +219,20 @@ async def _fly_one(
 
 
 def _ports(
-    config: DroneConfig,
+    drone: _Drone,
     autopilot: ModelAutopilot,
     radios: tuple[list[Network], Dialer],
-    journal: MemoryJournal,
-    *,
     software: Software,
-    chance: Chance,
     observe: Observe,
 ) -> Ports:
+    config, journal = drone.config, drone.journal
     joining = Joining()
     computer = DroneComputer(
         config.services,
         heat=Heat(Surroundings(config.heat.ambient_c, config.heat.load_w)) if config.heat else None,
         joining=joining,
         noise=config.noise.call,
-        chance=chance,
+        chance=drone.chance,
         energy=journal.meter,
         observe=observe,
     )
@@ -253,7 +247,7 @@ def _ports(
         dialer=dialer,
         onboard_dialer=ModelDialer(config.name, onboard),
         onboard_runtime=ModelRuntime(software.specs, computer, onboard, objects=software.objects),
-        camera=_camera(config, chance),
+        camera=_camera(config, drone.chance),
         notifier=journal,
         journal=journal,
     )
@@ -269,17 +263,14 @@ def _energy(config: DroneConfig) -> EnergyMeter | None:
 
 
 def _radios(
-    config: DroneConfig,
+    drone: _Drone,
     areas: Mapping[str, Reach],
     autopilot: ModelAutopilot,
     switchboard: Switchboard,
-    *,
-    faults: Faults,
-    chance: Chance,
-    journal: MemoryJournal,
     observe: Observe,
 ) -> tuple[list[Network], Dialer]:
     """The networks in the drone's reach, for each of its radios, and what opens links to their servers."""
+    config, journal = drone.config, drone.journal
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     known = coverage_of(config)
     limited = {server.name for server in config.servers if true_range_m(server) is not None}
@@ -294,7 +285,7 @@ def _radios(
         server_places(config),
         truths,
         config.services,
-        faults=faults,
+        faults=drone.faults,
         position=lambda: autopilot.true_position,
         energy=journal.meter,
         reached=is_reached,
@@ -308,7 +299,7 @@ def _radios(
                 is_up=functools.partial(radio.is_up, server.name),
                 goes_down=functools.partial(radio.goes_down, server.name),
                 leave_s=truths[server.name].leave_s,
-                stretch=functools.partial(chance.factor, f"join/{server.name}", config.noise.join),
+                stretch=functools.partial(drone.chance.factor, f"join/{server.name}", config.noise.join),
             )
         )
     networks: list[Network] = [
