@@ -300,6 +300,7 @@ async def test_a_daemon_continues_what_the_former_one_counted(daemon: Daemon) ->
 
 @played(serve)
 async def test_starts_failures_and_answers_are_observed(daemon: Daemon) -> None:
+    await asyncio.sleep(3.0)
     await daemon.start()
     daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1))
     await daemon.leave()
@@ -316,8 +317,8 @@ async def test_starts_failures_and_answers_are_observed(daemon: Daemon) -> None:
 @played(serve)
 async def test_where_a_peer_holds_no_slot_another_peer_may(daemon: Daemon) -> None:
     await daemon.start()
-    assert (await daemon.prepare("s2")).reason == "s2 is full"
-    assert (await daemon.prepare("s3")).reason == "s3 is full"
+    for peer in ("s2", "s3"):
+        assert await daemon.prepare(peer) == HoldReply(held=False, reason=f"{peer} is full")
 
 
 @played(serve)
@@ -362,6 +363,7 @@ async def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_a
     daemon.runtime.broken = "no such model"
     failed = await daemon.start()
     assert (failed.reason, failed.pause_s) == ("no such model", 10.0)
+    assert daemon.edge.standing().refused["s1"] == 1
     daemon.runtime.broken = ""
     paused = await daemon.ask()
     assert (paused.available, paused.pause_s) == (False, 10.0)
@@ -454,8 +456,19 @@ async def test_a_peer_that_is_silent_is_waited_for_as_long_as_it_may_take(daemon
     assert (await daemon.prepare("s2")).reason == "s2 is full"
     daemon.peer_answers_in_s = 3.1
     began_s = asyncio.get_running_loop().time()
-    assert "no answer within 3.0 s" in (await daemon.prepare("s2")).reason
+    reply = await daemon.prepare("s2")
+    assert "no answer within 3.0 s" in reply.reason
+    assert not reply.held
     assert asyncio.get_running_loop().time() - began_s == pytest.approx(3.0)
+
+
+@played(serve)
+async def test_a_slot_that_is_not_there_is_not_held(daemon: Daemon) -> None:
+    await daemon.start()
+    reply = await daemon.hold("d2", for_s=5.0)
+    assert (reply.held, "no free slot" in reply.reason) == (False, True)
+    reply = await daemon.prepare("s9")
+    assert (reply.held, "s9" in reply.reason) == (False, True)
 
 
 @played(serve)
