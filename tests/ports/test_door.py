@@ -55,7 +55,7 @@ def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
 
 
 def make(listen: str, who_is: WhoIs) -> Listener:
-    requests = Requests(name_of_caller, max_message_bytes=100_000, concurrent=16, each=16)
+    requests = Requests(name_of_caller, max_message_bytes=100_000, concurrent=16, per_drone=16)
     listener = Listener(listen, requests, who_is=who_is)
     listener.add(HealthCheck(["s1"]))
     return listener

@@ -48,12 +48,16 @@ def listening(
     shown: Credentials | None = None,
     listen: str = "127.0.0.1:0",
     concurrently: int = 16,
-    each: int = 16,
+    per_drone: int = 16,
     gate: Gate = lambda _path, _caller: None,
 ) -> Iterator[str]:
     def make(listen: str, who_is: WhoIs | None = None) -> Listener:
         requests = Requests(
-            handler, max_message_bytes=MAX_MESSAGE_BYTES, concurrent=concurrently, each=each, gate=gate
+            handler,
+            max_message_bytes=MAX_MESSAGE_BYTES,
+            concurrent=concurrently,
+            per_drone=per_drone,
+            gate=gate,
         )
         return Listener(listen, requests, who_is=who_is)
 
@@ -220,7 +224,7 @@ async def test_nobody_at_the_address_is_said_at_once(tmp_path: Path) -> None:
 async def test_a_server_that_stops_ends_the_request_under_way() -> None:
     handler = Stuck()
     stuck = Listener(
-        "127.0.0.1:0", Requests(handler, max_message_bytes=MAX_MESSAGE_BYTES, concurrent=4, each=4)
+        "127.0.0.1:0", Requests(handler, max_message_bytes=MAX_MESSAGE_BYTES, concurrent=4, per_drone=4)
     )
     with started(stuck) as listener:
         async with linked(listener.address) as link:
@@ -487,18 +491,18 @@ async def test_a_request_that_does_not_end_holds_up_no_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("concurrently", "each", "refused", "why"),
+    ("concurrently", "per_drone", "refused", "why"),
     [
         (16, 1, "heron", "this drone has 1 requests under way already"),
         (1, 16, "stork", "1 requests are under way already"),
     ],
 )
 async def test_requests_beyond_a_drones_share_or_the_servers_bound_are_refused_at_once_and_in_the_log(
-    caplog: pytest.LogCaptureFixture, concurrently: int, each: int, refused: str, why: str
+    caplog: pytest.LogCaptureFixture, concurrently: int, per_drone: int, refused: str, why: str
 ) -> None:
     handler = Stuck()
 
-    with listening(handler, concurrently=concurrently, each=each) as address:
+    with listening(handler, concurrently=concurrently, per_drone=per_drone) as address:
         async with linked(address) as heron, linked(address, drone="stork") as stork:
             waiting = asyncio.create_task(heron.request(PATH, b"photo", timeout_s=10.0))
             assert await entering(handler)

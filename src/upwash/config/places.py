@@ -215,8 +215,8 @@ def _frame(home: HomeConfig | None) -> LocalFrame:
 
 def _planned_waypoints(plan: FlightPlan, frame: LocalFrame) -> tuple[Waypoint, ...]:
     return tuple(
-        Waypoint(index, frame.position(each.place), each.ground_speed_m_s, each.above_sea_m, each.hold_s)
-        for index, each in enumerate(plan.waypoints)
+        Waypoint(index, frame.position(item.place), item.ground_speed_m_s, item.above_sea_m, item.hold_s)
+        for index, item in enumerate(plan.waypoints)
     )
 
 

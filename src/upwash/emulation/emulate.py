@@ -29,8 +29,8 @@ async def emulate(request: EmulationRequest, stop: asyncio.Event) -> EmulationOu
         radio = stack.enter_context(_field_set_up(field, computers, request))
         programs: dict[str, FlightProgram] = {}
         positions: dict[str, Callable[[], Position]] = {}
-        for number, each in enumerate(drones):
-            drone = each.config
+        for number, deployed in enumerate(drones):
+            drone = deployed.config
             vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, computers, request))
             programs[drone.name] = flight_program(drone, field, computers, request.folder, vehicle=vehicle)
         mover = Mover(radio, positions)

@@ -120,8 +120,8 @@ def bounds_of(
     saved_per_s = sum(rate * _lanes(instance, fleet[0]) for instance, rate in rates.items())
     bounds = [least for least in own if least is not None]
     return own, FleetBound(
-        free_s=fmean(each.free_s for each in bounds),
-        with_joins_s=fmean(each.with_joins_s for each in bounds),
+        free_s=fmean(bound.free_s for bound in bounds),
+        with_joins_s=fmean(bound.with_joins_s for bound in bounds),
         shared_s=shared_s(missions, saved_per_s),
     )
 

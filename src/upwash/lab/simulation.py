@@ -69,7 +69,7 @@ def simulate(
 
 def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenario: str) -> Simulation:
     """The simulation of that run."""
-    result = {each.name: getattr(run.result, each.name) for each in fields(run.result)}
+    result = {field.name: getattr(run.result, field.name) for field in fields(run.result)}
     return Simulation(
         **result | {"policy": config.policy.name},  # also of a mission that never began
         scenario=scenario,

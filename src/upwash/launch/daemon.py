@@ -240,7 +240,7 @@ def _listener(
         answer_in_time,
         max_message_bytes=min(config.max_message_bytes, _LONGEST_REQUEST_BYTES),
         concurrent=_CONCURRENT_REQUESTS,
-        each=_REQUESTS_PER_DRONE,
+        per_drone=_REQUESTS_PER_DRONE,
     )
     address, who_is = (f"unix:{inside.path}", inside.client) if inside else (config.listen, None)
     listener = Listener(address, requests, who_is=who_is)

@@ -67,7 +67,7 @@ def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedSe
 
 def load_specs(configured: Sequence[ConfiguredService]) -> dict[str, ServiceSpec]:
     """The declarations of a configuration's services, by name; raises UsageError."""
-    return {name: spec_of(each.cls) for name, each in load_services(configured).items()}
+    return {name: spec_of(loaded.cls) for name, loaded in load_services(configured).items()}
 
 
 def load_service_alone(name: str) -> LoadedService:

@@ -53,7 +53,9 @@ async def import_image(file: Path, kind: Format, daemon: DaemonConfig | None) ->
 async def list_images(daemon: DaemonConfig) -> list[HeldService]:
     """What the daemon has of each of its services."""
     if daemon.runtime.kind == "process":
-        return [HeldService(each.name, each.program or bundled_service(each.name)) for each in daemon.images]
+        return [
+            HeldService(image.name, image.program or bundled_service(image.name)) for image in daemon.images
+        ]
     if daemon.runtime.kind == "lxd":
         async with _connected(Engine(daemon.runtime)) as lxd:
             newest = newest_images(await lxd.images())

@@ -100,10 +100,10 @@ def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, cons
         say(share, console)
     if config.mission.reserve_s is not None:
         say(_farthest_line(found.farthest, config), console)
-    for each in found.places:
+    for site in found.places:
         say(
-            f"one more server helps most at {each.east_m:.0f} m east, {each.north_m:.0f} m north "
-            f"({each.server}): {each.mission_time_s / 60:.2f} min",
+            f"one more server helps most at {site.east_m:.0f} m east, {site.north_m:.0f} m north "
+            f"({site.server}): {site.mission_time_s / 60:.2f} min",
             console,
         )
     if len(found.places) < servers_to_place:

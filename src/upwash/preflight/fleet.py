@@ -118,7 +118,7 @@ def check_fleet(document: Document, file: Path, *, seeds: int, workers: int | No
     }
     return FleetCheck(
         config=str(file),
-        drones=tuple(_forecast(each, flown) for each in fleet_of(config)),
+        drones=tuple(_forecast(drone, flown) for drone in fleet_of(config)),
         servers=tuple(_asked(server.name, flown[AS_CONFIGURED]) for server in config.servers),
         notices=tuple(plan_notices(config)),
     )

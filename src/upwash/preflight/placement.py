@@ -80,8 +80,8 @@ def candidates(places: Sequence[Position]) -> list[Position]:
     return [
         Position(east_m, north_m)
         for east_m, north_m in itertools.product(
-            sorted(set(_middles([each.east_m for each in places]))),
-            sorted(set(_middles([each.north_m for each in places]))),
+            sorted(set(_middles([place.east_m for place in places]))),
+            sorted(set(_middles([place.north_m for place in places]))),
         )
     ]
 

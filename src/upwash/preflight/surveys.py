@@ -51,9 +51,9 @@ def _print(findings: Sequence[SurveyFinding], console: Console) -> bool:
             Text("no", style="red") if finding.trouble else Text("yes", style="green"),
         )
     console.print(table)
-    for each in findings:
-        if each.trouble:
-            console.print(Text(f"{each.subject}: {each.trouble}"), soft_wrap=True)
+    for finding in findings:
+        if finding.trouble:
+            console.print(Text(f"{finding.subject}: {finding.trouble}"), soft_wrap=True)
     return not any(finding.trouble for finding in findings)
 
 

@@ -91,31 +91,31 @@ def _range_concerns(
     servers: Sequence[ServerConfig], covered: Sequence[ServerCoverage]
 ) -> Iterator[PreflightWarning]:
     checks = {server.name: server for server in servers}
-    for each in covered:
-        server = checks[each.server]
-        if each.range_m is None or each.nearest_m is None:
-            if not each.waypoints:
+    for coverage in covered:
+        server = checks[coverage.server]
+        if coverage.range_m is None or coverage.nearest_m is None:
+            if not coverage.waypoints:
                 yield PreflightWarning(
                     "covers-nothing",
-                    f"{each.server} did not answer at any waypoint on earlier flights, by network.coverage_map",
+                    f"{coverage.server} did not answer at any waypoint on earlier flights, by network.coverage_map",
                 )
-        elif not each.waypoints:
+        elif not coverage.waypoints:
             yield PreflightWarning(
                 "covers-nothing",
-                f"{each.server} covers no waypoint: the nearest is {each.nearest_m:.0f} m away, its range is "
-                f"{each.range_m:g} m",
+                f"{coverage.server} covers no waypoint: the nearest is {coverage.nearest_m:.0f} m away, its range is "
+                f"{coverage.range_m:g} m",
             )
-        elif each.longest_stay_s <= server.check_running_s:
+        elif coverage.longest_stay_s <= server.check_running_s:
             yield PreflightWarning(
                 "too-short",
-                f"{each.server} is in range for at most {each.longest_stay_s:.1f} s at a time, less than a check "
-                f"takes (check_running_s = {server.check_running_s:g}): it is never ready in time",
+                f"{coverage.server} is in range for at most {coverage.longest_stay_s:.1f} s at a time, less than a "
+                f"check takes (check_running_s = {server.check_running_s:g}): it is never ready in time",
             )
-        elif each.longest_stay_s <= server.check_s:
+        elif coverage.longest_stay_s <= server.check_s:
             yield PreflightWarning(
                 "too-short",
-                f"{each.server} is in range for at most {each.longest_stay_s:.1f} s at a time, less than a check "
-                f"takes that starts the services (check_s = {server.check_s:g}): it helps only if they run already",
+                f"{coverage.server} is in range for at most {coverage.longest_stay_s:.1f} s at a time, less than a "
+                f"check takes that starts the services (check_s = {server.check_s:g}): it helps only if they run already",
             )
 
 

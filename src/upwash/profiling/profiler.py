@@ -124,9 +124,9 @@ def values_of(spec: ServiceSpec, setting: str) -> tuple[str, ...]:
             f"service {spec.name!r} has no setting {setting!r}; it has {', '.join(found) or 'none'}"
         )
     given = found[setting]
-    for each in given.types if isinstance(given, types.UnionType) else (given,):
-        if isinstance(each, types.LiteralType) and all(isinstance(value, str) for value in each.values):
-            return tuple(map(str, each.values))
+    for kind in given.types if isinstance(given, types.UnionType) else (given,):
+        if isinstance(kind, types.LiteralType) and all(isinstance(value, str) for value in kind.values):
+            return tuple(map(str, kind.values))
     raise UsageError(
         f"setting {setting} of service {spec.name!r} can be more than a few words: measure one at a time"
     )

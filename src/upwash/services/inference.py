@@ -167,11 +167,11 @@ class OnnxInference(Inference):
     def _require_raw_heads(self) -> None:
         """Raises ModelError for a network whose outputs are decoded boxes, as YOLOv8's and later ones' are."""
         outputs = self._session.get_outputs()
-        if outputs and all(len(each.shape) == 3 for each in outputs):
+        if outputs and all(len(output.shape) == 3 for output in outputs):
+            boxes = ", ".join(f"{output.name}: {_by(output.shape)}" for output in outputs)
             raise self._error(
-                f"its outputs are boxes ({', '.join(f'{each.name}: {_by(each.shape)}' for each in outputs)}), as of "
-                "YOLOv8 and later, and it has no anchors: give a network with YOLOv3's raw heads, or run the "
-                "network in a service of your own"
+                f"its outputs are boxes ({boxes}), as of YOLOv8 and later, and it has no anchors: "
+                "give a network with YOLOv3's raw heads, or run the network in a service of your own"
             )
 
     def _heads_in_metadata(self) -> tuple[Head, ...]:
@@ -187,10 +187,8 @@ class OnnxInference(Inference):
     def _checked_input(self) -> onnxruntime.NodeArg:
         inputs = self._session.get_inputs()
         if len(inputs) != 1 or not _takes_pictures(inputs[0]):
-            raise self._error(
-                f"its inputs are {', '.join(f'{each.type} {each.shape}' for each in inputs) or 'none'}: one of float "
-                "1 x 3 x height x width is needed"
-            )
+            found = ", ".join(f"{given.type} {given.shape}" for given in inputs) or "none"
+            raise self._error(f"its inputs are {found}: one of float 1 x 3 x height x width is needed")
         return inputs[0]
 
 

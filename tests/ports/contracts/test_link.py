@@ -53,7 +53,7 @@ def requests() -> Iterator[Requests]:
         return caller.client.name.encode() + b" " + body
 
     try:
-        yield Requests(answer, max_message_bytes=1000, concurrent=4, each=4)
+        yield Requests(answer, max_message_bytes=1000, concurrent=4, per_drone=4)
     finally:
         let_go.set()
 

@@ -90,7 +90,7 @@ def _verdict(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> 
     flown = [(mean.value, summary) for summary in summaries if (mean := summary.mission_time_s) is not None]
     if not flown:
         return "no mission was completed"
-    mean_s, best = min(flown, key=lambda each: each[0])
+    mean_s, best = min(flown, key=lambda pair: pair[0])
     which = (
         f"quickest with {', '.join(_settings(sweep, best))}: " if len(summaries) > 1 else "mean mission time "
     )

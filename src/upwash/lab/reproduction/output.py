@@ -79,9 +79,9 @@ def print_comparison(comparisons: Sequence[Comparison], console: Console) -> Non
             table.add_column(column, justify="right", no_wrap=True)
         for experiment in EXPERIMENTS:
             table.add_row(f"[bold]{experiment.name}")
-            for each in comparisons:
-                if (each.setup, each.experiment) == (setup, experiment):
-                    table.add_row(f"  {each.quantity.label}", *each.written())
+            for comparison in comparisons:
+                if (comparison.setup, comparison.experiment) == (setup, experiment):
+                    table.add_row(f"  {comparison.quantity.label}", *comparison.written())
         console.print(table)
 
 

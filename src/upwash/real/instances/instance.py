@@ -80,7 +80,7 @@ class ServiceInstance:
             self._answer,
             max_message_bytes=begin.max_message_bytes,
             concurrent=_CONCURRENT_CALLS,
-            each=_CALLS_PER_DRONE,
+            per_drone=_CALLS_PER_DRONE,
             gate=self._admit,
         )
         self._listener: Listener | DirectListener

@@ -32,7 +32,7 @@ Gate = Callable[[str, Caller], None]
 
 
 class Requests:
-    """Has `handler` answer requests, at most `concurrent` at a time and `each` for one drone; refuses others.
+    """Has `handler` answer requests, at most `concurrent` at a time and `per_drone` for one drone; refuses others.
 
     `gate` may refuse a request before its body is received, so that a refused caller takes no memory.
     """
@@ -43,12 +43,12 @@ class Requests:
         *,
         max_message_bytes: int,
         concurrent: int,
-        each: int,
+        per_drone: int,
         gate: Gate = lambda _path, _caller: None,
     ) -> None:
         self.max_message_bytes = max_message_bytes
         self.concurrent = concurrent
-        self._each = each
+        self._per_drone = per_drone
         self._handler = handler
         self._gate = gate
         self._counting = threading.Lock()
@@ -82,8 +82,8 @@ class Requests:
         with self._counting:
             if self._under_way.total() >= self.concurrent:
                 raise Refused(f"{self.concurrent} requests are under way already")
-            if self._under_way[drone] >= self._each:
-                raise Refused(f"this drone has {self._each} requests under way already")
+            if self._under_way[drone] >= self._per_drone:
+                raise Refused(f"this drone has {self._per_drone} requests under way already")
             self._under_way[drone] += 1
         try:
             yield

@@ -123,7 +123,7 @@ def _write(cfg: Path, content: bytes, weights: Path, form: Form, folder: Path) -
 
 def _write_file(file: Path, content: Iterable[bytes]) -> None:
     with file.open("wb") as opened:
-        for each in content:
-            opened.write(each)
+        for part in content:
+            opened.write(part)
         opened.flush()
         os.fsync(opened.fileno())

@@ -123,7 +123,7 @@ def _nodes(layer: Layer, network: Network) -> Iterator[onnx.NodeProto]:
             )
         case Route(sources):
             yield helper.make_node(
-                "Concat", [output_of(network.layers[each]) for each in sources], [output], axis=1
+                "Concat", [output_of(network.layers[source]) for source in sources], [output], axis=1
             )
         case Shortcut(source, activation):
             yield from _activated("Add", [before, output_of(network.layers[source])], output, activation)

@@ -214,9 +214,9 @@ def _yolo(section: Section, previous: Shape, _: list[Layer]) -> tuple[Operator, 
     if section.integer("num", len(anchors), least=1) != len(anchors):
         raise section.error(f"num does not fit its {len(anchors)} anchors")
     mask = section.integers("mask") if section.has("mask") else tuple(range(len(anchors)))
-    if not all(0 <= each < len(anchors) for each in mask):
+    if not all(0 <= number < len(anchors) for number in mask):
         raise section.error(f"mask names anchors other than 0 to {len(anchors) - 1}")
-    head = Yolo(tuple(anchors[each] for each in mask), section.integer("classes", 20, least=1))
+    head = Yolo(tuple(anchors[number] for number in mask), section.integer("classes", 20, least=1))
     needed = len(mask) * (5 + head.classes)
     if previous.channels != needed:
         raise section.error(

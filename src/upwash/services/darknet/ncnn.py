@@ -57,7 +57,7 @@ def _layers(network: Network) -> Iterator[_Entry]:
             case Upsample(factor):
                 yield "Interp", [before], output, ["0=1", f"1={factor}.0", f"2={factor}.0"]
             case Route(sources):
-                inputs = [output_of(network.layers[each]) for each in sources]
+                inputs = [output_of(network.layers[source]) for source in sources]
                 yield "Concat", inputs, output, ["0=0"]
             case Shortcut(source, activation):
                 inputs = [before, output_of(network.layers[source])]
@@ -102,7 +102,7 @@ def _with_splits(entries: list[_Entry]) -> Iterator[_Entry]:
         return f"{name}-{given[name]}"
 
     for kind, inputs, outputs, options in entries:
-        yield kind, [one_of(each) for each in inputs], outputs, options
+        yield kind, [one_of(name) for name in inputs], outputs, options
         for name in outputs:
             if readers[name] > 1:
                 yield "Split", [name], [f"{name}-{number}" for number in range(1, readers[name] + 1)], []

@@ -58,7 +58,7 @@ class WeightsFile:
 
         if len(self._content) < _VERSION_BYTES:
             raise ModelError(self._file, "offset 0", f"{len(self._content)} bytes hold no header")
-        major, minor, _ = (int(each) for each in self._content[:_VERSION_BYTES].view(np.dtype("<i4")))
+        major, minor, _ = (int(number) for number in self._content[:_VERSION_BYTES].view(np.dtype("<i4")))
         if not (0 <= major < 1000 and 0 <= minor < 1000):
             raise ModelError(
                 self._file, "offset 0", f"version {major}.{minor} is none: this is no Darknet weights file"
