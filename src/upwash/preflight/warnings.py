@@ -115,7 +115,8 @@ def _range_concerns(
             yield PreflightWarning(
                 "too-short",
                 f"{coverage.server} is in range for at most {coverage.longest_stay_s:.1f} s at a time, less than a "
-                f"check takes that starts the services (check_s = {server.check_s:g}): it helps only if they run already",
+                f"check takes that starts the services (check_s = {server.check_s:g}): it helps only if "
+                "they run already",
             )
 
 
