@@ -43,6 +43,7 @@ from upwash.core.selection.events import (
     SlotTaken,
     Tick,
 )
+from upwash.core.selection.radios import check_limit_s
 from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import SelectionSettings
@@ -434,6 +435,14 @@ def test_a_trial_that_fails_as_the_range_ends_is_over() -> None:
     assert machine.servers["s1"].state is State.READY
     again, _ = machine.decide(HEAVY, now_s=63.0, position=UNDER_S1)
     assert isinstance(again, Remote) and again.raced
+
+
+def test_a_failed_server_is_joined_within_the_time_of_a_check_whose_services_run() -> None:
+    machine = with_s1_ready(selection(probing=Probing()))
+    effects = machine.handle(RemoteCallFailed("s1", 1, "silent"), now_s=20.0, position=UNDER_S1)
+    (probe,) = (effect for effect in effects if isinstance(effect, Probe))
+    assert (probe.server, probe.join_limit_s) == ("s1", check_limit_s(3.5))
+    assert check_limit_s(3.5) < check_limit_s(11.5)
 
 
 # ---- turns

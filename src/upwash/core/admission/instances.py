@@ -93,9 +93,7 @@ class InstancePlace:
         self.successor = next(self.numbers)
         return [*outdated, StartInstance(self.server, self.service, self.successor)]
 
-    def ready(
-        self, number: int, endpoint: str, *, lanes: int = 1, former_until_s: float = 0.0, now_s: float
-    ) -> bool:
+    def ready(self, number: int, endpoint: str, *, lanes: int, former_until_s: float, now_s: float) -> bool:
         """Note that the instance of that number can be called at the endpoint; return whether that changed anything.
 
         An instance that it replaces serves until `former_until_s`.
