@@ -213,10 +213,13 @@ async def test_a_mode_set_the_old_way_changes_without_an_answer(client: Client) 
     assert not client.all("COMMAND_ACK")
 
 
+@pytest.mark.parametrize(
+    "mode", [mavlink.COPTER_MODE_LOITER, mavlink.COPTER_MODE_BRAKE, mavlink.COPTER_MODE_STABILIZE]
+)
 @played(talk)
-async def test_targets_are_ignored_in_silence_outside_guided(client: Client) -> None:
+async def test_targets_are_ignored_in_silence_outside_guided(client: Client, *, mode: int) -> None:
     await client.take_off()
-    assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_LOITER) == 0
+    assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mode) == 0
     answers = len(client.all("COMMAND_ACK"))
     client.target(east_e7=2_000)
     for _ in range(5):
