@@ -86,7 +86,10 @@ def socket_visited(visited: Visited, tmp_path: Path) -> Visited:
 
 async def served(guest: Guest, endpoint: str = "") -> str:
     """The endpoint that served the guest, started where none was named."""
-    endpoint = endpoint or (await guest.start()).endpoint
+    if not endpoint:
+        reply = await guest.start()
+        endpoint = reply.endpoint
+        assert endpoint, reply.reason
     assert await guest.call(endpoint, "echo", b"photo") == b"photo"
     return endpoint
 
