@@ -268,7 +268,8 @@ class ServerPlanning:
 
     def _banned(self, now_s: float) -> Iterator[tuple[str, float]]:
         for server in self._table.blacklisted:
-            yield server.name, self._banned_s(server, now_s)
+            left_s = server.since_s + server.left_alone_s - now_s
+            yield server.name, left_s if self._recovery is None else max(REST_S, left_s)
         for server in self._table.in_range:
             if server.state is State.BLACKLISTED:
                 continue
@@ -276,7 +277,3 @@ class ServerPlanning:
                 yield server.name, math.inf
             elif server.is_full(now_s):
                 yield server.name, FULL_S
-
-    def _banned_s(self, server: Server, now_s: float) -> float:
-        left_s = server.since_s + server.left_alone_s - now_s
-        return left_s if self._recovery is None else max(REST_S, left_s)

@@ -196,18 +196,13 @@ class Wind:
         """
         length_m = ground_distance_m(start, end)
         if length_m == 0:
-            return self._most_m_s()
+            reported_m_s = self._reported.ground_m_s if self._reported else 0.0
+            return max(reported_m_s, *(leg.short_m_s for leg in self._slow), 0.0)
         east, north = (end.east_m - start.east_m) / length_m, (end.north_m - start.north_m) / length_m
         slow_m_s = max(
             (leg.short_m_s * (leg.east * east + leg.north * north) for leg in self._slow), default=0.0
         )
         return max(0.0, slow_m_s, self._reported_against_m_s(east, north, speed_m_s))
-
-    def _most_m_s(self) -> float:
-        reported_m_s = (
-            math.hypot(self._reported.east_m_s, self._reported.north_m_s) if self._reported else 0.0
-        )
-        return max(reported_m_s, *(leg.short_m_s for leg in self._slow), 0.0)
 
     def _reported_against_m_s(self, east: float, north: float, speed_m_s: float) -> float:
         if self._reported is None:

@@ -97,12 +97,11 @@ class Fence(Struct, frozen=True):
     def clearance_m(self, position: Position) -> float:
         """Metres from an allowed position to the nearest forbidden one; a lower bound in joined areas."""
         distances_m = (
-            _to_border_m(area, position) for area in _single(self.area) if self._counts(area, position)
+            _to_border_m(area, position)
+            for area in _single(self.area)
+            if area.contains(position) == self.inclusion
         )
         return max(distances_m, default=0.0) if self.inclusion else min(distances_m, default=math.inf)
-
-    def _counts(self, area: Polygon | Circle, position: Position) -> bool:
-        return area.contains(position) == self.inclusion
 
 
 def breached_by_position(fences: Sequence[Fence], position: Position) -> Fence | None:

@@ -78,7 +78,7 @@ def time_home_s(
     speed_m_s = max(way.speed_m_s - against_m_s, _LEAST_SHARE * way.speed_m_s)
     return (
         stop_s
-        + _rise_s(top_m - start.altitude_m, way)
+        + Leg(top_m - start.altitude_m, way.climb_m_s, way.acceleration_m_s2).duration_s
         + Leg(length_m, speed_m_s, way.acceleration_m_s2).duration_s
         + way.hover_s
         + descent_s(top_m, way)
@@ -90,10 +90,6 @@ def descent_s(altitude_m: float, way: WayHome) -> float:
     slowly_m = min(max(altitude_m, 0.0), way.slowly_below_m)
     fast_m = max(altitude_m - slowly_m, 0.0)
     return Leg(fast_m, way.descent_m_s, way.acceleration_m_s2).duration_s + slowly_m / way.landing_m_s
-
-
-def _rise_s(height_m: float, way: WayHome) -> float:
-    return Leg(max(height_m, 0.0), way.climb_m_s, way.acceleration_m_s2).duration_s
 
 
 _AT_HOME_M = 2.0  # over the ground
