@@ -184,7 +184,7 @@ def test_killed_while_it_climbs_it_climbs_on_before_it_flies_away() -> None:
             seen.append(self.position.altitude_m)
 
     fly(scenario(), after=fly(scenario(), killed_at_s=5.0), autopilot=Seen)
-    assert seen[0] == pytest.approx(ALTITUDE_M)
+    assert seen == [pytest.approx(ALTITUDE_M)] * (1 + len(PLACES)), "the climb, then the plan"
 
 
 def test_it_is_killed_again_and_again() -> None:

@@ -41,7 +41,7 @@ def test_a_mission_turns_the_vehicle_and_reads_how_it_flies(tmp_path: Path) -> N
         "assert (told.heading_deg, told.attitude.yaw_deg, told.gps.kind) == (130, 130, '3d')",
         "assert told.armed and told.mode == 'GUIDED' and told.position.altitude_m == 10",
         "assert (told.ground_speed_m_s, told.climb_m_s) == (0, 0)",
-        "autopilot.goto(drone.plan[0])",
+        "assert autopilot.goto(drone.plan[0])",
         "assert autopilot.telemetry.heading_deg is None",
     )
     assert run.failure == ""
