@@ -113,6 +113,16 @@ def test_a_class_without_a_constructor_takes_nothing() -> None:
         construct(Plain, describe_settings(Plain), {"threads": 1})
 
 
+def test_a_constructor_that_fails_is_named_with_the_line_in_its_own_file() -> None:
+    class Broken:
+        def __init__(self) -> None:
+            json.loads("{")
+
+    line = Broken.__init__.__code__.co_firstlineno + 1
+    with pytest.raises(UsageError, match=rf"Broken cannot be made: .*\(.*test_settings\.py, line {line}\)"):
+        construct(Broken, describe_settings(Broken), {})
+
+
 class Unhinted:
     def __init__(self, model=None) -> None:  # type: ignore[no-untyped-def]
         pass

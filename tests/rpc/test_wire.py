@@ -138,6 +138,19 @@ def test_what_a_service_has_to_say_arrives(hint: Any, value: object) -> None:
     assert encoding.decode(encoding.encode(value)) == value
 
 
+@pytest.mark.parametrize(
+    ("hint", "value", "most"),
+    [
+        (dict[str, None], dict.fromkeys(map(str, range(2**16))), 2**17),
+        (dict[int, None], dict.fromkeys(range(2**13)), 2**14),
+        (frozenset[Cell], [{"row": row} for row in range(2**9)], 2**10),
+    ],
+)
+def test_a_type_whose_values_are_hashed_has_fewer(hint: Any, value: object, most: int) -> None:
+    with pytest.raises(msgspec.DecodeError, match=f"more than {most} values in one message"):
+        Encoding(hint).decode(msgspec.msgpack.encode(value))
+
+
 def test_an_array_as_large_as_a_message_arrives() -> None:
     encoding: Encoding[Any] = Encoding(NDArray[np.float32])
     sent = np.ones((1000, 4000), np.float32)
