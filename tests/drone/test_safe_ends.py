@@ -336,6 +336,17 @@ def test_a_vehicle_that_somebody_else_takes_is_left_to_them_and_followed_to_the_
     assert scene.autopilot.stands and not scene.autopilot.armed
 
 
+def test_a_mission_that_waits_ends_as_soon_as_a_pilot_takes_the_vehicle() -> None:
+    def waits(drone: Drone) -> None:
+        drone.autopilot.arm()
+        drone.autopilot.takeoff(10)
+        drone.autopilot.hover(500.0)
+
+    scene, _ = fly(taken("pilot", 55.0), waits)
+    (left,) = scene.events("left_to_pilot")
+    assert left["t"] == pytest.approx(55.0, abs=0.1)
+
+
 class Talkative(ModelAutopilot):
     """Says why a fail-safe took it, as ArduCopter does right after the report that shows it."""
 
