@@ -10,7 +10,9 @@ import pytest
 from rich.console import Console
 from tests.events import event
 
-from upwash.eventlog.schema import Event
+from upwash.eventlog.narration import Narrator
+from upwash.eventlog.notices import Notices
+from upwash.eventlog.schema import EVENTS, Event, kind_of
 from upwash.eventlog.terminal import Progress
 
 STARTED = event("mission_started", 0.4, policy="look-ahead", waypoints=4)
@@ -32,6 +34,14 @@ def lines(events: Iterable[Event]) -> list[str]:
         for each in sorted(events, key=lambda each: each.t):
             progress.follow(each)
     return [re.split(r" s\]?  ", line, maxsplit=1)[1] for line in output.getvalue().splitlines()]
+
+
+@pytest.mark.parametrize("kind", map(kind_of, EVENTS))
+def test_every_event_can_be_told(kind: str) -> None:
+    """The sentences and notices name fields of the events in templates, which mypy does not read."""
+    sentence = Narrator().tell(event(kind, 1.0))
+    notices = list(Notices().take(event(kind, 1.0)))
+    assert "{" not in f"{sentence.text if sentence else ''}{[notice.cause for notice in notices]}"
 
 
 def test_a_line_before_the_mission_began_has_the_logs_seconds_in_brackets() -> None:

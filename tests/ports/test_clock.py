@@ -167,7 +167,7 @@ def test_this_computers_clock_can_be_read(monkeypatch: pytest.MonkeyPatch) -> No
     assert asked == [(time.CLOCK_REALTIME, 1.5)]
 
 
-def test_a_flight_that_is_taken_up_counts_from_when_the_clock_was_set(tmp_path: Path) -> None:
+async def test_a_flight_that_is_taken_up_counts_from_when_the_clock_was_set(tmp_path: Path) -> None:
     """The time of day at which the log was opened was wrong by months."""
     log = tmp_path / "events.jsonl"
     now = datetime.now(UTC).isoformat()
