@@ -109,13 +109,13 @@ def _faults(result: Result) -> str:
 def _hostile(result: Result) -> str:
     rows = (
         (
-            each.attack,
-            f"{each.usual_s * 1e3:.1f}",
-            f"{each.attacked_s * 1e3:.1f}",
-            f"{each.attacked_s / each.usual_s:.2f}",
-            f"{each.grown_bytes / 1e6:.1f}",
+            figure.attack,
+            f"{figure.usual_s * 1e3:.1f}",
+            f"{figure.attacked_s * 1e3:.1f}",
+            f"{figure.attacked_s / figure.usual_s:.2f}",
+            f"{figure.grown_bytes / 1e6:.1f}",
         )
-        for each in _figures(result, list[Attacked])
+        for figure in _figures(result, list[Attacked])
     )
     head = ("attack", "usual, ms", "attacked, ms", "ratio", "memory, MB")
     return f"`{result.command}` {_measured(result)}:\n\n{_table(head, rows)}"
@@ -123,8 +123,8 @@ def _hostile(result: Result) -> str:
 
 def _fuzz(result: Result) -> str:
     rows = (
-        (each.harness, f"{each.seconds:.0f} s", f"{each.runs:,}", each.findings)
-        for each in _figures(result, list[Fuzzed])
+        (figure.harness, f"{figure.seconds:.0f} s", f"{figure.runs:,}", figure.findings)
+        for figure in _figures(result, list[Fuzzed])
     )
     head = ("decoder", "fuzzed for", "inputs", "findings")
     return f"`{result.command}` {_measured(result)}:\n\n{_table(head, rows)}"

@@ -121,7 +121,7 @@ def numbers(folder: Path, pattern: str) -> list[float]:
 def way_to_rest_m(folder: Path, name: str, begins: str, within_s: float) -> list[float]:
     """How far it went from a line of the log until it first stood still."""
     begun_s = moments(folder, name, begins)[0]
-    later = [each for each in samples(folder, name) if begun_s <= each.time_s <= begun_s + within_s]
+    later = [sample for sample in samples(folder, name) if begun_s <= sample.time_s <= begun_s + within_s]
     still = next(each for each in later if math.hypot(each.east_m_s, each.north_m_s) < 0.25)
     return [math.hypot(still.east_m - later[0].east_m, still.north_m - later[0].north_m)]
 

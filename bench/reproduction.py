@@ -39,7 +39,9 @@ class Kept(msgspec.Struct, frozen=True):
 
 def shortened(results: Results) -> Kept:
     """What is kept of it."""
-    return Kept([_row(each) for each in results.comparisons], [_rounded(each) for each in results.moved])
+    return Kept(
+        [_row(comparison) for comparison in results.comparisons], [_rounded(each) for each in results.moved]
+    )
 
 
 def _row(comparison: Comparison) -> Row:
@@ -96,7 +98,7 @@ def _most_percent(moved: Moved) -> float:
 
 def disagreements() -> str:
     """Where the thesis's own figures disagree."""
-    return "\n".join(f"- {each}" for each in contradictions())
+    return "\n".join(f"- {contradiction}" for contradiction in contradictions())
 
 
 def _names(figures: Kept) -> list[str]:

@@ -191,8 +191,8 @@ def table(shared: Iterable[Shared], layout: str) -> Iterator[tuple[str, ...]]:
         if each.layout == layout:
             by_count.setdefault(each.drones, []).append(each)
     for count, ways in by_count.items():
-        cells = (f"{each.mean_min:.1f} / {each.worst_min:.1f} / {each.jain:.2f}" for each in ways)
-        yield str(count), *cells, f"{max(each.least_min for each in ways):.1f}"
+        cells = (f"{way.mean_min:.1f} / {way.worst_min:.1f} / {way.jain:.2f}" for way in ways)
+        yield str(count), *cells, f"{max(way.least_min for way in ways):.1f}"
 
 
 HEAD = ("drones", *(way.name for way in WAYS), "bound")

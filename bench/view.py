@@ -193,7 +193,7 @@ def busy_s(page: Browser) -> float:
     """For how long the page has been busy."""
     page.driver.execute_cdp_cmd("Performance.enable", {})
     metrics = page.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
-    return float(next(each["value"] for each in metrics if each["name"] == "TaskDuration"))
+    return float(next(metric["value"] for metric in metrics if metric["name"] == "TaskDuration"))
 
 
 def mission(waypoints: int) -> Iterator[dict[str, Any]]:

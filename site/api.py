@@ -75,11 +75,11 @@ def page() -> str:
 def _described(name: str, value: object) -> str:
     if inspect.isclass(value):
         code, prose = _class_head(name, value), inspect.getdoc(value)
-        members = "".join(f"\n{_member(value, each)}\n" for each in _members(value))
+        members = "".join(f"\n{_member(value, member)}\n" for member in _members(value))
     elif inspect.isfunction(value):
         variants = typing.get_overloads(value) or [value]
         code, prose, members = (
-            "\n".join(_function(name, each) for each in variants),
+            "\n".join(_function(name, variant) for variant in variants),
             inspect.getdoc(value),
             "",
         )
@@ -165,11 +165,11 @@ def _written(hint: object) -> str:
         case None:
             return _name(hint)
         case typing.Literal:
-            return f"Literal[{', '.join(_quoted(each) for each in arguments)}]"
+            return f"Literal[{', '.join(_quoted(argument) for argument in arguments)}]"
         case typing.Union | types.UnionType:
-            return " | ".join(_written(each) for each in arguments)
+            return " | ".join(_written(argument) for argument in arguments)
         case origin:
-            return f"{_name(origin)}[{', '.join(_argument(each) for each in arguments)}]"
+            return f"{_name(origin)}[{', '.join(_argument(argument) for argument in arguments)}]"
 
 
 def _argument(hint: object) -> str:

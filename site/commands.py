@@ -42,8 +42,10 @@ def _codes() -> Iterator[str]:
 
 def commands() -> dict[str, tuple[str, argparse.ArgumentParser]]:
     """Each command's help and parser, by name, in the order of `upwash --help`."""
-    (found,) = (each for each in command_line()._actions if isinstance(each, argparse._SubParsersAction))
-    helps = {each.dest: each.help or "" for each in found._choices_actions}
+    (found,) = (
+        action for action in command_line()._actions if isinstance(action, argparse._SubParsersAction)
+    )
+    helps = {action.dest: action.help or "" for action in found._choices_actions}
     return {name: (helps[name], each) for name, each in found.choices.items()}
 
 
@@ -63,7 +65,7 @@ def _written(action: argparse.Action) -> str:
     if not action.option_strings:
         return f"`{action.metavar or action.dest.upper()}`"
     value = _value(action)
-    return ", ".join(f"`{each}{f' {value}' if value else ''}`" for each in action.option_strings)
+    return ", ".join(f"`{string}{f' {value}' if value else ''}`" for string in action.option_strings)
 
 
 def _value(action: argparse.Action) -> str:

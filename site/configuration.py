@@ -121,7 +121,7 @@ def _alternatives(found: types.Type) -> tuple[types.Type, ...]:
         case types.Metadata(type=inner):
             return _alternatives(inner)
         case types.UnionType(types=parts):
-            return tuple(each for part in parts for each in _alternatives(part))
+            return tuple(alternative for part in parts for alternative in _alternatives(part))
     return (found,)
 
 

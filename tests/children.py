@@ -35,12 +35,14 @@ def processes(*, mark: str = "") -> Iterator[Process]:
 
 def children(process_id: int) -> list[int]:
     """The living processes that the process started."""
-    return [each.pid for each in processes() if each.parent == process_id and each.state not in "ZX"]
+    return [
+        process.pid for process in processes() if process.parent == process_id and process.state not in "ZX"
+    ]
 
 
 def expect_no_child() -> None:
     """Neither an instance nor a zombie is a child of this process; others may be, as other tests start pools."""
-    own = [each for each in processes() if each.parent == os.getpid()]
+    own = [process for process in processes() if process.parent == os.getpid()]
     assert [each for each in own if each.state == "Z" or each.is_instance] == []
 
 

@@ -81,13 +81,13 @@ class Mischief:
     def open_files(self) -> list[str]:
         """What the service inherited, of which kind."""
         return sorted(
-            str(Path(f"/proc/self/fd/{each}").readlink()) for each in range(3, 100) if _is_open(each)
+            str(Path(f"/proc/self/fd/{number}").readlink()) for number in range(3, 100) if _is_open(number)
         )
 
     def ask_kernel(self, number: int, arguments: list[int]) -> str:
         """Makes the call of that number; says "done", or how that failed."""
         ctypes.set_errno(0)
-        longs = [ctypes.c_long(each) for each in arguments]
+        longs = [ctypes.c_long(argument) for argument in arguments]
         answer = ctypes.CDLL(None, use_errno=True).syscall(ctypes.c_long(number), *longs)
         return "done" if answer >= 0 else errno.errorcode[ctypes.get_errno()]
 

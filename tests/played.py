@@ -19,7 +19,7 @@ def played(world: Callable[..., object] | str, *arguments: Any, **named: Any) ->
 
     def made(scenario: Scenario) -> Test:
         parameters = inspect.signature(scenario).parameters.values()
-        of_pytest = [each for each in parameters if each.kind is each.KEYWORD_ONLY]
+        of_pytest = [parameter for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
         count = len(parameters) - len(of_pytest)
 
         if isinstance(world, str):

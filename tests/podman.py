@@ -62,7 +62,7 @@ class OwnPodman:
 
     def _in(self, *states: str) -> list[str]:
         containers = json.loads(self.command("ps", "--all", "--format", "json"))
-        return [each["Id"] for each in containers if each["State"] in states]
+        return [container["Id"] for container in containers if container["State"] in states]
 
 
 def why_not() -> str:

@@ -62,8 +62,8 @@ def fly_all(flown: Sequence[Part]) -> list[Missions]:
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar, processes.here_first(fly, flown) as results:
         task = bar.add_task("worlds and seeds", total=len(flown))
-        for each in results:
-            missions.append(each)
+        for result in results:
+            missions.append(result)
             bar.advance(task)
     return sorted(missions, key=lambda each: order[each.group, each.world, each.seed])
 

@@ -46,15 +46,15 @@ def _cell(trials: Iterable[Trial], cell: Callable[[Sequence[Figures]], str]) -> 
 
 def _seen(figures: Sequence[Figures]) -> str:
     """Medians of the rounds; exceptions are added, and the longest call is the maximum."""
-    total_s = median(each.total_s for each in figures)
-    longest_s = max(each.longest_s for each in figures)
-    raised = sum(len(each.raised) for each in figures)
+    total_s = median(figure.total_s for figure in figures)
+    longest_s = max(figure.longest_s for figure in figures)
+    raised = sum(len(figure.raised) for figure in figures)
     return f"{total_s:.1f}/{longest_s:.1f}/{raised}/{_back(figures)}"
 
 
 def _back(figures: Sequence[Figures]) -> str:
-    back_s = [each.back_s for each in figures if each.back_s is not None]
-    ready_s = [each.back_after_ready_s for each in figures if each.back_after_ready_s is not None]
+    back_s = [figure.back_s for figure in figures if figure.back_s is not None]
+    ready_s = [figure.back_after_ready_s for figure in figures if figure.back_after_ready_s is not None]
     if len(back_s) < len(figures):
         return "-" if not back_s else "at times never"
     after = f" ({median(ready_s):.1f})" if median(back_s) - median(ready_s) >= 0.05 else ""
@@ -63,6 +63,9 @@ def _back(figures: Sequence[Figures]) -> str:
 
 def _computed(figures: Sequence[Figures]) -> str:
     """Sums over the rounds."""
-    by_server, by_drone = sum(each.by_server for each in figures), sum(each.by_drone for each in figures)
-    on_server = sum(each.server_computed for each in figures)
-    return f"{by_server}+{by_drone} / {on_server}+{sum(each.drone_computed for each in figures)}"
+    by_server, by_drone = (
+        sum(figure.by_server for figure in figures),
+        sum(figure.by_drone for figure in figures),
+    )
+    on_server = sum(figure.server_computed for figure in figures)
+    return f"{by_server}+{by_drone} / {on_server}+{sum(figure.drone_computed for figure in figures)}"

@@ -83,7 +83,7 @@ def test_the_kept_missions_are_of_the_worlds_and_variants_that_there_are() -> No
 @pytest.mark.parametrize("name", ["demonstration", "answers 3 s late"])
 def test_kept_missions_take_as_long_when_they_are_flown_again(name: str) -> None:
     (world,) = (world for world in worlds() if world.name == name)
-    kept = next(each for each in read(TABLE).missions if each.world == name)
+    kept = next(mission for mission in read(TABLE).missions if mission.world == name)
     again = fly(Part(world.group, world.name, world.config_of(kept.seed)))
     assert again.bound_s == pytest.approx(kept.bound_s, abs=0.01)
     assert again.times_s == pytest.approx(kept.times_s, abs=0.01), "run python -m bench.gains --keep"

@@ -157,7 +157,10 @@ def test_ports_for_instances_need_certificates_and_a_network(tmp_path: Path) -> 
 
 def test_a_turn_may_have_no_end(tmp_path: Path) -> None:
     config = read(tmp_path, FULL.replace("slots = 1", "turn_s = inf", 1))
-    assert [(each.slots, each.turn_s) for each in config.identities] == [("auto", math.inf), ("auto", 30.0)]
+    assert [(identity.slots, identity.turn_s) for identity in config.identities] == [
+        ("auto", math.inf),
+        ("auto", 30.0),
+    ]
 
 
 PEER = '[[peer]]\nname = "s3"\naddress = "10.0.0.3:7070"\n'

@@ -23,7 +23,7 @@ def read(tmp_path: Path, text: str) -> DroneConfig:
 
 def ways(config: DroneConfig) -> list[list[tuple[float, float]]]:
     return [
-        [(each.position.east_m, each.position.north_m) for each in waypoints(drone.mission)]
+        [(waypoint.position.east_m, waypoint.position.north_m) for waypoint in waypoints(drone.mission)]
         for drone in fleet_of(config)
     ]
 
@@ -35,7 +35,7 @@ def test_what_a_drone_leaves_out_is_as_the_file_says(tmp_path: Path) -> None:
     assert (first.mission, first.policy, first.services) == (config.mission, config.policy, config.services)
     assert second.mission.ground_speed_m_s == 5.0 and second.mission.grid is None
     assert second.policy.name == "opportunistic" and second.policy.gain_wait == 0.5
-    assert [each.local_call_s for each in second.services] == [{"light": 3.0, "heavy": 20.0}, {"": 3.0}]
+    assert [service.local_call_s for service in second.services] == [{"light": 3.0, "heavy": 20.0}, {"": 3.0}]
     assert ways(config) == [[(0, 20), (20, 20), (20, 0), (0, 0)], [(0, 0), (20, 0)]]
     assert presences(config) == (Presence(), Presence(60.0, 600.0))
     assert first.drones == second.drones == ()

@@ -97,7 +97,7 @@ def test_without_a_takeoff_the_drone_climbs_to_its_first_waypoint(tmp_path: Path
 
 def test_altitudes_above_the_sea_stay_known_beside_the_plans_home(tmp_path: Path) -> None:
     mission = read(tmp_path, plan=LIST).mission
-    assert [each.above_sea_m for each in waypoints(mission)] == [None, 130.0, None]
+    assert [waypoint.above_sea_m for waypoint in waypoints(mission)] == [None, 130.0, None]
     assert altitudes_above_sea(mission) == AltitudesAboveSea(
         item=4, home_m=100, reference_m=100, takeoff_m=None
     )
@@ -108,7 +108,7 @@ def above_sea(*altitudes_m: float, home_m: float | None, takeoff: bool = False) 
     """A list whose altitudes count from the sea; the first one is of a take-off if so wished."""
     rows = [
         (16, home_m or 0.0),
-        *((22 if takeoff and not index else 16, each) for index, each in enumerate(altitudes_m)),
+        *((22 if takeoff and not index else 16, altitude_m) for index, altitude_m in enumerate(altitudes_m)),
     ]
     lines = [
         f"{number} 0 0 {command} 0 0 0 0 39.3666 22.9507 {height_m} 1"
@@ -120,7 +120,7 @@ def above_sea(*altitudes_m: float, home_m: float | None, takeoff: bool = False) 
 def test_an_altitude_of_home_that_the_plan_does_not_know_is_assumed(tmp_path: Path) -> None:
     mission = read(tmp_path, plan=above_sea(530, 540, home_m=None)).mission
     assert altitudes_above_sea(mission) == AltitudesAboveSea(1, home_m=None, reference_m=510, takeoff_m=530)
-    assert [each.position.altitude_m for each in waypoints(mission)] == [20, 30]
+    assert [waypoint.position.altitude_m for waypoint in waypoints(mission)] == [20, 30]
     assert mission.altitude_m == 20
 
 
@@ -334,7 +334,7 @@ def test_a_plan_with_other_numbers_is_refused_or_lies_within_its_fences(
         assert refused.problem
         return
     assert all(
-        fence.allows(each.position)
+        fence.allows(waypoint.position)
         for fence in geofence(config.mission)
-        for each in waypoints(config.mission)
+        for waypoint in waypoints(config.mission)
     )

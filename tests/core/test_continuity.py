@@ -26,7 +26,7 @@ def flown(
 
 
 def test_a_leg_at_its_speed_has_no_jump() -> None:
-    assert flown(Continuity(), [0.4 * each for each in range(200)], velocity=FLYING).doubt_m == 0
+    assert flown(Continuity(), [0.4 * number for number in range(200)], velocity=FLYING).doubt_m == 0
 
 
 def test_a_jump_leaves_doubt_however_long_the_estimate_stays_there() -> None:

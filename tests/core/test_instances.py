@@ -425,7 +425,7 @@ def test_an_operator_sees_the_servers_and_the_last_refusals_the_latest_first() -
         drones=[DroneUsage("d1", "d1", 14.0, 14.0, 0, 0.0, None)],
         teams=[TeamUsage("d1", 1, 14.0, 0, 0.0, None)],
     )
-    assert [(each.client, each.why, each.times, each.ago_s) for each in refusals] == [
+    assert [(refusal.client, refusal.why, refusal.times, refusal.ago_s) for refusal in refusals] == [
         ("d1", "no such model", 1, 2.0),
         ("d2", "s1 has no free slot: 1 of 1 in use", 1, 4.0),
     ]

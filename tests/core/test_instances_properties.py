@@ -141,7 +141,9 @@ class Daemon(RuleBasedStateMachine):
             self.lease_ends_s[server, drone] = max(known_s, end_s) if has_come else end_s
             if not has_come:
                 self.expected.add((server, drone))
-            assert {each.service for each in commands if isinstance(each, StartInstance)} <= set(wanted)
+            assert {command.service for command in commands if isinstance(command, StartInstance)} <= set(
+                wanted
+            )
 
     @rule(server=servers, drone=drones)
     def drone_leaves(self, server: str, drone: str) -> None:
@@ -168,8 +170,8 @@ class Daemon(RuleBasedStateMachine):
         place = (server, service)
         offers = {name: ServerOffer(frozenset(images), self.slots[name]) for name, images in OFFERED.items()}
         commands = self.host.offer(offers, outdated=frozenset({place}))
-        starts = [each for each in commands if isinstance(each, StartInstance)]
-        stops = [each.number for each in commands if isinstance(each, StopInstance)]
+        starts = [command for command in commands if isinstance(command, StartInstance)]
+        stops = [command.number for command in commands if isinstance(command, StopInstance)]
         if place in self.serving.keys() - self.stopping:
             (start,) = starts
             assert stops == ([self.coming[place]] if place in self.coming else [])
@@ -246,7 +248,9 @@ class Daemon(RuleBasedStateMachine):
         looked, expected = before
         holders = looked.leases(server)
         accounts = next(each.accounts for each in looked.servers(now_s=self.now_s) if each.name == server)
-        others = {each.drone for each in accounts if each.waits_s is not None} - ({drone} if asks else set())
+        others = {account.drone for account in accounts if account.waits_s is not None} - (
+            {drone} if asks else set()
+        )
         free = self.slots[server] - len(holders)
         room = drone in holders or free > len(others)
         possible = allowed and set(wanted) <= set(OFFERED[server])
@@ -255,10 +259,10 @@ class Daemon(RuleBasedStateMachine):
             assert not granted or possible
         else:
             assert granted == (possible and room)
-        for each in accounts:
-            if each.drone in yields:
-                assert asks and granted and each.holds_s is not None and each.holds_s >= TURN_S
-                self.lease_ends_s[server, each.drone] = self.now_s
+        for account in accounts:
+            if account.drone in yields:
+                assert asks and granted and account.holds_s is not None and account.holds_s >= TURN_S
+                self.lease_ends_s[server, account.drone] = self.now_s
         self.carry_out(commands)
         if granted:
             self.lease_ends_s[server, drone] = self.now_s + SETTINGS.lease_s

@@ -59,7 +59,7 @@ def taking(**times_s: float) -> tuple[str, list[int], int | None]:
         return by_order.get(tuple(waypoints), 120.0)
 
     order = best_order(GIVEN, found, mission_s)
-    return order.why, [each.index for each in order.waypoints], order.sweep
+    return order.why, [waypoint.index for waypoint in order.waypoints], order.sweep
 
 
 def test_a_sweep_is_taken_where_it_saves_two_per_cent_and_not_where_it_saves_less() -> None:
@@ -101,7 +101,7 @@ def turned(places: Iterable[tuple[float, float]], degrees: float) -> list[tuple[
 
 
 def places(sweep: Sweep) -> list[tuple[float, float]]:
-    return [(each.position.east_m, each.position.north_m) for each in sweep.waypoints]
+    return [(waypoint.position.east_m, waypoint.position.north_m) for waypoint in sweep.waypoints]
 
 
 def test_a_field_has_eight_sweeps_of_which_the_given_one_is_the_first() -> None:

@@ -136,7 +136,7 @@ def unaware_s(turn_s: float) -> float:
 def no_wait_is_too_long(slots: int, turn_s: float, drones: list[list[tuple[float, float]]]) -> None:
     """Others have two turns at most before a drone that asks: the first may end just short of what it has had."""
     world = Field(slots=slots, turn_s=turn_s)
-    moves = {f"d{number}": honest(world, f"d{number}", each) for number, each in enumerate(drones)}
+    moves = {f"d{number}": honest(world, f"d{number}", drone) for number, drone in enumerate(drones)}
     world.run(moves, until_s=600.0, look=lambda: None)
     for waited_s, others in world.ended:
         most_s = 2 * math.ceil(others / slots) * (turn_s + ASK_AGAIN_S)

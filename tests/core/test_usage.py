@@ -82,12 +82,12 @@ def test_a_call_that_ends_after_the_lease_counts_and_a_strangers_does_not() -> N
     machine.leave("s1", HERON, now_s=10.0)
     call(machine, HERON, 3.0, now_s=12.0)
     call(machine, Client("stork", "0e"), 3.0, now_s=12.0)
-    assert [(each.drone, each.calls) for each in status(machine, 12.0).drones] == [("heron", 1)]
+    assert [(drone.drone, drone.calls) for drone in status(machine, 12.0).drones] == [("heron", 1)]
 
 
 def test_the_end_of_a_daemon_ends_every_lease() -> None:
     machine = host(HERON, NORTH_1)
-    ended = [each for each in machine.end_leases(now_s=4.0) if isinstance(each, LeaseEnded)]
+    ended = [lease for lease in machine.end_leases(now_s=4.0) if isinstance(lease, LeaseEnded)]
     assert [(each.drone, each.slot_s) for each in ended] == [("heron", 4.0), ("north-1", 4.0)]
 
 
@@ -102,7 +102,7 @@ def test_of_many_drones_the_longest_unseen_are_forgotten_and_none_with_a_slot() 
     known = [each.drone for each in usage.drones(now_s=3.0)]
     assert len(known) == 200
     assert "heron" in known and "south-999" in known and "south-0" not in known
-    teams = {each.team: each for each in usage.teams(now_s=3.0)}
+    teams = {team.team: team for team in usage.teams(now_s=3.0)}
     assert teams["south"] == TeamUsage("south", 0, 1000.0, 1000, 1000.0, 2.0)
 
 
@@ -120,7 +120,7 @@ def test_a_drone_with_another_certificate_is_still_one_drone() -> None:
     machine.availability("s1", [], again, now_s=1.0)
     call(machine, again, 1.0, now_s=2.0)
     call(machine, HERON, 1.0, now_s=2.0)
-    assert [(each.drone, each.calls) for each in status(machine, 2.0).drones] == [("heron", 2)]
+    assert [(drone.drone, drone.calls) for drone in status(machine, 2.0).drones] == [("heron", 2)]
 
 
 def test_a_daemon_goes_on_from_what_the_one_before_it_counted() -> None:

@@ -50,17 +50,17 @@ def test_a_remote_call_ends_at_its_deadline_and_the_drone_computes_it() -> None:
 
 def test_a_deadline_is_no_longer_than_a_local_call() -> None:
     run = fly(server("s1", **at(50, **SOON), remote_call_s={"light": 0.3, "heavy": 5.0}))
-    remote = [each for each in events(run, "decided") if each["decision"] == "remote"]
+    remote = [event for event in events(run, "decided") if event["decision"] == "remote"]
     assert {each["deadline_s"] for each in remote} == {HEAVY_S}
 
 
 def test_a_wait_for_a_check_that_seemed_to_end_soon_is_bounded_too() -> None:
     run = fly(server("s1", **at(50, join_s=1.0, start_s=500.0)))
-    waits = [each for each in events(run, "decided") if each["decision"] == "wait"]
-    assert [each["check_elapsed_s"] < each["check_s"] for each in waits] == [True, False], (
+    waits = [event for event in events(run, "decided") if event["decision"] == "wait"]
+    assert [wait["check_elapsed_s"] < wait["check_s"] for wait in waits] == [True, False], (
         "waitT > 0, and not"
     )
-    failed = [each["waited_s"] for each in events(run, "call") if each.get("wait") == "failed"]
+    failed = [event["waited_s"] for event in events(run, "call") if event.get("wait") == "failed"]
     assert failed == pytest.approx([HEAVY_S * 0.75 - FAST_S] * 2), "X of eq. 3.5"
 
 
@@ -81,7 +81,7 @@ def test_a_check_that_fails_teaches_nothing() -> None:
     run = fly(server("s1", **at(50)) | ALL_THE_WAY, policy={"blacklist_s": 5.0}, faults=[off])
     assert events(run, "check_failed")
     assert events(run, "started")
-    assert {each["check_s"] for each in events(run, "decided") if each["state"] == "CHECK"} == {11.5}
+    assert {event["check_s"] for event in events(run, "decided") if event["state"] == "CHECK"} == {11.5}
 
 
 def test_a_check_has_an_end() -> None:
@@ -110,7 +110,9 @@ def test_servers_are_looked_for_at_once_where_a_range_begins_and_a_server_fails(
     servers = [server("s1", **at(50)), server("s2", **at(60))]
     off = fault("s1", "off", from_s=20.0)
     seldom, often = (fly(*servers, policy={"period_s": each}, faults=[off]) for each in (30.0, 1.0))
-    selected = [[(each["server"], each["t"]) for each in events(run, "selected")] for run in (seldom, often)]
+    selected = [
+        [(event["server"], event["t"]) for event in events(run, "selected")] for run in (seldom, often)
+    ]
     assert selected[0] == selected[1]
     assert {name for name, _ in selected[0]} == {"s1", "s2"}
 
@@ -122,7 +124,7 @@ def calls_of_a_slow_server(retry_s: float) -> list[float]:
     """When a server was called that is slower than the drone, which does not believe it at first."""
     slow = server("s1", **at(200, **SOON, remote_call_s={"heavy": 12.0})) | {"range_m": 500.0}
     run = fly(slow, policy={"retry_s": retry_s, "blacklist_s": 1.0}, columns=40)
-    return [each["t"] for each in events(run, "decided") if each["decision"] == "remote"]
+    return [event["t"] for event in events(run, "decided") if event["decision"] == "remote"]
 
 
 def test_a_slow_server_is_forgiven_after_retry_s_and_never_where_that_is_infinite() -> None:
@@ -154,7 +156,7 @@ def test_disconnects_make_waits_of_the_thesiss_simulation_fail_as_in_figure_4_9(
 
     def waits(**overrides: object) -> tuple[int, int]:
         flights = [light(file, seed, **overrides).totals for seed in range(1, 11)]
-        return sum(each.waits for each in flights), sum(each.waits_failed for each in flights)
+        return sum(flight.waits for flight in flights), sum(flight.waits_failed for flight in flights)
 
     at_once = {f"server.{name}.truth.leave_s": 0.0 for name in ("s1", "s2")}
     as_it_is, without = waits(), waits(**at_once)

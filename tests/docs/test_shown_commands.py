@@ -31,7 +31,7 @@ def shown_commands(file: Path) -> Iterator[list[str]]:
     docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "command":
-            words = [text_of(each) or FILLED_IN for each in node.args]
+            words = [text_of(argument) or FILLED_IN for argument in node.args]
             if words[0] == "upwash":
                 yield words
         elif isinstance(node, ast.JoinedStr) or (text_of(node) and id(node) not in parts | docstrings):

@@ -68,7 +68,10 @@ def fly(tmp_path: Path, mission: str, **policy: Any) -> Run:
     file = tmp_path / "gripping.py"
     file.write_text(PROGRAM)
     document = {
-        "mission": {"program": f"{file}:{mission}", "waypoints_m": [[20.0 * each, 0.0] for each in range(5)]},
+        "mission": {
+            "program": f"{file}:{mission}",
+            "waypoints_m": [[20.0 * number, 0.0] for number in range(5)],
+        },
         "policy": {"blacklist_s": 1.0, **policy},
         "service": [{"name": "gripper", "program": f"{file}:Gripper", "local_call_s": {"": LOCAL_S}}],
         "server": [

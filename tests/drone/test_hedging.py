@@ -41,10 +41,10 @@ def test_a_late_server_may_answer_while_the_drone_computes() -> None:
     assert call["hedged_s"] == pytest.approx(LATE_AFTER_S)
     assert call["delay_s"] == pytest.approx(5.7)
     assert not events(run, "remote_failed")
-    assert [each["place"] for each in events(run, "dropped")] == ["local"] * len(hedged_calls(run))
+    assert [event["place"] for event in events(run, "dropped")] == ["local"] * len(hedged_calls(run))
     assert run.result.totals.local == 0
     without = fly(slow, hedged=False)
-    assert max(each["delay_s"] for each in events(without, "call")[3:]) > 12.0
+    assert max(event["delay_s"] for event in events(without, "call")[3:]) > 12.0
 
 
 def test_a_silent_server_costs_little_more_than_a_local_call_and_is_left() -> None:

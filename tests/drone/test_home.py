@@ -52,7 +52,7 @@ def planned(
 
 
 def altitudes(config: DroneConfig) -> list[float]:
-    return [each.position.altitude_m for each in waypoints(config.mission)]
+    return [waypoint.position.altitude_m for waypoint in waypoints(config.mission)]
 
 
 def test_they_count_from_the_vehicles_home_where_the_planned_one_is_unknown(tmp_path: Path) -> None:

@@ -123,7 +123,9 @@ def test_a_remote_call_that_fails_falls_back_to_the_lighter_mode_where_it_is_lat
     assert as_asked["operation"] == fell_back["asked"] == "detector.process_photo[heavy]"
     assert fell_back["operation"] == "detector.process_photo[light]"
     assert as_asked["delay_s"] - fell_back["delay_s"] == pytest.approx(7.0)
-    (sent,) = (each for each in events(late, "decided") if each["decision"] == "remote" and each["t"] > 150.0)
+    (sent,) = (
+        event for event in events(late, "decided") if event["decision"] == "remote" and event["t"] > 150.0
+    )
     assert sent["operation"] == "detector.process_photo[heavy]", "to the server it went as it was asked for"
 
 

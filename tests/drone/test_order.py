@@ -32,7 +32,7 @@ def order(config: DroneConfig) -> Order:
 
 
 def indices(order: Order) -> list[int]:
-    return [each.index for each in order.waypoints]
+    return [waypoint.index for waypoint in order.waypoints]
 
 
 def reached(run: Run) -> list[int | None]:
@@ -175,7 +175,7 @@ def item(number: int, command: int, params: list[float | None], *, frame: int = 
 def test_a_plan_can_be_swept_and_each_waypoint_keeps_its_speed(tmp_path: Path) -> None:
     found = order(read_drone_config(plan_file(tmp_path, 1)))
     assert indices(found) == [5, 4, 3, 2, 1, 0]
-    speeds = {each.index: each.ground_speed_m_s for each in found.waypoints}
+    speeds = {waypoint.index: waypoint.ground_speed_m_s for waypoint in found.waypoints}
     assert speeds == {0: 4.0, 1: 4.0, 2: 4.0, 3: 4.0, 4: 2.0, 5: 2.0}
 
 

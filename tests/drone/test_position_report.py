@@ -39,20 +39,20 @@ def test_it_has_the_speed_over_the_ground_and_where_the_nose_points(
     reports: list[schema.PositionReport],
 ) -> None:
     assert (reports[0].ground_speed_m_s, reports[0].heading_deg) == (0.0, None)
-    assert 4.0 in {each.ground_speed_m_s for each in reports}  # mission.ground_speed_m_s, on long legs
-    flown = {each.heading_deg for each in reports if each.ground_speed_m_s}
+    assert 4.0 in {report.ground_speed_m_s for report in reports}  # mission.ground_speed_m_s, on long legs
+    flown = {report.heading_deg for report in reports if report.ground_speed_m_s}
     assert {90.0, 180.0, 270.0} <= flown  # east, then a row further south, then west
 
 
 def test_what_the_vehicle_does_not_say_is_absent(reports: list[schema.PositionReport]) -> None:
-    assert {each.battery_percent for each in reports} == {None}  # a scenario without an endurance
+    assert {report.battery_percent for report in reports} == {None}  # a scenario without an endurance
 
 
 def test_it_has_the_server_in_use_and_how_long_its_daemon_took_to_answer(
     reports: list[schema.PositionReport],
 ) -> None:
-    assert {each.server for each in reports} == {None, "s1", "s2"}
-    answered = [each for each in reports if each.round_trip_s is not None]
+    assert {report.server for report in reports} == {None, "s1", "s2"}
+    answered = [report for report in reports if report.round_trip_s is not None]
     assert {each.server for each in answered} == {"s1", "s2"}
     assert all(0.0 <= (each.round_trip_s or 0.0) < 5.0 for each in answered)
-    assert not [each for each in reports if each.server is None and each.round_trip_s is not None]
+    assert not [report for report in reports if report.server is None and report.round_trip_s is not None]

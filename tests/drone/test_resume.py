@@ -150,7 +150,7 @@ def test_killed_at_any_moment_it_takes_up_the_plan_after_the_last_result(killed_
     assert both.position is not None and both.position.altitude_m == 0.0
 
 
-@pytest.mark.parametrize("killed_at_s", [float(each) for each in range(10, 106, 3)])
+@pytest.mark.parametrize("killed_at_s", [float(number) for number in range(10, 106, 3)])
 @pytest.mark.parametrize("stay_or_go", ["stay", "go"])
 def test_killed_at_any_moment_no_answer_and_nothing_that_it_demands_is_lost(
     killed_at_s: float, stay_or_go: str

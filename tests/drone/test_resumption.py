@@ -42,7 +42,7 @@ def at(index: int, *results: str) -> list[Event]:
     return [
         event("leg", **place),
         event("arrived", **place),
-        *(event("call", operation=each) for each in results),
+        *(event("call", operation=result) for result in results),
     ]
 
 

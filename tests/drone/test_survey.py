@@ -25,7 +25,9 @@ CONFIG = drone_config(
 
 
 def told(run: Run) -> list[tuple[str, float]]:
-    return [(str(each.message), each.at.east_m) for each in run.events if isinstance(each, schema.Notified)]
+    return [
+        (str(event.message), event.at.east_m) for event in run.events if isinstance(event, schema.Notified)
+    ]
 
 
 def fail_at(monkeypatch: pytest.MonkeyPatch, east_m: float, times: int) -> None:

@@ -36,7 +36,7 @@ def lines(events: Iterable[Event]) -> list[str]:
     return [re.split(r" s\]?  ", line, maxsplit=1)[1] for line in output.getvalue().splitlines()]
 
 
-@pytest.mark.parametrize("kind", map(kind_of, EVENTS))
+@pytest.mark.parametrize("kind", [kind_of(cls) for cls in EVENTS])
 def test_every_event_can_be_told(kind: str) -> None:
     """The sentences and notices name fields of the events in templates, which mypy does not read."""
     sentence = Narrator().tell(event(kind, 1.0))

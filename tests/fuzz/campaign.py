@@ -53,8 +53,8 @@ def fuzz(name: str, *, seconds: float, kept: Path, seed: int = 1) -> Fuzzed:
                 (found / file_name).write_bytes(data)
                 print(f"{name}: the process {ended}: {file_name} ({length} bytes)", flush=True)
         findings = list(found.iterdir())
-        for each in findings:
-            (kept / each.name).write_bytes(each.read_bytes())
+        for finding in findings:
+            (kept / finding.name).write_bytes(finding.read_bytes())
     return Fuzzed(harness=name, seconds=seconds, runs=runs, findings=len(findings))
 
 
@@ -103,4 +103,4 @@ def main() -> int:
         print(f"{name}: {figures[-1].runs:,} inputs, {figures[-1].findings} findings", flush=True)
     if options.out:
         leave(options.out, command=f"python -m tests.fuzz --seconds {options.seconds:g}", figures=figures)
-    return min(1, sum(each.findings for each in figures))
+    return min(1, sum(figure.findings for figure in figures))

@@ -161,8 +161,11 @@ def test_a_key_names_a_table_without_name_by_its_number(scenario: Path) -> None:
 
 def test_turns_without_end_can_be_set_and_are_told_as_written(scenario: Path) -> None:
     sweep = read_sweep(scenario, ["server.s1.truth.turn_s=30,inf"], seeds=1)
-    assert [each.values for each in sweep.combinations] == [("30",), ("inf",)]
-    flown = [drone_config(each.document, scenario).servers[0].truth.turn_s for each in sweep.combinations]
+    assert [combination.values for combination in sweep.combinations] == [("30",), ("inf",)]
+    flown = [
+        drone_config(combination.document, scenario).servers[0].truth.turn_s
+        for combination in sweep.combinations
+    ]
     assert flown == [30.0, math.inf]
     with pytest.raises(ConfigError, match="a finite number, found inf"):
         read_sweep(scenario, ["server.s1.truth.join_s=3,inf"], seeds=1)
@@ -218,7 +221,7 @@ def test_every_combination_is_checked_before_anything_runs(
 
 def test_a_sweep_is_the_product_of_its_settings_in_their_order(scenario: Path) -> None:
     sweep = read_sweep(scenario, ["policy.gain_wait=0.1,0.25", "mission.mode=light,heavy"], seeds=3)
-    assert [each.values for each in sweep.combinations] == [
+    assert [combination.values for combination in sweep.combinations] == [
         ("0.1", "light"), ("0.1", "heavy"), ("0.25", "light"), ("0.25", "heavy"),
     ]  # fmt: skip
 
@@ -356,8 +359,8 @@ def test_what_the_rest_costs_is_measured_on_missions_of_all_of_it(scenario: Path
 def _flown_of(chunks: Sequence[Chunk], sweep: ParameterSweep) -> list[int]:
     """How many runs of each combination are in the chunks."""
     return [
-        sum(len(chunk.seeds) for chunk in chunks if chunk.values == each.values)
-        for each in sweep.combinations
+        sum(len(chunk.seeds) for chunk in chunks if chunk.values == combination.values)
+        for combination in sweep.combinations
     ]
 
 

@@ -72,7 +72,7 @@ def test_a_seed_gives_the_same_world_and_log_in_any_process(tmp_path: Path) -> N
 def test_the_scenario_that_is_written_is_the_one_that_was_flown() -> None:
     for seed in range(1, 200, SEEDS_PER_SCENARIO):
         documents = World(seed).faulty(seed, [])
-        written = [drone_config(tomllib.loads(as_toml(each)), Path("log.toml")) for each in documents]
+        written = [drone_config(tomllib.loads(as_toml(document)), Path("log.toml")) for document in documents]
         assert written == configs(documents)
 
 

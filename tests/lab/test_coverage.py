@@ -69,7 +69,7 @@ def test_a_check_says_where_the_server_was_reached(scenario: Path) -> None:
     assert server.range_m is None
     assert set(server.waypoints) >= {0, 1, 2, 3}
     assert 6 in found.uncovered
-    predicted = {each.case: each.mission_time_s for each in found.predictions}
+    predicted = {prediction.case: prediction.mission_time_s for prediction in found.predictions}
     again = upwash.simulate(scenario)
     assert predicted["as configured"] == pytest.approx(again.mission_time_s)
     assert again.totals.local > 10

@@ -259,7 +259,7 @@ def test_a_campaign_keeps_the_parts_of_each_mission(
             assert [row["completed"] for row in rows] == ["false", "false", "true", "true"]
             for row in rows:
                 parts = ("flight_wh", "hover_wh", "computing_wh", "radio_wh")
-                assert float(row["energy_wh"]) == pytest.approx(sum(float(row[each]) for each in parts))
+                assert float(row["energy_wh"]) == pytest.approx(sum(float(row[part]) for part in parts))
 
 
 def test_a_check_says_that_the_battery_is_not_enough(capsys: pytest.CaptureFixture[str]) -> None:

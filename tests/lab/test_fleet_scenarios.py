@@ -100,5 +100,5 @@ def test_slow_drones_save_more_than_fast_ones() -> None:
 def test_three_vanish_and_what_they_held_comes_free() -> None:
     fleet = fly("fleet-vanishing")
     assert [name for name, each in fleet.drones.items() if each.vanished] == ["d2", "d5", "d6"]
-    left = [each for each in fleet.drones.values() if not each.vanished]
+    left = [value for value in fleet.drones.values() if not value.vanished]
     assert all(sum(each.totals.remote.values()) >= 20 for each in left)

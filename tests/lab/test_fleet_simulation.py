@@ -98,7 +98,7 @@ def test_a_scenario_of_one_drone_is_a_fleet_of_one() -> None:
 
 def test_a_policy_that_is_given_is_every_drones(scenario: Path) -> None:
     fleet = upwash.simulate_fleet(scenario, policy="opportunistic")
-    assert {each.policy for each in fleet.drones.values()} == {"opportunistic"}
+    assert {value.policy for value in fleet.drones.values()} == {"opportunistic"}
     others = upwash.simulate_fleet(scenario, overrides={"policy.name": "opportunistic"})
     assert others.drones["d2"].policy == "local-only"
 

@@ -49,7 +49,9 @@ def test_where_servers_answer_most_calls_it_is_what_a_model_of_the_question_says
     )
     areas = server_areas(config).values()
     covered = [
-        each for each in waypoints(config.mission) if any(area.contains(each.position) for area in areas)
+        waypoint
+        for waypoint in waypoints(config.mission)
+        if any(area.contains(waypoint.position) for area in areas)
     ]
     assert len(covered) == 107
     run = simulate(config)

@@ -132,7 +132,7 @@ def stints(seen: list[Seen]) -> Iterator[Stint]:
 
 
 def kinds(run: Run) -> set[str]:
-    return {each["event"] for each in written(run.events)}
+    return {event["event"] for event in written(run.events)}
 
 
 def test_a_drone_of_the_last_release_has_its_turns_beside_one_of_today_and_yields_when_they_are_over() -> (

@@ -58,7 +58,7 @@ def of(reproduced: list[Comparison], name: str) -> list[Comparison]:
 def test_every_printed_mission_time_is_met_within_3_percent(reproduced: list[Comparison]) -> None:
     times = of(reproduced, "mission_time_local_only") + of(reproduced, "mission_time_offloading")
     assert len(times) == 2 * (2 + 4)
-    deviations = {(each.setup, each.experiment.name): each.deviation_percent for each in times}
+    deviations = {(time.setup, time.experiment.name): time.deviation_percent for time in times}
     assert all(percent is not None and abs(percent) <= 3 for percent in deviations.values()), deviations
 
 
@@ -67,8 +67,8 @@ def test_the_naive_selection_is_slower_by_about_what_the_thesis_estimates(
     reproduced: list[Comparison],
 ) -> None:
     shares = of(reproduced, "naive_selection_extra_mission_time_share")
-    assert [each.setup for each in shares] == list(SETUPS)
-    assert all(6 <= each.mean.value <= 13 for each in shares)
+    assert [share.setup for share in shares] == list(SETUPS)
+    assert all(6 <= share.mean.value <= 13 for share in shares)
 
 
 @many_missions
@@ -145,8 +145,8 @@ def test_a_row_has_a_value_per_seed_and_the_printed_figure_where_there_is_one(
     of_any_mission = [each for each in reproduced if not each.quantity.name.startswith("saving_of_waiting")]
     assert {len(each.values) for each in of_any_mission} == {SEEDS}
     assert all(1 <= len(each.values) <= SEEDS for each in reproduced)
-    assert [each.printed for each in ratios if each.setup == "hitl"] == [3.7, 7, None, 3.6]
-    assert all(each.printed is None for each in ratios if each.setup == "simulation")
+    assert [ratio.printed for ratio in ratios if ratio.setup == "hitl"] == [3.7, 7, None, 3.6]
+    assert all(ratio.printed is None for ratio in ratios if ratio.setup == "simulation")
 
 
 @many_missions

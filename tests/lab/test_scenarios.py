@@ -134,7 +134,9 @@ def test_a_loaded_server_is_found_out_and_avoided() -> None:
 def slow_at_first(scenario: str, *, patient_first_call: bool) -> Run:
     """The scenario with servers on which a service's first call takes 2 s longer."""
     replace, config = msgspec.structs.replace, read_scenario(FILES[scenario], policy="look-ahead")
-    servers = tuple(replace(each, truth=replace(each.truth, first_extra_s=2.0)) for each in config.servers)
+    servers = tuple(
+        replace(server, truth=replace(server.truth, first_extra_s=2.0)) for server in config.servers
+    )
     policy = replace(config.policy, patient_first_call=patient_first_call, blacklist_s=60.0, hedge=False)
     return simulate(replace(config, servers=servers, policy=policy))
 

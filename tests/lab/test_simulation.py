@@ -51,7 +51,7 @@ def test_what_it_came_to_is_read_from_its_events_and_from_its_log(tmp_path: Path
     assert events == simulation.events
     for result in (upwash.read_result(events), upwash.read_result(simulation.events)):
         assert result == upwash.RunResult(
-            **{each.name: getattr(simulation, each.name) for each in dataclasses.fields(upwash.RunResult)}
+            **{field.name: getattr(simulation, field.name) for field in dataclasses.fields(upwash.RunResult)}
         )
     assert events[-1].t >= simulation.mission_time_s > 0
 

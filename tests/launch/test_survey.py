@@ -54,5 +54,5 @@ def test_parameters_that_a_person_should_know_of_are_named(
     parameters: dict[str, float], named: set[str], unfit: str
 ) -> None:
     found = surveyed(Px4Settings(HOME, parameters=parameters))
-    assert {each.name for each in found.settings} == named
+    assert {setting.name for setting in found.settings} == named
     assert unfit in found.unfit

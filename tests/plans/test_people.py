@@ -85,8 +85,8 @@ LEFT_OUT = [
 def test_what_no_flight_needs_is_left_out_and_told(tmp_path: Path, item: str, what: str) -> None:
     plain = read(tmp_path, HOME, TAKEOFF, FIRST, SECOND, RETURN)
     plan = read(tmp_path, HOME, TAKEOFF, FIRST, item, SECOND, RETURN)
-    assert [each.place for each in plan.waypoints] == [each.place for each in plain.waypoints]
-    assert [each.item for each in plan.waypoints] == [2, 4]
+    assert [waypoint.place for waypoint in plan.waypoints] == [waypoint.place for waypoint in plain.waypoints]
+    assert [waypoint.item for waypoint in plan.waypoints] == [2, 4]
     (notice,) = told(plan)
     assert notice.startswith(f"item 3: {what}")
     assert told(plain) == []
@@ -125,7 +125,7 @@ def test_a_takeoff_needs_no_place(tmp_path: Path, place: tuple[float, float]) ->
 def test_a_takeoff_elsewhere_is_flown_where_the_vehicle_stands(tmp_path: Path) -> None:
     plan = read(tmp_path, HOME, row(22, place=(39.3669, 22.9507), altitude_m=20), FIRST)
     assert plan.takeoff_altitude_m == 20
-    assert [each.item for each in plan.waypoints] == [2]
+    assert [waypoint.item for waypoint in plan.waypoints] == [2]
     (notice,) = told(plan)
     assert "33 m from the plan's home, is left out: the vehicle climbs where it stands" in notice
 
@@ -146,24 +146,24 @@ def test_the_takeoffs_place_is_home_where_the_plan_knows_none(tmp_path: Path) ->
 
 def test_a_list_that_begins_with_its_takeoff_has_no_home(tmp_path: Path) -> None:
     plan = read(tmp_path, row(22, place=NORTH, altitude_m=10), FIRST, SECOND)
-    assert ([each.item for each in plan.waypoints], plan.takeoff_altitude_m) == ([1, 2], 10)
+    assert ([waypoint.item for waypoint in plan.waypoints], plan.takeoff_altitude_m) == ([1, 2], 10)
     assert told(plan)[0] == "it has no item for home: every item is flown"
 
 
 def test_a_list_of_waypoints_alone_has_no_home(tmp_path: Path) -> None:
     plan = read(tmp_path, FIRST, SECOND)
-    assert ([each.item for each in plan.waypoints], plan.home) == ([0, 1], None)
+    assert ([waypoint.item for waypoint in plan.waypoints], plan.home) == ([0, 1], None)
     assert told(plan) == ["it has no item for home: every item is flown"]
     file = tmp_path / "from-one.waypoints"
     file.write_text(listed(HOME, FIRST, SECOND).replace(f"0\t{HOME}\n", ""))
     plan = read_plan(file)
-    assert ([each.item for each in plan.waypoints], plan.home) == ([1, 2], None)
+    assert ([waypoint.item for waypoint in plan.waypoints], plan.home) == ([1, 2], None)
 
 
 def test_in_a_list_an_altitude_or_a_place_of_0_is_the_one_before(tmp_path: Path) -> None:
     ground, nowhere = row(16, place=(39.3686, 22.9507)), row(16, 3)
     plan = read(tmp_path, HOME, TAKEOFF, ground, nowhere, FIRST, nowhere, RETURN)
-    assert [(each.item, each.place.altitude_m, each.hold_s) for each in plan.waypoints] == [
+    assert [(waypoint.item, waypoint.place.altitude_m, waypoint.hold_s) for waypoint in plan.waypoints] == [
         (2, 20, 3),
         (4, 25, 3),
     ]
@@ -175,7 +175,7 @@ def test_in_a_list_an_altitude_or_a_place_of_0_is_the_one_before(tmp_path: Path)
 @pytest.mark.parametrize("command", [16, 82, 19])
 def test_a_hold_time_is_flown(tmp_path: Path, command: int) -> None:
     plan = read(tmp_path, HOME, TAKEOFF, row(command, 7.5, place=NORTH, altitude_m=25), SECOND)
-    assert [each.hold_s for each in plan.waypoints] == [7.5, 0]
+    assert [waypoint.hold_s for waypoint in plan.waypoints] == [7.5, 0]
 
 
 def test_a_spline_is_flown_straight(tmp_path: Path) -> None:
@@ -188,13 +188,13 @@ def test_a_spline_is_flown_straight(tmp_path: Path) -> None:
 
 def test_delays_are_hovers_at_the_waypoint_before(tmp_path: Path) -> None:
     plan = read(tmp_path, HOME, TAKEOFF, row(93, 9), FIRST, row(93, 5), row(112, 3), row(19, 2), SECOND)
-    assert [(each.item, each.hold_s) for each in plan.waypoints] == [(3, 10), (7, 0)]
+    assert [(waypoint.item, waypoint.hold_s) for waypoint in plan.waypoints] == [(3, 10), (7, 0)]
     assert [notice.split(":")[0] for notice in told(plan)] == ["item 2", "item 5"]
 
 
 def test_a_hold_without_a_place_at_another_altitude_is_a_waypoint(tmp_path: Path) -> None:
     plan = read(tmp_path, HOME, TAKEOFF, FIRST, row(19, 4, altitude_m=40))
-    assert [(each.place.altitude_m, each.hold_s) for each in plan.waypoints] == [(25, 0), (40, 4)]
+    assert [(waypoint.place.altitude_m, waypoint.hold_s) for waypoint in plan.waypoints] == [(25, 0), (40, 4)]
     assert plan.waypoints[1].place.latitude_deg == NORTH[0]
     first = read(tmp_path, HOME, TAKEOFF, row(19, 4), FIRST).waypoints[0]
     assert (first.place, first.hold_s) == (GeoPosition(39.3666, 22.9507, 20), 4)
@@ -231,7 +231,7 @@ def test_a_list_with_items_taken_out_is_flown_in_its_order(tmp_path: Path) -> No
     file = tmp_path / "gap.waypoints"
     file.write_text(listed(HOME, TAKEOFF, FIRST, SECOND).replace("\n3\t", "\n8\t"))
     plan = read_plan(file)
-    assert [each.item for each in plan.waypoints] == [2, 8]
+    assert [waypoint.item for waypoint in plan.waypoints] == [2, 8]
     assert "its numbers leave item 3 out" in told(plan)[0]
 
 
@@ -288,7 +288,7 @@ TURN = simple(16, 0, 0, 0, None, *NORTH, 25)
 def test_a_pattern_is_flown_as_its_single_waypoints(tmp_path: Path, kind: str) -> None:
     transects = pattern(TURN, simple(206, 12, frame=2), TURN, simple(206, 0, frame=2), kind=kind)
     plan = plan_of(tmp_path, simple(22, 0, 0, 0, None, 0, 0, 15), transects, TURN)
-    assert [each.item for each in plan.waypoints] == [2, 4, 6]  # numbered as QGroundControl does
+    assert [waypoint.item for waypoint in plan.waypoints] == [2, 4, 6]  # numbered as QGroundControl does
     assert told(plan) == [
         f"{kind} is flown as its 4 single commands, items 2-5",
         f"items 3, 5: MAV_CMD_DO_SET_CAM_TRIGG_DIST (206): {PHOTOS}",
@@ -297,9 +297,9 @@ def test_a_pattern_is_flown_as_its_single_waypoints(tmp_path: Path, kind: str) -
 
 def test_a_survey_as_it_is_saved_is_flown() -> None:
     plan = read_plan(FOLDER / "survey.plan")
-    assert [each.item for each in plan.waypoints] == [3, 5, 6, 7, 9, 10]
-    assert [each.place.altitude_m for each in plan.waypoints] == [25, 25, 25, 25, 30, 20]
-    assert [each.hold_s for each in plan.waypoints] == [0, 0, 0, 0, 8, 2]
+    assert [waypoint.item for waypoint in plan.waypoints] == [3, 5, 6, 7, 9, 10]
+    assert [waypoint.place.altitude_m for waypoint in plan.waypoints] == [25, 25, 25, 25, 30, 20]
+    assert [waypoint.hold_s for waypoint in plan.waypoints] == [0, 0, 0, 0, 8, 2]
     assert (plan.takeoff_altitude_m, plan.home_above_sea_m, plan.waypoints[-1].above_sea_m) == (20, None, 130)
     assert len(plan.notices) == 4
 

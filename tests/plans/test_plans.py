@@ -352,10 +352,10 @@ def assert_read_or_refused(file: Path, content: bytes) -> None:
         assert refused.problem
         return
     assert plan.waypoints
-    for each in plan.waypoints:
-        assert abs(each.place.latitude_deg) <= 90 and abs(each.place.longitude_deg) <= 180
-        assert 0 < each.place.altitude_m <= 10_000
-        assert each.ground_speed_m_s is None or 0 < each.ground_speed_m_s <= 100
-        assert 0 <= each.hold_s <= 3600 * 10_000
+    for waypoint in plan.waypoints:
+        assert abs(waypoint.place.latitude_deg) <= 90 and abs(waypoint.place.longitude_deg) <= 180
+        assert 0 < waypoint.place.altitude_m <= 10_000
+        assert waypoint.ground_speed_m_s is None or 0 < waypoint.ground_speed_m_s <= 100
+        assert 0 <= waypoint.hold_s <= 3600 * 10_000
     assert len(plan.waypoints) <= 10_001
     assert all(str(notice) for notice in plan.notices)

@@ -453,7 +453,7 @@ async def test_who_is_refused_and_what_for_is_logged_in_print(caplog: pytest.Log
         await request(address, ESCAPES.encode())
     assert SHOWN in str(refused.value)
     assert SHOWN in caplog.messages[0]
-    assert all(each.isprintable() for each in caplog.messages)
+    assert all(message.isprintable() for message in caplog.messages)
 
 
 # --- who is who ---------------------------------------------------------------------------------------------

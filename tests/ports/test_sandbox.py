@@ -261,7 +261,7 @@ async def test_it_inherits_what_it_needs_and_nothing_else(sandbox: Sandbox, tmp_
             files = [
                 each for each in await call("open_files") if not each.startswith(("anon_inode:", "socket:"))
             ]
-            assert not [each for each in files if not each.startswith(("pipe:", "/dev/null", "/proc/"))]
+            assert not [file for file in files if not file.startswith(("pipe:", "/dev/null", "/proc/"))]
             assert (await call("limits")) == [(1, 1), (4096, 4096)]
             assert await call("first_to_be_killed") == 1000
 

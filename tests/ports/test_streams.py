@@ -49,7 +49,7 @@ class Counted:
 
     @property
     def about(self) -> list[str]:
-        return [each.about for each in self.troubles]
+        return [trouble.about for trouble in self.troubles]
 
 
 @asynccontextmanager

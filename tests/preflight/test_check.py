@@ -60,7 +60,9 @@ def file(tmp_path: Path) -> Path:
 def checked(file: Path, *, seeds: int = 1) -> tuple[MissionCheck, dict[str, float]]:
     found = check(read_plan(file), seeds=seeds, fly=here)
     return found, {
-        each.case: each.mission_time_s for each in found.predictions if each.mission_time_s is not None
+        prediction.case: prediction.mission_time_s
+        for prediction in found.predictions
+        if prediction.mission_time_s is not None
     }
 
 
@@ -72,7 +74,7 @@ def test_each_case_is_predicted_by_the_missions_themselves(file: Path) -> None:
     assert times_s[AS_CONFIGURED] == simulate(plan.config).result.mission_time_s
     assert times_s[AS_CONFIGURED] == times_s[without("s2")] < times_s[without("s1")]
     assert times_s[ALONE] == pytest.approx(times_s[LOCAL_ONLY], rel=0.01)
-    assert [each.kind for each in found.warnings] == ["covers-nothing"]
+    assert [warning.kind for warning in found.warnings] == ["covers-nothing"]
     assert missions_to_fly(plan, 3) == 15
 
 
@@ -101,14 +103,14 @@ def test_a_mission_is_predicted_to_its_end_whatever_the_reserve(file: Path) -> N
     found, again_s = checked(file)
     assert again_s == times_s
     assert found.usable_s == 75.0 < times_s[AS_CONFIGURED]
-    assert [each.kind for each in found.warnings] == ["battery"]
+    assert [warning.kind for warning in found.warnings] == ["battery"]
     file.write_text(
         SCENARIO.replace("[mission]", "[mission]\nreserve_s = 75.0") + "[vehicle]\nendurance_s = 150.0\n"
     )
     found, again_s = checked(file)
     assert again_s == times_s
     assert found.usable_s == 75.0
-    assert [each.kind for each in found.warnings] == ["battery", "too-far"]
+    assert [warning.kind for warning in found.warnings] == ["battery", "too-far"]
 
 
 def test_a_drone_that_never_offloads_has_one_case(file: Path) -> None:
@@ -287,4 +289,4 @@ def test_a_missing_camera_is_warned_of_where_the_simulated_mission_takes_a_photo
     )
     (tmp_path / "drone.toml").write_text(MISSION_FOR_FLIGHT.format(program="mission.py:fly"))
     found, _ = checked(tmp_path / "drone.toml")
-    assert {each.kind for each in found.warnings} == kinds
+    assert {warning.kind for warning in found.warnings} == kinds

@@ -205,7 +205,7 @@ def test_on_the_drone_the_start_the_first_call_and_those_after_it_are_told_apart
     computer = Computer()
     profile = onboard(computer, VIEWER, watched.append)
     carried_s = LATENCY_S + 0.2  # the mean photo
-    by_key = {each.sample.operation.key: each for each in profile.calls}
+    by_key = {call.sample.operation.key: call for call in profile.calls}
     for key, call_s in CALL_S.items():
         assert by_key[key].mean_s == pytest.approx(call_s + carried_s, rel=1e-3)
         assert by_key[key].first_s == pytest.approx(call_s + FIRST_S + LATENCY_S + 0.1, rel=1e-3)

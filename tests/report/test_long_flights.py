@@ -64,7 +64,7 @@ def test_more_calls_are_drawn_by_their_quartiles(tmp_path: Path) -> None:
     chart = figure(page, "Call delay")
     boxes = [each for each in chart.iter(f"{SVG}g") if of_class(each, "quartiles")]
     assert len(boxes) == 80, "40 bins of 50 waypoints, with calls at two places each"
-    first = [each.findtext(f"{SVG}title") for each in boxes[:2]]
+    first = [box.findtext(f"{SVG}title") for box in boxes[:2]]
     assert first == [
         "waypoints 0-49: 25 calls of service.operation_0 on the drone, "
         "1.00 s in the middle, half of them 1.00 to 3.00 s, all 1.00 to 3.00 s",
@@ -104,7 +104,7 @@ def test_states_that_follow_each_other_closely_are_drawn_by_the_longest(tmp_path
     page = parsed(log_of(tmp_path / "busy.jsonl", *steps, (10_010.0, "mission_completed", {})))
     states = of_class(figure(page, "States of the servers"), "state")
     assert len(states) < 450
-    ready = [each for each in states if "state-ready" in each.get("class", "")]
+    ready = [state for state in states if "state-ready" in state.get("class", "")]
     assert sum(float(each.get("width", "")) for each in ready) > 600, (
         "of 656, as it was READY for the most part"
     )
@@ -119,7 +119,7 @@ def test_operations_differ_by_the_fill_of_their_marks(tmp_path: Path) -> None:
     page = parsed(long_flight(tmp_path / "three.jsonl", 9, operations=3))
     for drawn in (figure(page, "Call delay"), figure(page, "Map of the flight")):
         marks = of_class(drawn, "mark")
-        fills = [(set(each.get("class", "").split()) & {"hollow", "dotted"}) or {"filled"} for each in marks]
+        fills = [(set(mark.get("class", "").split()) & {"hollow", "dotted"}) or {"filled"} for mark in marks]
         assert fills == [{"filled"}, {"hollow"}, {"dotted"}] * 3
         assert len(of_class(drawn, "dot")) == 3
     legends = [text(each) for each in of_class(page, "legend")]

@@ -205,11 +205,11 @@ def test_the_map_shows_the_plan_and_the_ranges(simulated: tuple[list[Read], Reco
 def test_what_calls_took_and_the_states_of_servers_are_numbers(simulated: tuple[list[Read], Record]) -> None:
     messages, record = simulated
     calls = of_topic(messages, "/calls")
-    assert [(each.message["place"], each.message["delay_s"]) for each in calls] == [
-        (each.result.server or "drone", each.result.delay_s) for each in record.calls
+    assert [(call.message["place"], call.message["delay_s"]) for call in calls] == [
+        (call.result.server or "drone", call.result.delay_s) for call in record.calls
     ]
-    assert [each.time_s for each in calls] == pytest.approx(
-        [record.began_s + each.result.at_s + each.result.delay_s for each in record.calls]
+    assert [call.time_s for call in calls] == pytest.approx(
+        [record.began_s + call.result.at_s + call.result.delay_s for call in record.calls]
     )
     for server, stretches in record.stretches.items():
         *begun, last = of_topic(messages, f"/servers/{server}")

@@ -130,13 +130,13 @@ def test_any_two_of_a_set_can_be_told_apart(theme: Theme, colours: list[str], ey
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])
 def test_what_is_drawn_and_written_stands_out_from_its_ground(theme: Theme) -> None:
     for ground in (theme.paper, theme.band):
-        assert {each for each in theme.places if contrast(each, ground) < 3} == set(), "marks: WCAG 1.4.11"
+        assert {place for place in theme.places if contrast(place, ground) < 3} == set(), "marks: WCAG 1.4.11"
         assert contrast(theme.ink, ground) > 7
         assert contrast(theme.soft, ground) > 4.5
     for ground in (theme.ready, theme.check, theme.caution):
         assert contrast(theme.ink, ground) > 4.5
     assert contrast(theme.on_alarm, theme.alarm) > 4.5
-    assert {each for each in theme.drones if contrast(each, theme.paper) < 4.5} == set(), "their numbers"
+    assert {drone for drone in theme.drones if contrast(drone, theme.paper) < 4.5} == set(), "their numbers"
 
 
 def test_the_style_sheet_has_every_colour_of_both_themes() -> None:

@@ -171,7 +171,7 @@ def test_the_log_tells_the_plan_and_the_ranges(records: list[Record]) -> None:
     config = read_drone_config(SCENARIOS / "thesis.toml")
     plan = records[0].plan
     assert plan.waypoints_m == [
-        (each.position.east_m, each.position.north_m) for each in waypoints(config.mission)
+        (waypoint.position.east_m, waypoint.position.north_m) for waypoint in waypoints(config.mission)
     ]
     assert plan.ranges == server_areas(config)
 
@@ -209,7 +209,7 @@ def test_a_program_that_takes_a_flight_up_again_knows_no_states(tmp_path: Path) 
         event(30.0, "position", **HERE),
     )
     (record,) = read_records([log])
-    told = [(each.state, each.from_s, each.to_s) for each in record.stretches["s1"]]
+    told = [(stretch.state, stretch.from_s, stretch.to_s) for stretch in record.stretches["s1"]]
     assert told == [
         (State.AVL, 0.0, 1.0), (State.CHECK, 1.0, 3.0), (State.READY, 3.0, 6.0), (State.AVL, 6.0, 10.0),
     ]  # fmt: skip
@@ -434,7 +434,7 @@ def test_each_call_stands_where_it_was_made_though_it_was_answered_elsewhere(goi
 def test_other_tools_are_told_of_turns_and_hidden_time(going: Record) -> None:
     rows = list(csv.DictReader(write_csv([going]).splitlines()))
     assert sum(float(row["hidden_s"]) for row in rows) == pytest.approx(going.result.totals.hidden_s)
-    kinds = [each["properties"]["kind"] for each in json.loads(write_geojson([going]))["features"]]
+    kinds = [load["properties"]["kind"] for load in json.loads(write_geojson([going]))["features"]]
     assert kinds.count("turn") == 3
 
 

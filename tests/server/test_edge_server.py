@@ -294,8 +294,8 @@ async def test_a_daemon_continues_what_the_former_one_counted(daemon: Daemon) ->
     used = DroneUsage("heron-1", "heron", None, 60.0, 7, 3.5, 1.0)
     daemon.edge.take_up_usage("s1", [used], [TeamUsage("heron", 0, 60.0, 7, 3.5, 1.0)])
     (server,) = daemon.edge.standing().servers
-    assert [(each.drone, each.calls) for each in server.drones] == [("heron-1", 7)]
-    assert [(each.team, each.slot_s) for each in server.teams] == [("heron", 60.0)]
+    assert [(drone.drone, drone.calls) for drone in server.drones] == [("heron-1", 7)]
+    assert [(team.team, team.slot_s) for team in server.teams] == [("heron", 60.0)]
 
 
 @played(serve)
@@ -479,7 +479,7 @@ async def test_an_instance_without_a_sign_of_life_is_replaced(daemon: Daemon) ->
     await daemon.keep_asking(CALL_LIMIT_S - 5.0)
     assert len(daemon.runtime.living()) == 1, "it may be busy"
     await daemon.keep_asking(30.0)
-    assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
+    assert [instance.ended.done() for instance in daemon.runtime.instances] == [True, False]
 
 
 @played(serve)
@@ -491,7 +491,7 @@ async def test_an_instance_that_raises_what_drones_deny_is_replaced(daemon: Daem
         daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1, "raised"))
         await daemon.deny()
     await daemon.keep_asking(1.0 + COLD_START_S)
-    assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
+    assert [instance.ended.done() for instance in daemon.runtime.instances] == [True, False]
 
 
 @played(serve)
@@ -613,12 +613,14 @@ async def test_a_daemon_that_is_closed_while_a_drone_waits_starts_nothing_more(d
 
 async def reload(daemon: Daemon, version: str, services: tuple[str, ...] = ("detector",)) -> None:
     offers = {"s1": ServerOffer(frozenset(services), 1)}
-    images = {each: Image(Program("somewhere:Detector"), version=version) for each in services}
+    images = {service: Image(Program("somewhere:Detector"), version=version) for service in services}
     await daemon.edge.reload(offers, images=images, revoked=frozenset())
 
 
 def detector_of(daemon: Daemon) -> InstanceStatus:
-    (status,) = [each for each in daemon.edge.standing().servers[0].instances if each.service == "detector"]
+    (status,) = [
+        instance for instance in daemon.edge.standing().servers[0].instances if instance.service == "detector"
+    ]
     return status
 
 
@@ -805,7 +807,7 @@ def test_the_log_says_at_the_end_of_each_lease_who_used_what(caplog: pytest.LogC
 
     with caplog.at_level(logging.INFO, logger="upwash.usage"):
         serve(story)
-    said = [each.getMessage() for each in caplog.records if each.name == "upwash.usage"]
+    said = [record.getMessage() for record in caplog.records if record.name == "upwash.usage"]
     assert said == [
         f"s1: d1 had a slot for {COLD_START_S:.1f} s: calls answered 2, seconds of computing 1.2",
         "s1: d2 did not come: a slot was held for 3.0 s, as s2 asked",

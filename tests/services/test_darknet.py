@@ -225,8 +225,8 @@ def test_blanks_comments_and_training_options_change_nothing() -> None:
     written = (
         small().replace("=", " =\t").replace("[yolo]", "; a head\n[ yolo ]  # here\n\nlabel_smooth_eps=0.1")
     )
-    assert [each.operator for each in read_network(CFG, written.encode()).layers] == [
-        each.operator for each in plain.layers
+    assert [layer.operator for layer in read_network(CFG, written.encode()).layers] == [
+        layer.operator for layer in plain.layers
     ]
 
 

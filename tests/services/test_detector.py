@@ -604,7 +604,7 @@ def test_the_bundled_model_finds_most_of_what_is_on_rendered_photos() -> None:
     for photo in photos:
         detections = detector.process_photo(photo.jpeg, "heavy")
         true += len(photo.truth)
-        found += sum(any(is_hit(each, fault) for each in detections) for fault in photo.truth)
+        found += sum(any(is_hit(detection, fault) for detection in detections) for fault in photo.truth)
     assert true > 10
     assert found >= 0.8 * true
 

@@ -262,7 +262,7 @@ def leaves_two_waypoints(fly_on: Any, self: AnswerAction[Any], place: Waypoint |
 
 @planted("a waypoint counts as done before its answer is there", call_promises, "waypoints_done")
 def done_before_its_answer(done: Any, events: Iterable[Event], config: DroneConfig) -> Any:
-    return done((each for each in events if not isinstance(each, schema.CallStarted)), config)
+    return done((event for event in events if not isinstance(event, schema.CallStarted)), config)
 
 
 @planted("a slot is held until the drone comes", Leases, "hold")

@@ -72,7 +72,7 @@ def test_a_phase_draws_the_integral_of_its_power(length_m: float, cruise_m_s: fl
     ):
         elapsed_s, steps = share * phase.duration_s, 200
         middles_s = [(step + 0.5) * elapsed_s / steps for step in range(steps)]
-        summed_j = sum(PAPER.power_w(phase.velocity(each)) for each in middles_s) * elapsed_s / steps
+        summed_j = sum(PAPER.power_w(phase.velocity(middle_s)) for middle_s in middles_s) * elapsed_s / steps
         assert PAPER.energy_j(phase, elapsed_s) == pytest.approx(summed_j, rel=4e-3)
 
 

@@ -84,7 +84,7 @@ class OwnCluster:
         """The member that leads the database."""
         client = _WORDS[self.engine.kind].client
         members = json.loads(_inside(self.engine, "m1", f"{client} cluster list --format json"))
-        return next(str(each["server_name"]) for each in members if "database-leader" in each["roles"])
+        return next(str(member["server_name"]) for member in members if "database-leader" in member["roles"])
 
     def lose(self, member: str) -> None:
         """Takes the member away, with all that runs on it, as if its plug were pulled."""

@@ -97,7 +97,7 @@ async def test_it_costs_the_daemon_next_to_nothing(
     assert "invented" not in metrics
     seconds = re.findall(r"upwash_service_seconds_sum\{.*\} (.*)", metrics)
     assert len(seconds) <= 2
-    assert all(0.0 <= float(each) < 60.0 for each in seconds)
+    assert all(0.0 <= float(second) < 60.0 for second in seconds)
 
 
 @played("attacked")

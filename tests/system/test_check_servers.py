@@ -46,8 +46,8 @@ async def forwarded(address: str, at: int = 0) -> AsyncIterator[str]:
 
     async with await asyncio.start_server(lead, "127.0.0.1", at) as server:
         yield f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
-        for each in carriers:
-            each.cancel()
+        for carrier in carriers:
+            carrier.cancel()
         await asyncio.gather(*carriers, return_exceptions=True)
 
 

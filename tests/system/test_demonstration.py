@@ -179,7 +179,7 @@ def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstrat
 
 def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration) -> None:
     demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 2)
-    servers_instances = demonstration.instances(*(each.pid for each in demonstration.daemons()))
+    servers_instances = demonstration.instances(*(daemon.pid for daemon in demonstration.daemons()))
     assert servers_instances, "s1 runs its detector by now"
     for instance in servers_instances:
         os.kill(instance.pid, signal.SIGKILL)
@@ -240,9 +240,9 @@ def test_a_drone_whose_program_is_killed_does_not_end_the_others_and_ctrl_c_land
     with started(tmp_path, "--drones", "2") as demonstration:
         demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-2.jsonl")
         (killed,) = (
-            each
-            for each in demonstration.processes()
-            if each.parent == demonstration.process.pid and "drone-2.toml" in each.command
+            process
+            for process in demonstration.processes()
+            if process.parent == demonstration.process.pid and "drone-2.toml" in process.command
         )
         os.kill(killed.pid, signal.SIGKILL)
         before = len(demonstration.events("drone-1.jsonl"))

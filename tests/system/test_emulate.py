@@ -82,7 +82,7 @@ class Emulation:
     def processes(self) -> dict[int, str]:
         """Commands by process, of all that belong to it but the command itself."""
         mark = f"UPWASH_EMULATION={self.process.pid}:"
-        return {each.pid: each.command for each in processes(mark=mark)}
+        return {process.pid: process.command for process in processes(mark=mark)}
 
     def in_calls(self) -> list[int]:
         """The processes that a call waits for: the drone's and the servers'."""
@@ -150,7 +150,7 @@ def seen_outside() -> list[str]:
     """What of an emulation's namespaces, devices and addresses is the machine's own; other tests may have others."""
     commands = (["ip", "netns"], ["ip", "-brief", "address"], ["ip", "rule"], ["ip", "route"])
     ours = ("drone-", "server-", "to0@", "air")
-    lines = [line for each in commands for line in ended(each).stdout.splitlines()]
+    lines = [line for command in commands for line in ended(command).stdout.splitlines()]
     return [line for line in lines if line.startswith(ours) or "10.83." in line]
 
 

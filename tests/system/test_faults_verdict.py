@@ -61,7 +61,7 @@ class Log:
         config = msgspec.structs.replace(read_drone_config(SCENARIO), name=name)
         write_config(folder / f"{name}.toml", config)
         (folder / f"{name}.jsonl").write_bytes(
-            b"".join(line(each["event"], each["t"], **_facts(each)) for each in self.events)
+            b"".join(line(event["event"], event["t"], **_facts(event)) for event in self.events)
         )
 
 

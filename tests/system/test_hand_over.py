@@ -35,7 +35,7 @@ async def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
 ) -> None:
     async def calls_told() -> dict[str, int]:
         reply = await ask_status(at.address, server="s1", operator="alice", keys=own_keys)
-        return {each.drone: each.calls for server in reply.servers for each in server.drones}
+        return {drone.drone: drone.calls for server in reply.servers for drone in server.drones}
 
     def of_both(told: dict[str, int], name: str, drone: Flying) -> bool:
         """Whether the new daemon counts its own calls of the drone, and calls that the old one answered."""

@@ -241,7 +241,7 @@ def sections() -> list[tuple[str, list[str]]]:
     found = []
     for part in re.split(r"^##+ ", PAGE, flags=re.MULTILINE)[1:]:
         lines = "".join(re.findall(r"```sh\n(.*?)```", part, re.DOTALL)).splitlines()
-        found.append((part.partition("\n")[0], [each for each in lines if not each.startswith(NOT_HERE)]))
+        found.append((part.partition("\n")[0], [line for line in lines if not line.startswith(NOT_HERE)]))
     return found
 
 
@@ -334,7 +334,7 @@ def test_the_script_installs_a_server_that_can_be_configured_and_changes_nothing
     assert done.returncode == 0, done.stderr
     root = tmp_path / "root"
     config = read_daemon_config(root / "etc/upwash/server.toml")
-    assert [each.name for each in config.identities] == ["s9"]
+    assert [identity.name for identity in config.identities] == ["s9"]
     keys = root / "etc/upwash/keys"
     assert {file.name for file in keys.iterdir()} == {"authority.pem", "revoked.txt", "s9.key", "s9.pem"}
     assert (keys / "s9.key").stat().st_mode & 0o777 == 0o640
@@ -363,7 +363,7 @@ def test_an_upgrade_by_the_script_keeps_the_library_for_a_graphics_card(tmp_path
 
 def test_both_extras_of_the_detector_differ_in_the_library_alone() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    renamed = [each.replace("onnxruntime-gpu", "onnxruntime") for each in extras["detector-gpu"]]
+    renamed = [extra.replace("onnxruntime-gpu", "onnxruntime") for extra in extras["detector-gpu"]]
     assert renamed == extras["detector"]
 
 

@@ -182,7 +182,7 @@ def test_check_prints_what_is_ready_and_the_remedy_for_the_rest(
 def test_the_survey_finds_what_one_of_two_radios_could_not_join(field: Field) -> None:
     def surveyed() -> list[str]:
         findings = asyncio.run(survey_networks(["radio1", "radio2"], {"s1": "s1-net"}, radios=2))
-        return [each.trouble for each in findings if each.trouble]
+        return [finding.trouble for finding in findings if finding.trouble]
 
     field.run("nmcli", "connection", "modify", "s1-net", "connection.interface-name", "radio1")
     (trouble,) = surveyed()
@@ -195,8 +195,8 @@ def test_the_survey_finds_them_ready(field: Field) -> None:
     findings = asyncio.run(
         survey_networks(["radio1", "radio2"], {"s1": "s1-net", "s2": "s2-net", "s3": "s3-net"})
     )
-    assert [each.subject for each in findings if each.trouble] == ["s3"]
-    assert [each.found for each in findings[1:4]] == [
+    assert [finding.subject for finding in findings if finding.trouble] == ["s3"]
+    assert [finding.found for finding in findings[1:4]] == [
         "Ethernet, idle",
         "Ethernet, idle",
         "s1-net, 802-3-ethernet, on radio1",

@@ -161,7 +161,7 @@ def test_two_flights_are_shown_at_the_same_second_side_by_side(
     records = read_records(logs)
     opened(page, two)
     page.seek(1000.0)
-    heads = [each.text for each in page.all(".totals")]
+    heads = [element.text for element in page.all(".totals")]
     assert [f"{calls_until(record, 1000.0)} calls" in head for record, head in zip(records, heads, strict=True)] == [
         True, True,
     ]  # fmt: skip
@@ -274,7 +274,7 @@ def test_keys_play_and_move_anywhere_on_the_page(page: Browser, one: str) -> Non
 def test_on_a_phone_the_controls_are_one_row_that_fingers_hit(page: Browser, one: str) -> None:
     opened(page, one, width=390)
     controls = ["#controls", "#controls button", "#controls select", "summary", ".leaflet-bar a"]
-    heights = [page.find(each).rect["height"] for each in controls]
+    heights = [page.find(control).rect["height"] for control in controls]
     assert heights[0] <= 64
     assert min(heights[1:]) >= 44
 

@@ -84,7 +84,7 @@ def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "lig
 
 def in_focus(page: Browser) -> str:
     """The name of the drone whose details are to be seen."""
-    (heading,) = [each.text for each in page.all(".flight h2") if each.is_displayed()]
+    (heading,) = [element.text for element in page.all(".flight h2") if element.is_displayed()]
     return str(heading.split()[-1])
 
 
@@ -103,7 +103,7 @@ def test_every_drone_is_listed_at_the_same_moment_of_one_clock(page: Browser, fl
         ["2 drone-2", "at waypoint 0", "1 of 5", "s1 CHECK", "1, 0 on servers", "0.0 s", "88 %"],
         ["3 drone-3", "starting the services of the drone", "0 of 5", "none", "0, 0 on servers", "", ""],
     ]
-    assert [each.text for each in page.all(".users .badge")] == ["1", "2"], "who uses s1"
+    assert [element.text for element in page.all(".users .badge")] == ["1", "2"], "who uses s1"
     assert "checking" in (page.all(".users .badge")[1].get_attribute("class") or "")
     page.seek(31.0)
     assert (
@@ -131,12 +131,14 @@ def test_a_drone_is_looked_at_by_click_by_number_and_on_the_map(page: Browser, f
     assert in_focus(page) == "drone-1"
     page.all(".drones button")[1].click()
     page.wait_until(lambda: in_focus(page) == "drone-2")
-    pressed = [each.get_attribute("aria-pressed") for each in page.all(".drones button")]
+    pressed = [element.get_attribute("aria-pressed") for element in page.all(".drones button")]
     assert pressed == ["false", "true", "false"]
     ActionChains(page.driver).send_keys("3").perform()
     page.wait_until(lambda: in_focus(page) == "drone-3")
     labels = [
-        each.get_attribute("aria-label") or "" for each in page.all(".chart canvas") if each.is_displayed()
+        element.get_attribute("aria-label") or ""
+        for element in page.all(".chart canvas")
+        if element.is_displayed()
     ]
     assert "drone-3" in labels[0]
     ActionChains(page.driver).send_keys("9").perform()

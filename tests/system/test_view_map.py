@@ -128,7 +128,7 @@ def test_the_labels_of_boxes_stay_within_the_photo_and_cover_no_other(
         assert photo[0] <= label[0] + 0.5 and label[2] <= photo[2] + 0.5, label
         assert photo[1] <= label[1] + 0.5 and label[3] <= photo[3] + 0.5, label
         assert not any(overlap(label, other) for other in labels[:number]), number
-    assert {each.text.split()[0] for each in page.all(".boxes text")} == {"2"}, "as in the list"
+    assert {element.text.split()[0] for element in page.all(".boxes text")} == {"2"}, "as in the list"
 
 
 def test_everything_that_the_user_was_told_is_listed_and_leads_to_its_moment(page: Browser, one: str) -> None:
@@ -261,7 +261,7 @@ def test_the_readout_is_of_the_pointer_alone(page: Browser, one: str) -> None:
 
 def test_the_operation_of_a_call_is_told_by_the_fill_of_its_mark(page: Browser, one: str) -> None:
     opened(page, one, END_S)
-    entries = [each.text for each in page.all(".legend .entry")]
+    entries = [element.text for element in page.all(".legend .entry")]
     assert f"filled: {COUNT}" in entries and f"hollow: {DIRT}" in entries
     middles = page.run(
         "const canvas = document.querySelector('.chart canvas'), context = canvas.getContext('2d');"

@@ -159,7 +159,9 @@ async def test_heartbeats_and_landed_states_come_in_the_recorded_order(client: C
     await client.stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT)  # often enough to miss no state
     await client.until(lambda: client.beats()[-1] == (81, 0, 3))
     await client.until(lambda: client.all("GPS_GLOBAL_ORIGIN"))
-    await client.until(lambda: "EKF3 IMU0 is using GPS" in [each.text for each in client.all("STATUSTEXT")])
+    await client.until(
+        lambda: "EKF3 IMU0 is using GPS" in [message.text for message in client.all("STATUSTEXT")]
+    )
     assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_GUIDED) == 0
     await client.until(lambda: client.beats()[-1] == (89, 4, 3))
     told = len(client.all("HOME_POSITION"))
@@ -233,7 +235,7 @@ async def test_a_speed_is_lost_before_the_first_target_and_kept_after_it(client:
     await client.take_off()
     assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
     client.target(east_e7=20_000)
-    await client.until(lambda: max(each.vy for each in client.all("GLOBAL_POSITION_INT")) >= 539)
+    await client.until(lambda: max(message.vy for message in client.all("GLOBAL_POSITION_INT")) >= 539)
     assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
     await client.until(lambda: 295 <= client.all("GLOBAL_POSITION_INT")[-1].vy <= 301)
     await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].lon > 229_507_000 + 10_000)

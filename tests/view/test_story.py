@@ -81,7 +81,7 @@ def test_the_states_of_the_servers_are_those_of_the_report(told: list[Fact], rec
         steps = [
             (step.at_s, step.state, step.why) for step in those(facts.Step, told) if step.server == server
         ]
-        begun = [(each.from_s, each.state, each.why) for each in stretches if each.from_s > 0]
+        begun = [(stretch.from_s, stretch.state, stretch.why) for stretch in stretches if stretch.from_s > 0]
         assert [step for step in steps if step in begun] == begun, "and some that lasted no time at all"
 
 

@@ -58,8 +58,8 @@ def _reset_over(connection: ssl.SSLSocket) -> None:
         streams = range(first, first + 2 * AT_ONCE, 2)
         connection.sendall(
             b"".join(
-                head(AVAILABILITY, stream=each) + frame(RST_STREAM, 0, CANCEL, stream=each)
-                for each in streams
+                head(AVAILABILITY, stream=stream) + frame(RST_STREAM, 0, CANCEL, stream=stream)
+                for stream in streams
             )
         )
 

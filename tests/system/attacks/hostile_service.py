@@ -76,7 +76,7 @@ class Hostile:
         self._control.sendall(b"}\n")
 
     def _say(self, *messages: Mapping[str, object]) -> None:
-        self._control.sendall(b"".join(msgspec.json.encode(each) + b"\n" for each in messages))
+        self._control.sendall(b"".join(msgspec.json.encode(message) + b"\n" for message in messages))
 
 
 def _answer(drone: str, method: str, took_s: float) -> dict[str, object]:

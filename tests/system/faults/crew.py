@@ -129,7 +129,7 @@ class DroneProgram:
 
 def instances_below(process: int) -> list[int]:
     """The service instances that a program runs, without the sandboxes around them."""
-    return [each for each in _descendants(process) if _is_instance(each)]
+    return [descendant for descendant in _descendants(process) if _is_instance(descendant)]
 
 
 def _is_instance(process: int) -> bool:

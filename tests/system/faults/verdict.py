@@ -148,7 +148,7 @@ def judge(folder: Path) -> Verdict:
     return Verdict(
         record=record,
         broken=[*broken, *_admission(record, flown)],
-        returns=[Return(each, _returned_s(struck, each)) for each in black_outs],
+        returns=[Return(out, _returned_s(struck, out)) for out in black_outs],
         calls=len(places),
         remote_calls=len(places) - places.count(None),
         longest_s=max(bounds_s),
@@ -188,12 +188,12 @@ def _history(flown: Flown, events: list[Event], strikes: Iterable[Strike]) -> pr
     faults = tuple(
         FaultConfig(
             kind="off",
-            target=f"link:{each.server}" if each.target == "link" else each.server,
-            from_s=max(0.0, each.from_s - flown.began_s),
-            to_s=max(0.0, each.from_s - flown.began_s, each.to_s - flown.began_s),
+            target=f"link:{strike.server}" if strike.target == "link" else strike.server,
+            from_s=max(0.0, strike.from_s - flown.began_s),
+            to_s=max(0.0, strike.from_s - flown.began_s, strike.to_s - flown.began_s),
         )
-        for each in strikes
-        if each.target in ("link", "daemon", "instance")
+        for strike in strikes
+        if strike.target in ("link", "daemon", "instance")
     )
     config = msgspec.structs.replace(flown.config, faults=faults)
     return promises.History(config, Run(KeptEvents(events), read_result(events), []))
@@ -250,7 +250,9 @@ def _stops(
 ) -> list[tuple[float, float]]:
     """When the drone's own program stood still, stopped or for want of a processor: no bound holds then."""
     frozen_s = [
-        (each.from_s, each.to_s) for each in strikes if (each.what, each.target) == ("freeze", "drone")
+        (strike.from_s, strike.to_s)
+        for strike in strikes
+        if (strike.what, strike.target) == ("freeze", "drone")
     ]
     stops: list[tuple[float, float]] = []
     for from_s, to_s in sorted([*frozen_s, *late_s]):
@@ -351,7 +353,9 @@ def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator
         for event in each.events
         if server == getattr(event, "server", None)
     )
-    forgot_s = [each.from_s for each in record.strikes if (each.server, each.target) == (server, "daemon")]
+    forgot_s = [
+        strike.from_s for strike in record.strikes if (strike.server, strike.target) == (server, "daemon")
+    ]
     holder, last_s = "", 0.0
     gone: set[str] = set()
     for at_s, drone, what in facts:

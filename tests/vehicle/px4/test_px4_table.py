@@ -316,14 +316,14 @@ async def test_offboard_obeys_velocities_global_targets_and_yaw(client: Px4Clien
 @played(talk)
 async def test_a_cap_on_all_speeds_lowers_the_cruise_and_says_so(client: Px4Client) -> None:
     assert await client.set_parameter("MPC_XY_VEL_MAX", 4.0) == 4.0
-    assert {each.param_id for each in client.all("PARAM_VALUE")} >= {"MPC_XY_CRUISE", "MPC_VEL_MANUAL"}
+    assert {message.param_id for message in client.all("PARAM_VALUE")} >= {"MPC_XY_CRUISE", "MPC_VEL_MANUAL"}
     assert await client.set_parameter("COM_OBL_RC_ACT", 5) == 5
     client.say(mavlink.MAVLink_param_request_read_message(1, 1, b"COM_OBL_RC_ACT", -1))
     told = await client.next("PARAM_VALUE")
     assert (told.param_value, told.param_type) == (float_of_bytes(5), mavlink.MAV_PARAM_TYPE_INT32)
     client.say(mavlink.MAVLink_param_request_list_message(1, 1))
     await client.until(
-        lambda: len({each.param_index for each in client.all("PARAM_VALUE")}) == told.param_count
+        lambda: len({message.param_index for message in client.all("PARAM_VALUE")}) == told.param_count
     )
 
 
@@ -453,7 +453,7 @@ async def test_the_checks_are_told_again_on_request_and_its_modes(client: Px4Cli
     assert await client.long(mavlink.MAV_CMD_RUN_PREARM_CHECKS) == 0
     assert "no valid mission available" in [text for _, text in client.said]
     assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, AVAILABLE_MODES, 0) == 0
-    modes = {each.custom_mode: each for each in client.all("AVAILABLE_MODES")}
+    modes = {message.custom_mode: message for message in client.all("AVAILABLE_MODES")}
     assert {Mode.LOITER, Mode.OFFBOARD, Mode.RTL} <= set(modes)
     assert modes[Mode.LOITER].number_modes == len(modes)
 
