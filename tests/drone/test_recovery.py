@@ -10,7 +10,7 @@ from tests.scenarios import fault, scenario, server
 
 from upwash.config import DroneConfig
 from upwash.errors import ConfigError
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate, simulate_fleet
 from upwash.rpc.protocol import LEAVE
 
@@ -129,7 +129,7 @@ def test_a_server_that_is_well_again_and_not_wanted_is_told_so() -> None:
         columns=8,
         rows=4,
     )
-    seen: list[Seen] = []
+    seen: list[Observation] = []
     (run,) = simulate_fleet([config], seen=seen)
     (answered_s,) = (
         event["t"]

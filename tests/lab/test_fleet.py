@@ -13,7 +13,7 @@ from tests.scenarios import scenario, server
 from upwash.config import DroneConfig, fleet_of, presences
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate, simulate_drones, simulate_fleet
 
 LEASE_S = 30.0
@@ -25,8 +25,8 @@ def fleet(*drones: dict[str, Any], **tables: Any) -> DroneConfig:
     return scenario(server("s1", 40.0, 20.0, truth=truth), drone=list(drones), **tables)
 
 
-def seen_of(config: DroneConfig) -> tuple[list[Run], list[Seen]]:
-    seen: list[Seen] = []
+def seen_of(config: DroneConfig) -> tuple[list[Run], list[Observation]]:
+    seen: list[Observation] = []
     return simulate_fleet(fleet_of(config), there=presences(config), seen=seen), seen
 
 

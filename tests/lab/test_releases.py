@@ -20,7 +20,7 @@ from tests.server.test_edge_server import Daemon
 from upwash.core.admission.clients import Client
 from upwash.errors import NoLease, Refused
 from upwash.lab import run as lab
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate_fleet
 from upwash.ports import Link
 from upwash.rpc import protocol
@@ -117,13 +117,13 @@ def fly(
         rows=4,
         policy={"name": policy},
     )
-    seen: list[Seen] = []
+    seen: list[Observation] = []
     runs = simulate_fleet([msgspec.structs.replace(config, name=name) for name in names], seen=seen)
     assert [run.failure for run in runs] == [""] * len(runs)
     return dict(zip(names, runs, strict=True)), list(stints(seen))
 
 
-def stints(seen: list[Seen]) -> Iterator[Stint]:
+def stints(seen: list[Observation]) -> Iterator[Stint]:
     admitted = [(each.t, each.drones) for each in seen if each.event == "admitted"]
     changes = [next(same) for _, same in itertools.groupby(admitted, key=lambda each: each[1])]
     for (from_s, drones), (to_s, _) in itertools.pairwise(changes):

@@ -14,7 +14,7 @@ from tests.scenarios import fault, scenario, server
 
 from upwash.config import DroneConfig, Lie
 from upwash.lab.faults.promises import History, broken_promises
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate, simulate_fleet
 
 SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
@@ -31,7 +31,7 @@ def alone(columns: int, rows: int) -> Run:
 
 def fly(config: DroneConfig, by_itself: Run | None) -> Run:
     """Flies the mission and tests the promises."""
-    seen: list[Seen] = []
+    seen: list[Observation] = []
     (run,) = simulate_fleet([config], seen=seen)
     assert broken_promises(History(config, run, seen, by_itself), seed=config.seed) == []
     return run

@@ -15,7 +15,7 @@ from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotError, AutopilotOverruled, AutopilotTimeout
 from upwash.eventlog import schema
 from upwash.eventlog.schema import HomeMoved, PositionDoubted
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.lab.run import simulate_fleet
 from upwash.ports import VehicleNews
 from upwash.sim.autopilot import ModelAutopilot
@@ -233,7 +233,7 @@ async def test_heartbeats_of_another_program_change_nothing() -> None:
 
 def test_a_mission_tells_a_moved_home_once_and_ends_by_a_jump_in_the_action_that_is_configured() -> None:
     faults = [fault("autopilot", "home", from_s=10.0), fault("autopilot", "jump", from_s=30.0)]
-    seen: list[Seen] = []
+    seen: list[Observation] = []
     (run,) = simulate_fleet([scenario(faults=faults, columns=3, rows=2)], seen=seen)
     moved = [event for event in run.events if isinstance(event, schema.HomeMoved)]
     (doubted,) = [event for event in run.events if isinstance(event, schema.PositionDoubted)]

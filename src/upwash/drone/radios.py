@@ -47,7 +47,7 @@ class RadioWorker:
         self._tell = tell
         self._commands: asyncio.Queue[Command] = asyncio.Queue()
         self._tasks: asyncio.TaskGroup  # of `run`: the worker fails with any of them
-        self._errand: asyncio.Task[None] | None = None  # what the session is busy with
+        self._exchange: asyncio.Task[None] | None = None  # what the session is busy with
         self._message: asyncio.Task[None] | None = None  # for a peer of the server
         self._watch: asyncio.Task[None] | None = None  # over the network that the session joined
 
@@ -80,32 +80,32 @@ class RadioWorker:
         match command:
             case Check(server):
                 await self._pause()
-                self._errand = self._tasks.create_task(self._ask(self._session_at(server), command))
+                self._exchange = self._tasks.create_task(self._ask(self._session_at(server), command))
             case Probe(server):
                 await self._pause()
                 session = self._session_at(server)
                 await session.tell_denied()
                 await session.hang_up()
                 self.cut = None  # which teaches nothing, as the server is probed
-                self._errand = self._tasks.create_task(self._probe(session, command))
+                self._exchange = self._tasks.create_task(self._probe(session, command))
             case Start() if self.session is not None:
-                self._errand = self._tasks.create_task(self._start(self.session, command))
+                self._exchange = self._tasks.create_task(self._start(self.session, command))
             case Prepare() if self.session is not None:
                 await end(self._message)
                 self._message = self._tasks.create_task(self._prepare(self.session, command))
             case Leave(server):
-                await end(self._message, self._errand)
+                await end(self._message, self._exchange)
                 if self.session is not None:
                     answered = await self.session.end(in_range=self._in_range(server))
                     if answered and self.cut is not None:
                         self._tell(self.cut)
                 await end(self._watch)
-                self.session = self.cut = self._errand = self._message = self._watch = None
+                self.session = self.cut = self._exchange = self._message = self._watch = None
 
     async def _pause(self) -> None:
         """Drop all work at the server, without leaving it."""
-        await end(self._message, self._errand, self._watch)
-        self._message = self._errand = self._watch = None
+        await end(self._message, self._exchange, self._watch)
+        self._message = self._exchange = self._watch = None
 
     def _session_at(self, server: str) -> ServerSession:
         if self.session is None or self._session_with != server:

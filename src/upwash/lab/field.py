@@ -10,7 +10,7 @@ from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
 from upwash.core.admission.admission import AdmissionController
 from upwash.core.admission.clients import Client
 from upwash.core.admission.server import ServerOffer
-from upwash.lab.observer import Seen, observed_daemon, server_observer
+from upwash.lab.observer import Observation, observed_daemon, server_observer
 from upwash.missions.bundled import LoadedService
 from upwash.rpc.service import spec_of
 from upwash.server.daemon import EdgeServer
@@ -43,7 +43,7 @@ def daemon_address(server: str) -> str:
 
 @contextlib.asynccontextmanager
 async def serving(
-    config: DroneConfig, software: Software, *, seen: list[Seen] | None
+    config: DroneConfig, software: Software, *, seen: list[Observation] | None
 ) -> AsyncIterator[Switchboard]:
     """Runs the configured servers; drones reach them through the switchboard.
 

@@ -39,7 +39,7 @@ from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.link import Handler, Life, Observe
 
 
-class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Observation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One observed fact: its name from the table above, and the fields that belong to it.
 
     `t` is the second of the simulation, `radio` counts from 0, and a time in seconds ends in `_s`.
@@ -65,22 +65,24 @@ class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     off_m: float = 0.0
 
 
-def drone_observer(drone: str, seen: list[Seen], *, position: Callable[[], Position], life: Life) -> Observe:
+def drone_observer(
+    drone: str, seen: list[Observation], *, position: Callable[[], Position], life: Life
+) -> Observe:
     """The observer of one drone while its computer is there; a request is seen with the drone's position."""
 
     def note(event: str, **facts: Any) -> None:
         if not life.is_over:
             place = position() if event == "sent" else None
-            seen.append(Seen(event=event, drone=drone, position=place, **facts))
+            seen.append(Observation(event=event, drone=drone, position=place, **facts))
 
     return note
 
 
-def server_observer(server: str, seen: list[Seen]) -> Observe:
+def server_observer(server: str, seen: list[Observation]) -> Observe:
     """The observer of one server."""
 
     def note(event: str, **facts: Any) -> None:
-        seen.append(Seen(event=event, server=server, **facts))
+        seen.append(Observation(event=event, server=server, **facts))
 
     return note
 

@@ -35,7 +35,7 @@ from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
-from upwash.lab.observer import RangeInterval, Seen, drone_observer, observe_ranges
+from upwash.lab.observer import Observation, RangeInterval, drone_observer, observe_ranges
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
@@ -103,7 +103,7 @@ def simulate_fleet(
     *,
     there: Sequence[Presence] | None = None,
     computing: bool = False,
-    seen: list[Seen] | None = None,
+    seen: list[Observation] | None = None,
 ) -> list[Run]:
     """Flies the missions of several drones at the same time, among the servers of the first one's scenario.
 
@@ -150,7 +150,7 @@ class _Drone:
         self.range_intervals: list[RangeInterval] = []
 
 
-async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Seen] | None) -> list[_End]:
+async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Observation] | None) -> list[_End]:
     for drone in drones:
         drone.journal.begin()
     first = drones[0].config
@@ -172,7 +172,7 @@ async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Seen] | 
 
 
 async def _fly_one(
-    drone: _Drone, software: Software, switchboard: Switchboard, seen: list[Seen] | None
+    drone: _Drone, software: Software, switchboard: Switchboard, seen: list[Observation] | None
 ) -> _End:
     config, presence, journal = drone.config, drone.presence, drone.journal
     if presence.departs_s:

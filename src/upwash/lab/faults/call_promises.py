@@ -28,7 +28,7 @@ from upwash.lab.faults.history import (
     service_of,
 )
 from upwash.lab.faults.mission import ActionReport, demands_something
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 
 _REMOTE_LEAST_S, _REMOTE_FACTOR = 1.0, 4.0  # of the deadline of a remote call
 
@@ -36,7 +36,7 @@ _REMOTE_LEAST_S, _REMOTE_FACTOR = 1.0, 4.0  # of the deadline of a remote call
 def bounded_calls(history: History) -> Iterator[Breach]:
     """The longest worthwhile wait, the remote deadline and one local call, each as the rules say."""
     policy, first = history.config.policy, set(map(id, _first_calls(history.run.events)))
-    computed: dict[str, deque[Seen]] = {}  # by service, as a hedged call may outlast one of another
+    computed: dict[str, deque[Observation]] = {}  # by service, as a hedged call may outlast one of another
     for fact in history.own("computed"):
         computed.setdefault(service_of(fact), deque()).append(fact)
     calls = list(calls_of(history.run.events))

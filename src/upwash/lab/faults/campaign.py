@@ -16,7 +16,7 @@ from upwash.config.reading import Document
 from upwash.lab.faults.history import calls_of
 from upwash.lab.faults.promises import Broken, History, Promise, broken_promises
 from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs, moment_of
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate_fleet
 
 _NEVER_S = 1e6
@@ -28,7 +28,7 @@ class FlownWorld:
 
     documents: list[Document]
     runs: list[Run]
-    seen: list[Seen]
+    seen: list[Observation]
     broken: list[Broken]
 
 
@@ -97,7 +97,7 @@ def _alone(config: DroneConfig) -> Run:
 
 
 def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> FlownWorld:
-    fleet, seen = configs(documents), list[Seen]()
+    fleet, seen = configs(documents), list[Observation]()
     runs = simulate_fleet(fleet, computing=True, seen=seen)
     broken: list[Broken] = []
     for config, run, by_itself in zip(fleet, runs, alone, strict=True):

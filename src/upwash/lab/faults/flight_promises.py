@@ -16,7 +16,7 @@ from upwash.lab.faults.history import (
     deadline_of,
     may_be_cut_short,
 )
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 
 _FAREWELL_S = 0.5  # a drone says goodbye to its last server
 
@@ -139,7 +139,7 @@ def pilot_wins(history: History) -> Iterator[Breach]:
     While its link is silent the program cannot know, but it sends nothing then either. A pilot who takes it and gives
     it back within one silence leaves nothing that the program could hear of: that turn does not count.
     """
-    taken: Seen | None = None
+    taken: Observation | None = None
     for fact in history.own("taken", "given_back_unheard", "commanded"):
         if fact.event == "taken":
             taken = taken or fact

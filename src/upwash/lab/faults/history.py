@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from upwash.config import DroneConfig, FaultConfig
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.lab.run import Run
 
-Fact = Event | Seen
+Fact = Event | Observation
 Breach = tuple[Fact | None, str]  # the bad event or None, and what is bad about it
 SLACK_S = 0.1
 ROUNDING_S = 2e-6  # of the times in a log
@@ -30,10 +30,10 @@ class History:
 
     config: DroneConfig
     run: Run
-    seen: Sequence[Seen] = ()
+    seen: Sequence[Observation] = ()
     alone: Run | None = None
 
-    def own(self, *names: str) -> Iterator[Seen]:
+    def own(self, *names: str) -> Iterator[Observation]:
         """What the observer saw of this drone, of those names."""
         return (fact for fact in self.seen if fact.event in names and fact.drone == self.config.name)
 
@@ -130,6 +130,6 @@ def _is_overcome(fault: FaultConfig, history: History) -> bool:
     return False
 
 
-def service_of(fact: schema.Call | schema.Decided | Seen) -> str:
+def service_of(fact: schema.Call | schema.Decided | Observation) -> str:
     """The service that the event's call is of."""
     return fact.operation.partition(".")[0]

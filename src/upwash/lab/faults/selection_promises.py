@@ -13,7 +13,7 @@ from upwash.core.selection.recovery import REST_S
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, Breach, History, position_jumps
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.rpc.protocol import AVAILABILITY, DENY, HEALTH_CHECK, LEAVE
 
 _SERVICE_PATH = "/upwash.service."
@@ -70,7 +70,7 @@ def in_range(history: History) -> Iterator[Breach]:
         if isinstance(event, schema.Decided) and event.decision == "remote"
     )
     sent = (call for call in history.own("sent") if call.path.startswith(_SERVICE_PATH))
-    calls: list[schema.Decided | Seen] = [*remote, *sent]
+    calls: list[schema.Decided | Observation] = [*remote, *sent]
     for call in calls:
         if call.server and call.position and not areas[call.server].contains(call.position):
             yield call, f"a call was sent to {call.server}, which is out of range"

@@ -18,7 +18,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, SLACK_S, Breach, History
 from upwash.lab.field import daemon_address
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 from upwash.rpc.protocol import AVAILABILITY, LEAVE, START
 
 _LOOK_S = 1.0  # a daemon's period of looking for ended leases
@@ -36,7 +36,7 @@ def admission(history: History) -> Iterator[Breach]:
         yield from _leases(facts, end_s=history.seen[-1].t if history.seen else 0.0)
 
 
-def _instances(facts: Sequence[Seen]) -> Iterator[Breach]:
+def _instances(facts: Sequence[Observation]) -> Iterator[Breach]:
     running: set[str] = set()
     for fact in facts:
         if fact.event == "instance_started":
@@ -47,7 +47,7 @@ def _instances(facts: Sequence[Seen]) -> Iterator[Breach]:
             running.discard(fact.service)
 
 
-def _slots(facts: Sequence[Seen], slots: int) -> Iterator[Breach]:
+def _slots(facts: Sequence[Observation], slots: int) -> Iterator[Breach]:
     for fact in facts:
         if fact.event == "admitted" and len(fact.drones) > slots:
             yield fact, f"{fact.server} serves {', '.join(fact.drones)}, and has {slots} slots"
@@ -69,12 +69,12 @@ def _holds(history: History) -> Iterator[Breach]:
         holding[by, drone] = (server, fact.t + min(fact.for_s, _HOLD_S))
 
 
-def _leases(facts: Sequence[Seen], *, end_s: float) -> Iterator[Breach]:
+def _leases(facts: Sequence[Observation], *, end_s: float) -> Iterator[Breach]:
     """A drone that sends no request, and has no slot held, is not admitted after its lease ends."""
     asked_s: dict[str, float] = {}
     held_until_s: dict[str, float] = {}
-    admitted: dict[str, Seen] = {}  # by service, as last told to its instance
-    over = Seen(event="over", t=end_s)
+    admitted: dict[str, Observation] = {}  # by service, as last told to its instance
+    over = Observation(event="over", t=end_s)
     for fact in (*facts, over):
         for told in admitted.values():
             for drone in told.drones:
@@ -131,7 +131,7 @@ def _ends_wait(event: Event, server: str) -> bool:
 
 
 def _too_long(
-    history: History, server: ServerConfig, asked: list[Seen], refusal: schema.NoSlot, until_s: float
+    history: History, server: ServerConfig, asked: list[Observation], refusal: schema.NoSlot, until_s: float
 ) -> Iterator[Breach]:
     """Count from the drone's first question that the daemon received, if each next one came in time."""
     drone, truth = history.config.name, server_truth(server, history.config.services)
@@ -172,10 +172,12 @@ def replaced(history: History) -> Iterator[Breach]:
             yield from _started_too_soon(facts)
 
 
-def _still_hung(facts: Sequence[Seen], faults: Sequence[FaultConfig], *, end_s: float) -> Iterator[Breach]:
+def _still_hung(
+    facts: Sequence[Observation], faults: Sequence[FaultConfig], *, end_s: float
+) -> Iterator[Breach]:
     """A hung instance is gone after the limit of a call, one look of the daemon and a drain."""
     hung_s: float | None = None
-    for fact in (*facts, Seen(event="over", t=end_s)):
+    for fact in (*facts, Observation(event="over", t=end_s)):
         if hung_s is not None and fact.t > hung_s + CALL_LIMIT_S + _WATCH_S + _DRAIN_S + SLACK_S:
             yield fact, f"an instance that was hung at {hung_s:.3f} s is still not replaced"
             return
@@ -185,7 +187,7 @@ def _still_hung(facts: Sequence[Seen], faults: Sequence[FaultConfig], *, end_s: 
             hung_s = fact.t
 
 
-def _ended_without_cause(facts: Sequence[Seen], faults: Sequence[FaultConfig]) -> Iterator[Breach]:
+def _ended_without_cause(facts: Sequence[Observation], faults: Sequence[FaultConfig]) -> Iterator[Breach]:
     used_s = 0.0
     for fact in facts:
         if fact.event in ("instance_started", "served"):
@@ -196,7 +198,7 @@ def _ended_without_cause(facts: Sequence[Seen], faults: Sequence[FaultConfig]) -
             yield fact, f"an instance of {fact.service} ended, and nothing was wrong with it"
 
 
-def _started_too_soon(facts: Sequence[Seen]) -> Iterator[Breach]:
+def _started_too_soon(facts: Sequence[Observation]) -> Iterator[Breach]:
     """The pause after each failed start grows."""
     failed, ended_s, is_ready = 0, 0.0, False
     for fact in facts:

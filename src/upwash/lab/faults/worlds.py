@@ -19,7 +19,7 @@ from upwash.config.reading import Document
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing
-from upwash.lab.observer import Seen
+from upwash.lab.observer import Observation
 
 _NOT_AIMED_AT = ("reached",)  # seen since worlds were first drawn: each seed keeps its faults
 _SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
@@ -56,9 +56,9 @@ def _stream(name: str, number: int) -> random.Random:
     return random.Random(f"{name}/{number}")  # noqa: S311 - not for secrets
 
 
-def moment_of(event: Event | Seen) -> Moment:
+def moment_of(event: Event | Observation) -> Moment:
     """The moment of an event of a log, or of what an observer saw."""
-    if isinstance(event, Seen):
+    if isinstance(event, Observation):
         return Moment(event.t, event.event, event.server)
     at = event.server if isinstance(event, (schema.ServerStep, schema.Joined, schema.Decided)) else None
     return Moment(event.t, event.kind, at)
