@@ -202,7 +202,7 @@ def test_servers_that_failed_and_were_never_of_use_are_named_with_the_last_reaso
             policy={"name": "location-aware", "blacklist_s": 10.0},
         )
     )
-    assert run.result.never_ready == {"s1": "nobody answers"}, "s2 came back"
+    assert run.result.never_ready == {"s1": "s1 does not answer"}, "s2 came back"
     assert "never_ready" not in as_json(simulate(scenario()).result)
 
 

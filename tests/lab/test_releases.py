@@ -189,7 +189,7 @@ def test_the_last_release_understands_every_reply_to_its_requests() -> None:
             request = msgspec.msgpack.encode(StartRequest("s1", "detector"))
             return heard(await at.edge.handle(START, request, Client(drone)), StartReply)
 
-        assert await ask("d1") == AvailabilityReply(available=True, lease_s=30.0, peers=["s2"])
+        assert await ask("d1") == AvailabilityReply(available=True, lease_s=30.0, peers=["s2", "s3"])
         assert (await start("d1")).endpoint
         full = "s1 has no free slot: 1 of 1 in use"
         assert await ask("d2") == AvailabilityReply(available=False, reason=full)

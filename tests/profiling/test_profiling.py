@@ -256,7 +256,7 @@ def test_a_way_too_fast_to_measure_is_said_to_be_so() -> None:
 
 class Dead(Computer):
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
-        raise Unreachable("s1: nobody answers")
+        raise Unreachable("s1 does not answer")
 
 
 class Full(Computer):

@@ -65,7 +65,7 @@ def test_a_mission_survives_the_kill_of_a_container_and_of_a_daemon_in_mid_call(
 
 
 def next_call_hangs(flight: Demonstration, engine: OwnEngine, server: str) -> int:
-    """Stops the server's service after its first call and waits until it is called again.
+    """Stops the server's service after its first call, while the drone uses it, until it is called again.
 
     Returns the id of its container's first process.
     """
@@ -73,11 +73,21 @@ def next_call_hangs(flight: Demonstration, engine: OwnEngine, server: str) -> in
     (container,) = [name for name in engine.running() if f"-{server}-" in name]
     init = engine.process_1(container)
     (service,) = children(init)
-    os.kill(service, signal.SIGSTOP)
-    seen = len(flight.events())
-    flight.wait_for(lambda event: is_sent_to(server, event), since=seen)
-    return init
+    while True:
+        os.kill(service, signal.SIGSTOP)
+        seen = len(flight.events())
+        flight.wait_for(
+            lambda event: is_sent_to(server, event) or is_of(server, event, "deselected"), since=seen
+        )
+        if any(is_sent_to(server, event) for event in flight.events()[seen:]):
+            return init
+        os.kill(service, signal.SIGCONT)  # the daemon would replace it before the drone is back
+        flight.wait_for(lambda event: is_of(server, event, "started", "found_running"), since=seen)
 
 
 def is_sent_to(server: str, event: dict[str, Any]) -> bool:
     return (event["event"], event.get("decision"), event.get("server")) == ("decided", "remote", server)
+
+
+def is_of(server: str, event: dict[str, Any], *kinds: str) -> bool:
+    return event["event"] in kinds and event["server"] == server
