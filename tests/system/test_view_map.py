@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -186,6 +187,25 @@ def test_waypoints_have_numbers_where_there_is_room_for_them(page: Browser, one:
     page.wait_until(lambda: not page.all(".leaflet-zoom-anim"))
     page.click(".fit")
     page.wait_until(lambda: inked(page) == 0)
+
+
+def test_the_way_flown_begins_with_the_first_position(page: Browser, tmp_path: Path) -> None:
+    """The map is drawn with the plan, before the log has any position."""
+    log = tmp_path / "flight.jsonl"
+    lines = flight().splitlines(keepends=True)
+    rest = [text for text in lines[3:] if b'"call"' not in text]  # a call's operation redraws the whole map
+    log.write_bytes(b"".join(lines[:3]))
+    with view_of(log) as address:
+        page.open(address)
+        page.wait_until(lambda: boxes(page, ".chip"))
+        page.drawn()
+        steps = {"arming": [line("arming", 0.0)], "armed": [line("armed", 0.0)], "mission completed": rest}
+        for doing, more in steps.items():
+            with log.open("ab") as growing:
+                growing.write(b"".join(more))
+            while doing not in page.text(".doing"):
+                page.drawn()
+        assert page.errors() == []
 
 
 def test_the_labels_of_close_servers_cover_neither_each_other_nor_the_drone(page: Browser, one: str) -> None:

@@ -55,11 +55,12 @@ export class Track {
   }
 
   #grow(fixes, count) {
+    if (!count) return;
     const first = Math.max(0, Math.ceil(this.#corners.length / PIECE) - 1);
     const before = this.#corners.length;
-    if (!before && count) this.#corners.push(0);
-    if (!this.#next && count) this.#sleeve = new Sleeve(fixes[this.#corners.at(-1)]);
-    this.#next ||= (this.#corners.at(-1) ?? 0) + 1;
+    if (!before) this.#corners.push(0);
+    if (!this.#next) this.#sleeve = new Sleeve(fixes[this.#corners.at(-1)]);
+    this.#next ||= this.#corners.at(-1) + 1;
     for (; this.#next < count; this.#next += 1) {
       const [last, here] = [fixes[this.#next - 1], fixes[this.#next]];
       if (last.at_s - this.#sleeve.corner.at_s <= LONGEST_S && this.#sleeve.holds(here)) continue;
