@@ -27,8 +27,9 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def fly(folder: Path) -> Iterator[tuple[str, ...]]:
-    """The command, past a stand-in."""
-    with stand_in(folder, "--acceleration", "50", "--speedup", "3") as vehicle:
+    """The command, past a stand-in; it stays armed on the ground for as long as a busy machine starts a program."""
+    options = ("--acceleration", "50", "--speedup", "3", "--param", "DISARM_DELAY=127")
+    with stand_in(folder, *options) as vehicle:
         yield ("fly", "--config", "drone.toml", "--autopilot", vehicle)
 
 
