@@ -368,6 +368,21 @@ def test_a_service_that_is_withdrawn_is_stopped_and_one_of_another_version_start
     assert machine.offer(offers, outdated=outdated) == [StartInstance("s1", "mapper", 3)]
 
 
+def test_a_former_instance_serves_on_where_another_version_comes_after_its_successor_has_ended() -> None:
+    machine = with_detector_running()
+    same = ServerOffer(frozenset({"detector"}), 1)
+    offers, outdated = {"s1": same, "s2": same}, frozenset({("s1", "detector")})
+    assert machine.offer(offers, outdated=outdated) == [StartInstance("s1", "detector", 2)]
+    machine.at("s1").ready("detector", 2, ":9001", now_s=1.0)
+    machine.at("s1").gone("detector", 2, "killed", now_s=2.0)
+    assert machine.offer(offers, outdated=outdated) == []
+    assert machine.start("s1", "detector", Client("d1"), now_s=3.0)[1] == [StartInstance("s1", "detector", 3)]
+    stop = StopInstance("s1", "detector", 3, "s1 has another version of detector now")
+    assert machine.offer(offers, outdated=outdated) == [stop], (
+        "and not the first, whose address drones may have"
+    )
+
+
 def test_fewer_slots_end_no_lease_but_give_none_either() -> None:
     machine = host(slots=2)
     for drone in ("d1", "d2"):

@@ -85,16 +85,17 @@ class InstancePlace:
     def renew(self, why: str) -> list[StartInstance | StopInstance]:
         """Start an instance of another version, which replaces the running one once it is ready.
 
-        If no instance runs, stop the one that is starting, for the reason `why`; waiting drones wait for the next.
+        If no instance runs, stop the starting instance for the reason `why`; drones then wait for the next instance.
+        Former instances serve on.
         """
         if not self.is_running:
-            return [*self.stop(why)]
+            return [*self._stop_own(why)]
         outdated = [self._stop(self.successor, why)] if self.successor else []
         self.successor = next(self.numbers)
         return [*outdated, StartInstance(self.server, self.service, self.successor)]
 
     def ready(self, number: int, endpoint: str, *, lanes: int, former_until_s: float, now_s: float) -> bool:
-        """Note that the instance of that number can be called at the endpoint; return whether that changed anything.
+        """Note that the instance of that number can be called at the endpoint; return False for a stale report.
 
         An instance that it replaces serves until `former_until_s`.
         """
@@ -141,11 +142,7 @@ class InstancePlace:
         """Stop the running or starting instance, and the instances of other versions."""
         numbers = [*self.former_s, *filter(None, [self.successor])]
         self.former_s, self.successor = {}, 0
-        if self.is_running or self.state is InstanceState.STARTING:
-            self.state = InstanceState.STOPPING
-            self.endpoint = ""
-            numbers.append(self.number)
-        return [self._stop(number, why, is_useless and number == self.number) for number in numbers]
+        return [*(self._stop(number, why) for number in numbers), *self._stop_own(why, is_useless)]
 
     def stop_former(self, *, now_s: float) -> list[StopInstance]:
         """Stop replaced instances whose time is over."""
@@ -170,6 +167,13 @@ class InstancePlace:
             renewed=self.renewed,
             not_renewed=self.not_renewed,
         )
+
+    def _stop_own(self, why: str, is_useless: bool = False) -> list[StopInstance]:
+        if not (self.is_running or self.state is InstanceState.STARTING):
+            return []
+        self.state = InstanceState.STOPPING
+        self.endpoint = ""
+        return [self._stop(self.number, why, is_useless)]
 
     def _stop(self, number: int, why: str, is_useless: bool = False) -> StopInstance:
         return StopInstance(self.server, self.service, number, why, is_useless)
