@@ -84,7 +84,7 @@ def _group(item: pytest.Item) -> str | None:
 
 def _merged(*lists: list[pytest.Item]) -> list[pytest.Item]:
     """All of them, so that each list is used up evenly."""
-    placed = [(place / len(each), item) for each in lists for place, item in enumerate(each)]
+    placed = [(place / len(items), item) for items in lists for place, item in enumerate(items)]
     return [item for _, item in sorted(placed, key=lambda pair: pair[0])]
 
 

@@ -177,6 +177,7 @@ class Instances:
             async with beside(self._watch(life, instance), name=f"the watch of {spec.name}"):
                 why = await instance.exited()
             _log.warning("%s is gone: %s", spec.name, why)
+            # The successor starts while this instance is stopped below; the core ignores the second report.
             await self.perform(host.gone(spec.service, life.number, why, now_s=_now_s()))
         except TimeoutError:
             why = str(NotReadyInTime(spec.name, self._start_timeout_s, whose="the daemon's"))

@@ -143,7 +143,7 @@ class AdmissionController:
     def send_ahead(
         self, server: str, peer: str, drone: Client, *, for_s: float, now_s: float
     ) -> tuple[Denied | None, list[Command]]:
-        """Allow or deny that the peer is asked to hold a slot for a drone served here; None allows it.
+        """Decide whether a drone served here may have a slot held at the peer; None allows it.
 
         A drone may have one slot held at a time.
         """

@@ -100,7 +100,7 @@ class Leases:
         return [lease for lease in self._leases.values() if lease.until_s <= now_s]
 
     def end(self, which: Callable[[Lease], bool], *, now_s: float) -> list[Admit | LeaseEnded]:
-        """End the leases for which `which` is true, and last calls whose time is over."""
+        """End the leases that `which` selects, and last calls whose time is over."""
         ended = []
         for name, lease in [item for item in self._leases.items() if which(item[1])]:
             del self._leases[name]

@@ -76,7 +76,7 @@ class Peers:
         return ""
 
     def ask(self, drone: str, peer: str, *, for_s: float, now_s: float) -> None:
-        """Note that the peer is asked to hold a slot for the drone for `for_s`."""
+        """Note a request that the peer hold a slot for the drone for `for_s`."""
         ahead = self._sent_ahead.get(drone)
         known_s = ahead.until_s if ahead is not None else now_s
         until_s = max(known_s, now_s + min(self._hold_s, for_s))

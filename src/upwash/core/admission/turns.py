@@ -6,7 +6,7 @@ Laws:
 - a free slot goes to the waiting drone with the least slot time, then to the longest waiting, then by name;
 - after a turn a holder yields to a drone that has had less by more than half a turn;
 - the drone that has had most yields first;
-- only so many holders yield as the asking drone, and the drones before it in the queue, need;
+- holders yield until the asking drone and the drones before it in the queue have slots, and no further;
 - a drone that yields counts as present until its lease would have ended, as it may not know yet;
 - a holder yields only to a drone that has asked twice, as a drone that asks once may be gone;
 - a drone that misses three questions leaves the queue;

@@ -4,7 +4,7 @@ Laws:
 - a team is the part of a drone's name before its first "-"; a drone without one is a team of its own;
 - slot time is measured here; instances report calls and seconds of computing;
 - a call counts when it has ended, whether or not the drone still has a slot, and a dropped call has no answer;
-- a drone with a slot is never forgotten; of the others the longest unseen are, and so are teams.
+- a drone with a slot is never forgotten; the longest unseen of the other drones and of the teams are forgotten.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def team_of(drone: str) -> str:
 class LeaseEnded(Struct, frozen=True):
     """A drone's slot ended: how long the drone had it, and what it used meanwhile.
 
-    `held_by` names the peer at whose request the slot was held for a drone that did not come.
+    A peer had the slot held, and the drone did not come, if `held_by` names that peer.
     """
 
     server: str

@@ -90,7 +90,7 @@ class Watch:
             self._denied.clear()
 
     def denied(self, drone: str) -> None:
-        """Note that the drone's own service did not raise in a call in which the instance raised."""
+        """Note that the instance raised in a call, and the drone's own service did not raise in the same call."""
         if drone in self._raised:
             self._denied = [*self._denied, drone][-DENIALS:]
 
