@@ -30,7 +30,7 @@ from upwash.sim.loop import run_virtually
 
 SCENARIOS = ROOT / "scenarios"
 WAITING_GROUPS = (
-    *(f"flights-{number}" for number in range(4)),
+    *(f"flights-{number}" for number in range(3)),
     *("browser", "emulate", "ns3", "podman", "lxd", "incus", "tutorial"),
 )
 ON_VIRTUAL_TIME = {"core", "lab", "sim"}  # folders of tests
@@ -64,7 +64,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Lets groups that mostly wait begin first; others that wait come among those that compute, and fill the gaps."""
     flights = [item for item in items if item.get_closest_marker("flight") and _group(item) is None]
     for number, flight in enumerate(flights):  # each renders photos and detects, as real drones would
-        flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 4}"))
+        flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 3}"))
     for item in items:  # what a module's tests share is made once, and not by every process
         if _shares_with_its_module(item) and _group(item) is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))

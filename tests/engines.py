@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import shutil
 import signal
 import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -28,12 +29,18 @@ profiles:
 """
 
 
+def _own_subnet() -> str:
+    """A random one: a session that is killed leaves its containers' routes on the machine."""
+    return f"10.{160 + secrets.randbelow(96)}.{secrets.randbelow(256)}.0/24"
+
+
 @dataclass(frozen=True)
 class OwnEngine:
-    """One that runs: its socket, and its command line."""
+    """One that runs: its socket, its command line, and addresses for its containers."""
 
     kind: Kind
     folder: Path
+    subnet: str = field(default_factory=_own_subnet)
 
     @property
     def socket(self) -> Path:

@@ -36,7 +36,6 @@ from upwash.real.trust.credentials import Credentials, fingerprint
 
 SERVICES = ("workbench", "vandal")
 LIMITS = Limits(memory_bytes=MEMORY_BYTES, processes=PROCESSES, disk_bytes=DISK_BYTES)
-SUBNET = "10.147.71.0/24"
 ReadCredentials = Callable[[str], Credentials]
 
 
@@ -114,7 +113,7 @@ def lxd_host(
             kind="lxd",
             idle="freeze" if freezes else "stop",
             engine=EngineConfig(addresses=(f"unix:{lxd.socket}",)),
-            network=ContainerNetworkConfig(subnet=SUBNET),
+            network=ContainerNetworkConfig(subnet=lxd.subnet),
         )
         engine = Engine(config)
         async with led(credentials("s1")) as lead:
@@ -140,7 +139,7 @@ def lxd_host(
         keeps=True,
         runtime={
             "kind": "lxd",
-            "network": {"subnet": SUBNET},
+            "network": {"subnet": lxd.subnet},
             "engine": {"addresses": [f"unix:{lxd.socket}"]},
         },
         seen_of_a_kill="the container is gone, or cannot be reached",

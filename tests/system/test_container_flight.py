@@ -27,7 +27,6 @@ kind = "lxd"
 network.subnet = "{subnet}"
 engine.addresses = ["unix:{socket}"]
 """
-SUBNET = {"lxd": "10.147.72.0/24", "incus": "10.147.73.0/24"}
 DAEMON = """\
 listen = "127.0.0.1:0"
 keys = { authority = "a", certificate = "b", key = "c" }
@@ -41,7 +40,7 @@ def test_a_mission_survives_the_kill_of_a_container_and_of_a_daemon_in_mid_call(
     kind: Kind, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     engine: OwnEngine = request.getfixturevalue(kind)
-    runtime = RUNTIME.format(subnet=SUBNET[kind], socket=engine.socket)
+    runtime = RUNTIME.format(subnet=engine.subnet, socket=engine.socket)
     (tmp_path / "runtime.toml").write_text(runtime)
     (tmp_path / "daemon.toml").write_text(DAEMON + runtime)
     of_daemon = ("--config", str(tmp_path / "daemon.toml"))

@@ -125,14 +125,20 @@ def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration
 def check_against_simulation(flown: RunResult) -> None:
     """The same configuration on virtual time gives the same places, but for waits within 10 % of their threshold.
 
-    A wait in vain is left out too: there the machine was too busy to start a service as fast as configured.
+    Two cases of a busy machine are left out. A wait in vain: the machine started a service later than configured.
+    What comes after a server's answer that took twice as long as configured: the drone has other estimates then.
     """
     run = simulate(read_demonstration())
     simulated = {call.waypoint: call for call in run.result.calls}
     for call in flown.calls:
+        expected = simulated[call.waypoint]
         waited_in_vain = call.waited_s > 0 and call.place == "local"
         if not waited_in_vain and call.waypoint not in waits_at_their_threshold(run, within=0.1):
-            assert call.place == simulated[call.waypoint].place, f"at waypoint {call.waypoint}"
+            assert call.place == expected.place, f"at waypoint {call.waypoint}"
+        if call.place != "local" and call.delay_s - call.waited_s > 2 * (
+            expected.delay_s - expected.waited_s
+        ):
+            break
     assert flown.mission_time_s == pytest.approx(run.result.mission_time_s, rel=0.1)
 
 
@@ -190,10 +196,13 @@ def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration
     assert (
         result.completed and result.totals.calls == 12
     )  # by the drone, or by the server where it was back first
-    events = [event["event"] for event in demonstration.events()]
-    assert events.count("remote_failed") == 1, "the call to the killed instance"
-    assert "local_ended" in events
-    assert events.count("local_ready") == 2
+    events = demonstration.events()
+    failures = [event["why"] for event in events if event["event"] == "remote_failed"]
+    cut = [why for why in failures if "no answer within" not in why]  # a busy machine answers late
+    assert len(cut) == 1, "the call to the killed instance"
+    kinds = [event["event"] for event in events]
+    assert "local_ended" in kinds
+    assert kinds.count("local_ready") == 2
 
 
 def test_ctrl_c_lands_the_drone_and_leaves_nothing_behind(demonstration: Demonstration) -> None:

@@ -11,10 +11,11 @@ from typing import Any
 
 import pytest
 from tests.doors import led
+from tests.engines import OwnEngine
 from tests.podman import OwnPodman
 
 from upwash.config import RuntimeConfig
-from upwash.config.runtime import EngineConfig
+from upwash.config.runtime import ContainerNetworkConfig, EngineConfig
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError, LinkError, NoLease, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
@@ -142,7 +143,7 @@ def site(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Site
         case [state, _, _, kind]:
             names = (kind, "workbench_image", "credentials")
             engine, image, shown = map(request.getfixturevalue, names)
-            return containers(engine.socket, image, shown, spec, freezes=state == "frozen")
+            return containers(engine, image, shown, spec, freezes=state == "frozen")
         case _:
             raise AssertionError(request.param)
 
@@ -186,12 +187,13 @@ def found_sandbox() -> Sandbox:
 
 @asynccontextmanager
 async def containers(
-    socket: Path, image: Path, shown: Callable[[str], Credentials], spec: InstanceSpec, *, freezes: bool
+    own: OwnEngine, image: Path, shown: Callable[[str], Credentials], spec: InstanceSpec, *, freezes: bool
 ) -> AsyncIterator[Site]:
     config = RuntimeConfig(
         kind="lxd",
         idle="freeze" if freezes else "stop",
-        engine=EngineConfig(addresses=(f"unix:{socket}",)),
+        engine=EngineConfig(addresses=(f"unix:{own.socket}",)),
+        network=ContainerNetworkConfig(subnet=own.subnet),
     )
     engine = Engine(config)
     async with led(shown("s1")) as lead:
