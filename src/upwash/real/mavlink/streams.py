@@ -64,16 +64,17 @@ class Streams:
         self._ask = ask
         self._news = news
         self._quiet_after_s = quiet_after_s
-        self._firmware: FirmwareProfile  # from `begin` on
+        self._firmware: FirmwareProfile  # this and the next five: from `begin` on
+        self._times: int  # repetitions of the requests
+        self._confirmed_times: int  # answers as requested
+        self._questioned: tuple[int, float] | None  # whose MESSAGE_INTERVAL was requested, and when
+        self._is_answered: bool  # whether it acknowledged that question
+        self._next_s: float
         self._streams: defaultdict[int, _Stream] = defaultdict(_Stream)
         self._share = 1.0  # of the rates that are needed, as much as the link carries
         self._forgiven_s = _FORGIVEN_S
         self._due: list[int] = []  # the reports whose request was not sent yet
         self._asked_s = -math.inf  # when a report was last asked for with all others
-        self._next_s = -math.inf
-        self._times = self._confirmed_times = 0  # repetitions of the requests, and answers as requested
-        self._questioned: tuple[int, float] | None = None  # whose MESSAGE_INTERVAL was requested, and when
-        self._is_answered = False
 
     def heard(self, message: Message, now_s: float) -> None:
         """Note that a message has come."""
