@@ -87,11 +87,14 @@ def _first_failure(tests: Sequence[pytest.Item], session: pytest.Session) -> str
     for test, following in zip(tests, [*tests[1:], None], strict=True):
         if time.process_time() - began_s > MOST_S:
             break
+        ends_s = time.monotonic() + test.config.getoption("timeout")
         try:
             test.config.hook.pytest_runtest_protocol(item=test, nextitem=following)
         except BaseException:  # noqa: BLE001 - the defect can end pytest too
             return test.nodeid
-        if session.testsfailed:
+        if (
+            session.testsfailed or time.monotonic() > ends_s
+        ):  # a task can swallow the failure of a test that hangs
             return test.nodeid
     return ""
 

@@ -16,7 +16,7 @@ from upwash.core.admission.admission import AdmissionController, AdmissionSettin
 from upwash.core.admission.clients import Client, DroneUsage, InstanceStatus, Role, TeamUsage
 from upwash.core.admission.server import Command, ServerOffer
 from upwash.core.admission.watchdog import CALL_LIMIT_S, DENIALS
-from upwash.errors import InstanceError, Refused
+from upwash.errors import InstanceError, LinkError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
 from upwash.rpc.protocol import (
     AVAILABILITY,
@@ -40,7 +40,7 @@ from upwash.rpc.protocol import (
 )
 from upwash.server.daemon import EdgeServer
 from upwash.server.instances import Image, Observer
-from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.link import ModelDialer, ModelLink, Switchboard
 from upwash.sim.loop import run_virtually
 
 T = TypeVar("T")
@@ -59,6 +59,7 @@ class Instance:
         self.deaf = False
         self.is_frozen = False
         self.stops_in_s = 1.0  # a real one takes its time as well
+        self.is_removed = False
         self.refuses = ""  # every further call, for this reason
         self.call_ends_in_s = 0.0
         self.admits_in_s = 0.0
@@ -85,6 +86,7 @@ class Instance:
 
     async def stop(self) -> None:
         await asyncio.sleep(self.stops_in_s)
+        self.is_removed = True
         if not self.ended.done():
             self.ended.set_result("stopped")
 
@@ -98,11 +100,18 @@ class Runtime:
         self.answered: list[Answered] = []
         self.broken = ""
         self.admits_in_s = 0.0
+        self.removes_in_s = 0.0  # what a cancelled start has made
+        self.removed = 0
 
     async def start(
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> Instance:
-        await asyncio.sleep(COLD_START_S)
+        try:
+            await asyncio.sleep(COLD_START_S)
+        except asyncio.CancelledError:
+            await asyncio.sleep(self.removes_in_s)
+            self.removed += 1
+            raise
         if self.broken:
             raise InstanceError(self.broken)
         self.instances.append(Instance(f"{spec.name}#{len(self.instances)}"))
@@ -115,6 +124,18 @@ class Runtime:
         return [instance for instance in self.instances if not instance.ended.done()]
 
 
+class Dialer:
+    """Keeps the links that it opened."""
+
+    def __init__(self, dialer: ModelDialer) -> None:
+        self.dialer = dialer
+        self.links: list[ModelLink] = []
+
+    def dial(self, address: str, *, server: str) -> ModelLink:
+        self.links.append(self.dialer.dial(address, server=server))
+        return self.links[-1]
+
+
 class Daemon:
     """An edge server and the drones that talk to it."""
 
@@ -122,6 +143,9 @@ class Daemon:
         self.runtime = Runtime()
         self.observed: list[str] = []
         self.peer_answers_in_s = 0.0
+        self.asked_to_hold: list[HoldRequest] = []
+        switchboard = Switchboard(dict.fromkeys(("s2", "s3"), self._nothing_to_hold))
+        self.dialer = Dialer(ModelDialer("s1", switchboard))
         self.core = AdmissionController(
             {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
             AdmissionSettings(lease_s=LEASE_S, idle_stop_s=100),
@@ -131,7 +155,7 @@ class Daemon:
             self.core,
             images=IMAGES,
             runtime=self.runtime,
-            dialer=ModelDialer("s1", Switchboard(dict.fromkeys(("s2", "s3"), self._nothing_to_hold))),
+            dialer=self.dialer,
             peers={"s2": "s2", "s3": "s3"},
             start_timeout_s=start_timeout_s,
             drain_s=DRAIN_S,
@@ -167,8 +191,9 @@ class Daemon:
 
     async def _nothing_to_hold(self, path: str, body: bytes, client: Client) -> bytes:
         await asyncio.sleep(self.peer_answers_in_s)
-        peer = msgspec.msgpack.decode(body, type=HoldRequest).server
-        return msgspec.msgpack.encode(HoldReply(held=False, reason=f"{peer} is full"))
+        request = msgspec.msgpack.decode(body, type=HoldRequest)
+        self.asked_to_hold.append(request)
+        return msgspec.msgpack.encode(HoldReply(held=False, reason=f"{request.server} is full"))
 
     async def keep_asking(self, for_s: float) -> None:
         """Has the drone's lease renewed for so long, and a little longer."""
@@ -188,7 +213,9 @@ def serve(story: Callable[[Daemon], Coroutine[Any, Any, T]], *, looks: bool = Tr
         daemon = Daemon(**settings)
         looking = asyncio.create_task(daemon.edge.run() if looks else asyncio.sleep(0))
         try:
-            return await story(daemon)
+            result = await story(daemon)
+            assert not looks or not looking.done(), "a defect ended the daemon"
+            return result
         finally:
             looking.cancel()
             await daemon.edge.close()
@@ -319,6 +346,11 @@ async def test_where_a_peer_holds_no_slot_another_peer_may(daemon: Daemon) -> No
     await daemon.start()
     for peer in ("s2", "s3"):
         assert await daemon.prepare(peer) == HoldReply(held=False, reason=f"{peer} is full")
+    on_its_way = HoldRequest("s2", "d1", "", ["detector"], for_s=20.0 + 5.0)
+    assert daemon.asked_to_hold == [on_its_way, msgspec.structs.replace(on_its_way, server="s3")]
+    for link in daemon.dialer.links:
+        with pytest.raises(LinkError, match="the link is closed"):
+            await link.request(HOLD, b"", timeout_s=1.0)
 
 
 @played(serve)
@@ -359,9 +391,13 @@ async def test_without_a_free_slot_the_answer_is_no_with_the_reason(daemon: Daem
 
 
 @played(serve)
-async def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_again(daemon: Daemon) -> None:
+async def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_again(
+    daemon: Daemon, *, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, logger="upwash.server")
     daemon.runtime.broken = "no such model"
     failed = await daemon.start()
+    assert "version" not in caplog.text, "there is no other"
     assert (failed.reason, failed.pause_s) == ("no such model", 10.0)
     assert daemon.edge.standing().refused["s1"] == 1
     daemon.runtime.broken = ""
@@ -369,6 +405,19 @@ async def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_a
     assert (paused.available, paused.pause_s) == (False, 10.0)
     await asyncio.sleep(10.0)
     assert (await daemon.start()).endpoint
+
+
+@played(serve, slots=2)
+async def test_a_drone_whose_start_has_failed_while_others_were_informed_hears_why(daemon: Daemon) -> None:
+    await daemon.start("d1", "counter")
+    daemon.runtime.instances[0].admits_in_s = COLD_START_S + 1.0
+    daemon.runtime.broken = "no such model"
+    first = asyncio.create_task(daemon.start("d1"))
+    await asyncio.sleep(1.0)
+    reply = await daemon.start("d2")
+    assert reply.reason == "s1 leaves detector alone, which failed 1 times in a row: no such model"
+    assert reply.pause_s == pytest.approx(10.0 - 2.0)
+    assert (await first).reason == "no such model"
 
 
 @played(serve)
@@ -397,6 +446,27 @@ async def test_a_crashed_instance_is_absent_and_started_again_on_request(daemon:
     assert (await daemon.ask()).endpoints == {}
     second = await daemon.start()
     assert second.endpoint not in ("", first.endpoint)
+
+
+@played(serve)
+async def test_what_a_crashed_instance_leaves_is_removed_though_the_daemon_closes(daemon: Daemon) -> None:
+    await daemon.start()
+    daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
+    await asyncio.sleep(0.1)
+    await daemon.edge.close()
+    assert daemon.runtime.instances[0].is_removed
+
+
+@played(serve)
+async def test_what_a_cancelled_start_leaves_is_removed_though_the_daemon_closes(daemon: Daemon) -> None:
+    daemon.runtime.removes_in_s = 5.0
+    waiting = asyncio.create_task(daemon.start())
+    await asyncio.sleep(1.0)
+    await reload(daemon, "2")
+    await asyncio.sleep(1.0)
+    await daemon.edge.close()
+    assert daemon.runtime.removed == 1
+    assert (await waiting).reason == "this daemon has ended"
 
 
 @played(serve)
@@ -512,14 +582,45 @@ async def test_an_instance_that_does_not_end_is_left_behind_and_another_one_star
 
 
 @played(serve)
-async def test_an_idle_instance_is_stopped_and_a_start_meanwhile_waits_for_a_new_one(daemon: Daemon) -> None:
+async def test_an_idle_instance_is_stopped_and_a_start_meanwhile_waits_for_a_new_one(
+    daemon: Daemon, *, caplog: pytest.LogCaptureFixture
+) -> None:
     first = await daemon.start()
+    daemon.runtime.instances[0].call_ends_in_s = 1000.0  # a call of a drone without a slot
     await daemon.leave()
     await asyncio.sleep(100.5)  # idle_stop_s, and a look; it takes another second to stop
     assert len(daemon.runtime.living()) == 1
+    began_s = asyncio.get_running_loop().time()
     second = await daemon.start()
     assert second.endpoint not in ("", first.endpoint)
     assert len(daemon.runtime.living()) == 1
+    assert asyncio.get_running_loop().time() - began_s <= 1.0 + COLD_START_S
+    assert "stopping" not in caplog.text, "there is nothing to say"
+
+
+@played(serve)
+async def test_a_daemon_that_closes_waits_for_an_instance_that_is_being_stopped(daemon: Daemon) -> None:
+    await daemon.start()
+    await daemon.leave()
+    await asyncio.sleep(100.5)
+    assert len(daemon.runtime.living()) == 1
+    await daemon.edge.close()
+    assert daemon.runtime.living() == []
+
+
+@played(serve)
+async def test_a_daemon_that_closes_ends_what_it_drains(
+    daemon: Daemon, *, caplog: pytest.LogCaptureFixture
+) -> None:
+    await daemon.start()
+    daemon.runtime.instances[0].call_ends_in_s = 1e6
+    draining = asyncio.create_task(daemon.edge.drain("shutting down"))
+    await asyncio.sleep(1.0)
+    await daemon.edge.close()
+    assert draining.done()
+    assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + 1.0 + 1.0)
+    await asyncio.sleep(1.0)
+    assert "it has ended" not in caplog.text, "the daemon ended it"
 
 
 @played(serve, slots=2)
@@ -663,13 +764,16 @@ async def test_a_drone_meets_no_instance_of_another_version_that_does_not_know_i
 
 @played(serve)
 async def test_a_version_that_does_not_start_leaves_the_former_and_is_tried_again_at_the_next_reload(
-    daemon: Daemon,
+    daemon: Daemon, *, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.INFO, logger="upwash.server")
     running = (await daemon.start()).endpoint
     daemon.runtime.broken = "detector@s1 did not start: a typing error"
     await reload(daemon, "2")
     await daemon.keep_asking(2 * LEASE_S)
     assert (await daemon.ask()).endpoints == {"detector": running}
+    assert "detector@s1: another version starts beside the one that serves" in caplog.text
+    assert "detector@s1 serves on in its former version" in caplog.text
     status = detector_of(daemon)
     assert (status.renewed, status.not_renewed) == (0, daemon.runtime.broken)
     assert (status.failures, status.paused_s) == (0, 0.0), "what serves did not fail"
@@ -703,6 +807,18 @@ async def test_where_the_former_crashes_its_drone_waits_for_the_version_that_sta
     reply = await daemon.start()
     assert reply.endpoint == daemon.runtime.instances[1].endpoint
     assert len(daemon.runtime.instances) == 2
+
+
+@played(serve)
+async def test_a_former_version_that_cannot_be_told_whom_to_admit_is_stopped(daemon: Daemon) -> None:
+    await daemon.start()
+    await reload(daemon, "2")
+    await asyncio.sleep(COLD_START_S + 1.0)
+    former, latter = daemon.runtime.living()
+    former.deaf = True
+    await daemon.leave()
+    await asyncio.sleep(2.0)
+    assert daemon.runtime.living() == [latter]
 
 
 @played(serve)
@@ -758,6 +874,8 @@ async def test_its_status_is_for_operators(daemon: Daemon) -> None:
     reply = await daemon.edge.handle(STATUS, request, Client("alice", "0c", role=Role.OPERATOR))
     status = msgspec.msgpack.decode(reply, type=StatusReply)
     assert status.up_s == pytest.approx(COLD_START_S)
+    reply = await Daemon().edge.handle(STATUS, request, Client("alice", "0c", role=Role.OPERATOR))
+    assert msgspec.msgpack.decode(reply, type=StatusReply).up_s == 0.0
     assert [lease.drone for lease in status.servers[0].leases] == ["d1"]
     assert [refusal.why for refusal in status.refusals] == [
         "d1 is no operator: show a certificate of `upwash keys DIR --operator NAME`",
