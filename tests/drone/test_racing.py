@@ -42,6 +42,7 @@ class Field(Calling):
     tested: list[str] = field(default_factory=list)
     overtaken_s: list[float] = field(default_factory=list)
     busy: list[bool] = field(default_factory=list)
+    began_s: list[float] = field(default_factory=list)  # the drone, as the decision to overtake it is told
 
     def __post_init__(self) -> None:
         this: Any = self
@@ -60,6 +61,7 @@ class Field(Calling):
         self.told.append(event)
 
     def overtake(self, operation: Operation, *, began_s: float) -> tuple[Remote | None, float]:
+        self.began_s.append(began_s)
         due_s = self.overtakes_s
         if due_s is not None and now_s() >= due_s:
             self.overtakes_s = None
@@ -156,7 +158,7 @@ def test_a_call_on_the_drone_did_not_fall_back() -> None:
 )
 def test_the_first_answer_of_a_race_counts(facts: dict[str, Any], reply: str, took_s: float) -> None:
     field, answer, after_s = answered(RACED, **facts)
-    assert (answer.reply, after_s) == (reply, took_s)
+    assert (answer.reply, after_s, answer.overtook) == (reply, took_s, False)
     assert field.ran[:2] == ["drone from 0", "s1 from 0"] or field.ran[:2] == ["s1 from 0", "drone from 0"]
     assert answer.fell_back is (facts["server_s"] == 3.0 and reply == "own")
 
@@ -185,6 +187,7 @@ def test_a_server_that_becomes_of_use_overtakes_the_drone() -> None:
     field, answer, took_s = answered(Local("no server"), overtakes_s=4.0)
     assert (answer.reply, answer.overtook, took_s) == ("s1's", True, 5.0)
     assert field.ran[:2] == ["drone from 0", "s1 from 4"]
+    assert field.began_s == [0.0, 0.0]
     field, answer, took_s = answered(Local("no server"), overtakes_s=4.0, server="")
     assert (answer.reply, answer.overtook, answer.fell_back, took_s) == ("own", False, True, 10.0)
     field, answer, took_s = answered(Local("no server"), overtakes_s=4.0, overtakes=False)
@@ -236,6 +239,16 @@ def test_a_call_in_line_that_a_server_answers_is_not_computed() -> None:
         assert (answer.reply, answer.onboard_s, answer.queued_s, now_s()) == ("s1's", 0.0, 1.0, 2.0)
         await asyncio.sleep(30.0)
         assert sum("drone from" in each for each in field.ran) == 1
+
+    run(Field, story)
+
+
+def test_a_call_in_line_begins_no_sooner_than_now_for_the_decision_to_overtake_it() -> None:
+    async def story(field: Field) -> None:
+        await field.answer(RACED, CALL)
+        field.overtakes_s = 4.0
+        assert (await field.answer(Local("no server"), CALL)).reply == "s1's"
+        assert field.began_s == [1.0, 4.0]
 
     run(Field, story)
 

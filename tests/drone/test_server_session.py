@@ -139,6 +139,7 @@ def test_a_network_is_joined_once_and_again_after_it_was_lost() -> None:
 def test_an_answer_is_connected_to_and_an_address_dialled_once() -> None:
     async def story(field: Field) -> None:
         field.answers_in_s = 0.25
+        await asyncio.sleep(3.0)
         answer = await field.session.ask()
         assert (field.session.running, answer.peers, answer.waiting) == (True, ["s2"], 3)
         assert field.session.round_trip_s == pytest.approx(0.25)
@@ -171,6 +172,7 @@ def test_a_probe_has_connections_of_its_own_and_closes_them() -> None:
         asked = len(field.dialled)
         assert await field.session.probe()
         assert sorted(field.dialled[asked:]) == sorted(field.closed) == ["s1:1", "s1:2", DAEMON]
+        assert field.said[-3:] == [(DAEMON, AVAILABILITY), ("s1:2", HEALTH_CHECK), ("s1:1", HEALTH_CHECK)]
         field.replies[HEALTH_CHECK] = Unreachable("silent")
         with pytest.raises(Unreachable, match="silent"):
             await field.session.probe()
@@ -314,6 +316,10 @@ def test_calls_follow_a_service_that_moves_but_not_from_port_to_port_for_ever() 
         await field.session.call("detector", "look", b"", deadline_s=1.0)
         assert field.said[-1] == (f"s1:{99 + MOST_MOVES}", "/upwash.service.detector/look")
         assert field.closed == ["s1:1", *(f"s1:{port}" for port in range(100, 99 + MOST_MOVES))]
+        await field.session.ask()
+        field.replies[AVAILABILITY] = READY
+        await asyncio.sleep(10.0)
+        assert len(moved) == MOST_MOVES + 1, "the count begins anew with each question"
         keeping.cancel()
 
     tell(story)
@@ -328,6 +334,7 @@ def test_a_call_of_a_service_that_does_not_run_there_is_refused() -> None:
         assert sorted(field.closed) == ["s1:1", "s1:2", DAEMON]
         with pytest.raises(Refused, match=r"^s1 does not run detector$"):
             await field.session.call("detector", "look", b"", deadline_s=1.0)
+        assert not await field.session.end(in_range=True), "a server that was given up hears no farewell"
 
     tell(story)
 

@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[2]
 ARGUED = Path(__file__).with_name("argued.txt")
 PACKAGES = {  # the tests that judge a package
     "core": ("tests/core", "tests/server", "tests/drone"),
-    "drone": ("tests/drone",),
+    "drone": ("tests/drone", "tests/ports/contracts/test_network.py"),
     "rpc": ("tests/rpc", "tests/server"),
     "server": ("tests/server",),
     "real/mavlink": ("tests/ports",),

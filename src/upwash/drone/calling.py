@@ -295,7 +295,7 @@ class Calling:
                     attempt.rival = computing.task
                     if await _first_over(attempt.reply, computing.task) is attempt.reply:
                         return structs.replace(self._won(attempt, computing), overtook=overtaking)
-                if computing.task.done() or (attempt is not None and attempt.raised):
+                if attempt is not None and attempt.raised:
                     break
                 decision = await self._overtaken(computing)
                 if decision is None:
@@ -338,18 +338,19 @@ class Calling:
     def _done_onboard(self, reply: Any, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
         began_s = computing.asked_s if computing.began_s is None else computing.began_s
         delay_s = now_s() - began_s
-        late = False
+        late = attempt.reply if attempt is not None else None
+        if late is not None and late.done():
+            late = None
         if attempt is not None:
-            late = attempt.reply is not None and not attempt.reply.done()
             self.test(attempt, reply)
-            if late and attempt.reply is not None:
-                self._keep(attempt.reply, None)
+        if late is not None:
+            self._keep(late, None)
         self._decisions.tell(events.LocalCallEnded(computing.call.operation, delay_s))
         return CallAnswer(
             reply,
             computing.call,
             onboard_s=delay_s,
-            fell_back=attempt is not None and not late,
+            fell_back=attempt is not None and late is None,
             queued_s=began_s - computing.asked_s,
             remote_fault=attempt.verdict if attempt is not None else "",
         )

@@ -51,8 +51,7 @@ class PositionNetwork:
         cells = self._cells.get(network)
         if not cells:
             raise NetworkError(f"no network {network} is known: name it in a [[server]] table")
-        if (leaving_s := self._free_s - asyncio.get_running_loop().time()) > 0:
-            await asyncio.sleep(leaving_s)
+        await asyncio.sleep(max(0.0, self._free_s - asyncio.get_running_loop().time()))
         join_s = min(cell.join_s * cell.stretch() for cell in cells)
         await asyncio.sleep(min(join_s, timeout_s))
         if join_s > timeout_s:

@@ -139,6 +139,9 @@ def test_joining_takes_its_time_and_is_tried_where_the_drone_is_by_then() -> Non
         return clock()
 
     assert run_virtually(fly(arrives_s=3.0)) == JOIN_S
+    slow = NetworkCell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, stretch=lambda: 4.0)
+    with pytest.raises(NetworkError, match=r"network a was not joined within 10\.0 s"):
+        run_virtually(PositionNetwork({"a": [slow]}, lambda: INSIDE).join("a", timeout_s=10.0))
     with pytest.raises(NetworkError, match="network a is out of range"):
         run_virtually(fly(arrives_s=4.0))
 
@@ -171,7 +174,7 @@ def test_a_network_that_is_left_keeps_the_radio_from_joining_the_next_one_for_it
         await network.join("b", timeout_s=JOIN_S)
         return clock() - JOIN_S
 
-    assert run_virtually(scene(0.5)) == 2.0 + JOIN_S
+    assert run_virtually(scene(0.5)) == run_virtually(scene(1.5)) == 2.0 + JOIN_S
     assert run_virtually(scene(3.0)) == 3.0 + JOIN_S
 
 
@@ -187,6 +190,8 @@ def test_a_network_of_several_servers_is_lost_with_the_last_of_them() -> None:
             return NetworkCell(area, 0.0, is_up=lambda: clock() < down_s, goes_down=goes_down)
 
         network = PositionNetwork({"a": [until(5.0), until(9.0), until(7.0)]}, lambda: INSIDE)
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(network.lost(), 1.0)  # nothing is joined
         await network.join("a", timeout_s=1.0)
         await network.lost()
         return clock()
