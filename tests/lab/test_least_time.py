@@ -29,6 +29,11 @@ def test_joins_are_paid_for_where_no_flight_hides_them() -> None:
     assert bound(calls, {"a": 3.0, "b": 3.0}).with_joins_s == 1.0 + (3.0 - 2.0) + 1.0
 
 
+def test_the_bound_with_joins_is_never_below_the_other_not_even_by_rounding() -> None:
+    found = bound([ComingCall(0.1, 0.0, [])] * 10, {})
+    assert found.free_s <= found.with_joins_s == pytest.approx(1.0)
+
+
 def mission(begun_s: float = 0.0, local_s: float = 100.0, free_s: float = 20.0) -> SharedMission:
     return SharedMission(begun_s, local_s, free_s)
 

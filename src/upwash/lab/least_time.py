@@ -76,7 +76,7 @@ def bound(calls: Sequence[ComingCall], joins_s: Mapping[str, float]) -> Bound:
     """
     free_s = sum(min([call.local_s, *(offer.call_s for offer in call.offers)]) for call in calls)
     joins = {server: CheckTimes(join_s, join_s) for server, join_s in joins_s.items()}
-    return Bound(free_s, quickest(calls, joins).total_s)
+    return Bound(free_s, max(free_s, quickest(calls, joins).total_s))  # which rounds its sums otherwise
 
 
 def shared_s(missions: Sequence[SharedMission], saved_per_s: float) -> float:
