@@ -104,6 +104,7 @@ def test_switches_of_a_vehicle_that_stands_disarmed_are_nobodys_takeover() -> No
             Owner.UNKNOWN,
             "its motors stopped in the air",
         ),
+        (Heartbeat("LAND", armed=False, failsafe="crash"), Owner.FAILSAFE, "mode LAND .crash."),
     ],
 )
 def test_the_first_difference_closes_the_latch(report: Heartbeat, owner: Owner, why: str) -> None:
@@ -118,13 +119,41 @@ def test_a_mode_is_the_ground_stations_where_the_remote_control_is_known_not_to_
     latch, owners = claimed(flying=True), []
     for mode, moved, now_s in [
         ("LOITER", False, 3.0),
-        ("LOITER", True, 3.2),  # its report came later than the mode's
+        ("LOITER", True, 4.0),  # its report came later than the mode's
         ("POSHOLD", False, 9.0),
-        ("POSHOLD", True, 12.0),  # sticks that move later say nothing of the mode
+        ("POSHOLD", True, 10.1),  # sticks that move later say nothing of the mode
     ]:
         latch.report(Heartbeat(mode, armed=True, remote_moved=moved), now_s)
         owners.append(latch.control.owner)
     assert owners == [Owner.GROUND_STATION, Owner.PILOT, Owner.GROUND_STATION, Owner.GROUND_STATION]
+
+
+def test_sticks_that_move_as_the_target_changes_in_the_programs_mode_say_nothing() -> None:
+    latch = sent(THERE, claimed(flying=True))
+    latch.report_target(ELSEWHERE, 4.0)
+    latch.report(Heartbeat(OWN, armed=True, remote_moved=True), 4.5)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
+def test_a_lost_vehicle_that_stands_disarmed_may_change_its_mode() -> None:
+    latch = claimed(flying=True)
+    for report in (
+        Heartbeat("RTL", armed=True, failsafe="battery"),
+        Heartbeat("RTL", armed=False, failsafe="battery"),
+        Heartbeat("STABILIZE", armed=False),
+    ):
+        latch.report(report, 5.0)
+        assert latch.control.owner is Owner.FAILSAFE
+    latch.report(Heartbeat("STABILIZE", armed=True), 6.0)
+    assert latch.control.owner is Owner.PILOT
+
+
+def test_once_a_mode_was_commanded_another_one_closes_the_latch_on_the_ground_too() -> None:
+    latch = claimed()
+    latch.expect_modes(("TAKEOFF", "LOITER"))
+    latch.report(Heartbeat("RTL", armed=False), 3.0)
+    assert latch.control.owner is Owner.PILOT
+    assert "mode RTL, LOITER was commanded" in latch.control.why
 
 
 def test_a_pilot_who_arms_while_the_program_waits_has_the_vehicle() -> None:
@@ -176,8 +205,9 @@ def sent(place: Position | None, latch: Latch, *, obeyed: bool = True) -> Latch:
 
 def test_a_target_that_the_program_did_not_command_closes_the_latch() -> None:
     latch = sent(THERE, claimed(flying=True))
-    latch.report_target(Position(40.3, -0.4, 20.2), 3.0)
-    assert latch.control.is_ours
+    for rounded in Position(40.3, -0.4, 20.2), Position(41.0, 0.0, 20.0):
+        latch.report_target(rounded, 3.0)
+        assert latch.control.is_ours
     latch.report_target(ELSEWHERE, 4.0)
     assert latch.control.owner is Owner.GROUND_STATION
     assert "-52 m east, 0 m north, 92 m from where the program sent it" in latch.control.why
@@ -215,6 +245,24 @@ def test_after_a_take_off_any_target_is_another_ones_until_the_first_of_the_prog
     latch = sent(None, claimed(flying=True))
     latch.report_target(HERE, 3.0)
     assert latch.control.owner is Owner.GROUND_STATION
+    assert latch.control.why == "it was sent to 0 m east, 0 m north, which the program did not command"
+
+
+def test_before_the_first_command_was_obeyed_the_target_of_another_program_is_no_difference() -> None:
+    latch = claimed(flying=True)
+    latch.expect_target(THERE)
+    latch.report_target(ELSEWHERE, 3.0)
+    latch.settle_target(obeyed=False)
+    latch.report_target(HERE, 4.0)
+    assert latch.control.is_ours
+    latch.report_target(ELSEWHERE, 5.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
+def test_targets_of_a_vehicle_that_stands_disarmed_say_nothing() -> None:
+    latch = sent(THERE, claimed())
+    latch.report_target(ELSEWHERE, 3.0)
+    assert latch.control.is_ours
 
 
 def test_what_another_program_left_a_resumed_vehicle_with_is_no_difference() -> None:
@@ -253,9 +301,10 @@ def test_a_mode_beside_motors_that_stopped_is_nobodys_act() -> None:
 
 
 def test_a_restart_on_the_ground_before_the_flight_is_no_loss() -> None:
-    latch = claimed()
-    latch.report_restart("the autopilot restarted", 3.0)
-    assert latch.control.is_ours
+    for latch in Latch(0.0), claimed():
+        before = latch.control
+        latch.report_restart("the autopilot restarted", 3.0)
+        assert latch.control == before
 
 
 REPORTS = st.builds(Heartbeat, MODES, st.booleans(), st.sampled_from(("", "battery")))

@@ -35,6 +35,9 @@ def test_what_is_measured_at_a_place_is_believed_around_it() -> None:
     assert known.at("lte", east_of_here(NEAR_M)) is place
     assert known.at("lte", east_of_here(-NEAR_M)) is place
     assert known.at("lte", east_of_here(NEAR_M + 0.1)) is None
+    for east_m, north_m in ((0.0, NEAR_M), (0.0, -NEAR_M), (8.0, -8.0), (-8.0, 8.0)):
+        assert known.at("lte", Position(HERE.east_m + east_m, north_m)) is place
+        assert known.at("lte", Position(HERE.east_m + 1.1 * east_m, 1.1 * north_m)) is None
     assert known.at("s1", HERE) is None
 
 
@@ -46,6 +49,15 @@ def test_the_nearest_place_counts() -> None:
     assert known.at("lte", east_of_here(5.0)) is second
     assert known.asked("lte", east_of_here(1.0), answered=True) is first
     assert (first.tried, first.answered, second.tried, second.answered) == (2, 2, 1, 0)
+
+
+def test_a_place_is_the_same_within_8_m_and_its_latest_call_is_new() -> None:
+    known = coverage()
+    first = known.asked("lte", HERE, answered=True)
+    first.flights_ago = 5
+    assert known.asked("lte", east_of_here(SAME_M), answered=False) is first
+    assert first.flights_ago == 0
+    assert known.asked("lte", east_of_here(SAME_M + 0.5), answered=False) is not first
 
 
 def test_a_call_comes_to_the_mean_of_the_last_three_there() -> None:

@@ -63,6 +63,11 @@ def test_the_way_home_is_the_sum_of_its_parts() -> None:
     climb_s, way_s, down_s = 20 / 2 + 2, 400 / 10 + 10, 20 / 2 + 2 + 10 / 0.5
     assert time_home_s(Position(400, 0, 10), HOME, way) == climb_s + way_s + 5.0 + down_s
     assert time_home_s(Position(400, 0, 10), HOME, way, against_m_s=5.0) == climb_s + 85.0 + 5.0 + down_s
+    storm_s = time_home_s(Position(400, 0, 10), HOME, way, against_m_s=9.0)
+    assert storm_s == pytest.approx(climb_s + 400 / (10 / 3) + 10 / 3 + 5.0 + down_s)
+    leaving_s = time_home_s(Position(384, 0, 10), HOME, way, velocity=Velocity(4.0))
+    assert leaving_s == 4.0 + climb_s + way_s + 5.0 + down_s, "2 s at 4 m/s, and 8 m to stop"
+    assert time_home_s(Position(400, 0, 50), HOME, way) == way_s + 5.0 + descent_s(50.0, way)
     assert descent_s(30.0, way) == down_s
     assert descent_s(5.0, way) == 10.0
     assert descent_s(-1.0, way) == 0.0
@@ -195,7 +200,33 @@ def test_a_battery_that_was_swapped_is_measured_anew_and_until_then_believed_no_
         assert consumption.rate_percent_s == pytest.approx(before)
     for second in range(481, 700):
         consumption.take(float(second), float(math.floor(100 - (second - 301) * 0.1)))
-    assert consumption.rate_percent_s == pytest.approx(0.1, abs=0.007)
+        assert consumption.rate_percent_s == pytest.approx(0.1, abs=0.012)
+
+
+def test_a_battery_that_was_swapped_soon_and_one_that_rises_say_nothing_yet() -> None:
+    swapped, rising = Consumption(), Consumption()
+    for time_s, percent in ((0.0, 50.0), (10.0, 100.0)):
+        swapped.take(time_s, percent)
+    for time_s, percent in ((0.0, 80.0), (100.0, 82.0)):
+        rising.take(time_s, percent)
+    assert swapped.rate_percent_s is rising.rate_percent_s is None
+
+
+def test_a_rise_of_three_percent_is_no_other_battery_and_one_of_more_is() -> None:
+    rates = []
+    for risen in (83.0, 84.0):
+        consumption = Consumption()
+        for time_s, percent in ((0.0, 100.0), (100.0, 80.0), (200.0, risen), (400.0, risen)):
+            consumption.take(time_s, percent)
+        rates.append(consumption.rate_percent_s)
+    assert rates == [pytest.approx((100 - 83 + 1) / 400), pytest.approx(1 / 200)]
+
+
+def test_the_last_three_minutes_begin_at_the_report_before_them() -> None:
+    consumption = Consumption()
+    for time_s, percent in ((0.0, 100.0), (120.0, 98.0), (300.0, 50.0)):
+        consumption.take(time_s, percent)
+    assert consumption.rate_percent_s == pytest.approx((98 - 50 + 1) / 180)
 
 
 def test_a_rise_by_a_step_is_no_other_battery() -> None:
@@ -227,8 +258,10 @@ def test_a_leg_that_was_slow_tells_of_the_wind_in_its_direction_only() -> None:
 
 def test_what_is_slow_for_another_reason_tells_nothing() -> None:
     slow = [
+        Wind(),
         flown_east(8.0, 5.0, seconds=3),  # too short
-        flown_east(8.0, 5.0, up_m_s=2.0),  # steep
+        flown_east(8.0, 5.0, up_m_s=1.0),  # steep
+        flown_east(8.0, 5.0, up_m_s=-1.0),
         flown_east(8.0, 0.1),  # it stands
         flown_east(8.0, 9.0),  # it is fast
     ]
@@ -238,13 +271,37 @@ def test_what_is_slow_for_another_reason_tells_nothing() -> None:
     holding = Wind()
     for second in range(8):
         holding.take(FlightReport(float(second), HOME, velocity=Velocity(5.0)))
-    for wind in (*slow, speeding_up, holding):
+    restless, hurried = Wind(), Wind()
+    for second in range(8):
+        velocity = Velocity(5.0 + second % 2 / 2)
+        restless.take(FlightReport(float(second), HOME, velocity=velocity, leg_speed_m_s=8.0))
+        velocity = Velocity(5.0)
+        hurried.take(FlightReport(float(second), HOME, velocity=velocity, leg_speed_m_s=8.0 + second % 2))
+    for wind in (*slow, speeding_up, holding, restless, hurried):
         assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 0.0
+        assert wind.against_m_s(HOME, HOME, 10.0) == 0.0
+
+
+def test_a_leg_is_level_and_steady_within_its_bounds() -> None:
+    swaying = Wind()
+    for second in range(8):
+        velocity = Velocity(5.0, 0.3 * (second % 2))
+        swaying.take(FlightReport(float(second), HOME, velocity=velocity, leg_speed_m_s=8.0))
+    assert swaying.against_m_s(HOME, Position(100, 0), 10.0) == pytest.approx(3.0, abs=0.05)
+    for wind, lost_m_s in (
+        (flown_east(8.0, 5.0, up_m_s=0.3), 3.0),
+        (flown_east(8.0, 5.0, seconds=4), 3.0),
+        (flown_east(8.0, 0.5), 7.5),
+        (flown_east(8.0, 1.0), 7.0),
+    ):
+        assert wind.against_m_s(HOME, Position(100, 0), 10.0) == lost_m_s
 
 
 def test_a_slow_leg_is_forgotten_in_time() -> None:
     wind = flown_east(8.0, 5.0)
-    wind.take(FlightReport(700.0, HOME))
+    wind.take(FlightReport(609.0, HOME))
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 3.0
+    wind.take(FlightReport(609.1, HOME))
     assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 0.0
 
 
@@ -257,6 +314,9 @@ def test_a_reported_wind_counts_by_its_direction_and_never_as_a_help() -> None:
     assert wind.against_m_s(HOME, Position(0, 100), 10.0) == pytest.approx(
         2.0
     )  # 8 of 10 m/s are left, across it
+    wind.take(FlightReport(2.0, HOME, wind=Velocity(0.0, -12.0)))
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 10.0, "nothing is left"
+    assert wind.against_m_s(HOME, HOME, 10.0) == 12.0
 
 
 def test_the_worse_of_report_and_legs_counts() -> None:
@@ -338,10 +398,10 @@ def test_a_flight_that_ends_where_it_is_needs_the_way_down_only() -> None:
 
 def test_while_no_report_comes_the_battery_is_believed_to_empty_as_before() -> None:
     energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
-    energy.take(FlightReport(0.0, HOME, 50.0))
-    for second in range(1, 31):
+    energy.take(FlightReport(100.0, HOME, 50.0))
+    for second in range(101, 131):
         energy.take(FlightReport(float(second), HOME))
-    now = energy.margin(FlightReport(30.0, HOME), HOME, EnergyFacts())
+    now = energy.margin(FlightReport(130.0, HOME), HOME, EnergyFacts())
     assert now is not None
     assert now.left_percent == pytest.approx(47.0)
 
@@ -362,3 +422,15 @@ def test_it_says_its_numbers(reserve: Reserve, low: float | None, said: str) -> 
     now = Margin(20.4, rate_percent_s=0.15, home_s=81.0, reserve=reserve, low_percent=low)
     assert str(now) == said
     assert now.turn_back
+
+
+def test_without_a_rate_the_percent_that_must_be_left_still_counts() -> None:
+    now = Margin(16.0, rate_percent_s=None, home_s=81.0, reserve=Reserve(60.0, 15.0))
+    assert str(now) == "81 s to home need what is not known yet, the reserve is 15 %, 16 % is left"
+    assert now.percent == 1.0
+
+
+def test_what_is_left_is_enough_until_it_is_less() -> None:
+    for left, turns_back in ((15.0, False), (14.9, True)):
+        now = Margin(left, rate_percent_s=None, home_s=81.0, reserve=Reserve(60.0, 15.0))
+        assert now.turn_back == turns_back

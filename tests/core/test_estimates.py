@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from statistics import fmean
 
 import pytest
@@ -148,10 +149,12 @@ def slow_s1() -> Estimates:
 
 def test_a_server_that_became_slow_gets_another_chance_after_retry_s() -> None:
     estimates = slow_s1()
-    estimates.forget_slow_calls("s1", now_s=399.9, retry_s=300.0)
+    assert estimates.next_forgetting_s("s1", retry_s=300.0) == 400.0
+    assert not estimates.forget_slow_calls("s1", now_s=399.9, retry_s=300.0)
     assert estimates.remote_s("s1", HEAVY) == 10.0
-    estimates.forget_slow_calls("s1", now_s=400.0, retry_s=300.0)
+    assert estimates.forget_slow_calls("s1", now_s=400.0, retry_s=300.0)
     assert estimates.remote_s("s1", HEAVY) == 2.0
+    assert not estimates.forget_slow_calls("s1", now_s=900.0, retry_s=300.0)
 
 
 def test_another_chance_fills_the_whole_window() -> None:
@@ -197,6 +200,64 @@ def test_a_call_cut_short_sooner_than_expected_says_nothing() -> None:
     estimates = two_operations()
     estimates.observe_remote_cut("s1", HEAVY, 1.9, now_s=10.0)
     assert estimates.remote_s("s1", HEAVY) == 2.0
+
+
+def test_a_call_cut_short_as_it_was_expected_to_end_says_nothing() -> None:
+    estimates = two_operations()
+    for delay_s in (1.0, 2.0, 3.0):
+        estimates.observe_remote("s1", HEAVY, delay_s, now_s=0.0)
+    estimates.observe_remote_cut("s1", HEAVY, 2.0, now_s=10.0)
+    assert estimates.remote_s("s1", HEAVY) == 2.0
+    estimates.observe_remote_cut("s2", HEAVY, 20.0, now_s=10.0)
+    assert estimates.remote_s("s2", HEAVY) is None, "s2 does not host it"
+
+
+def slow_apart() -> Estimates:
+    """A heavy call takes 10 s on the drone, and is believed to take 2 s on s1."""
+    servers = {"s1": Beliefs(11.5, 3.5, {HEAVY: 2.0})}
+    return Estimates(local_s={HEAVY: 10.0}, servers=servers, slow_apart=True)
+
+
+def test_a_slow_call_that_is_kept_apart_bounds_the_next_one_until_a_fast_one() -> None:
+    estimates = slow_apart()
+    estimates.observe_remote_cut("s1", HEAVY, 30.0, now_s=0.0)
+    assert estimates.remote_s("s1", HEAVY) == 2.0, "it was cut short"
+    for slow_s in (12.0, 10.0):
+        estimates.observe_remote("s1", HEAVY, slow_s, now_s=0.0)
+        assert (estimates.remote_s("s1", HEAVY), estimates.usual_s("s1", HEAVY)) == (slow_s, 2.0)
+    estimates.observe_remote("s1", HEAVY, 5.0, now_s=1.0)
+    assert estimates.remote_s("s1", HEAVY) == estimates.usual_s("s1", HEAVY) == 3.0
+    assert estimates.usual_s("s1", LIGHT) is None
+
+
+def test_a_slow_call_that_is_kept_apart_is_forgotten_after_retry_s() -> None:
+    estimates = slow_apart()
+    assert estimates.next_forgetting_s("s1", retry_s=300.0) == math.inf
+    estimates.observe_remote("s1", HEAVY, 12.0, now_s=7.0)
+    assert estimates.mean_call_s("s1") == 10.0
+    assert estimates.next_forgetting_s("s1", retry_s=300.0) == 307.0
+    assert not estimates.forget_slow_calls("s1", now_s=306.9, retry_s=300.0)
+    assert estimates.forget_slow_calls("s1", now_s=307.0, retry_s=300.0)
+    assert estimates.mean_call_s("s1") == estimates.remote_s("s1", HEAVY) == 2.0
+    assert not estimates.forget_slow_calls("s1", now_s=400.0, retry_s=300.0)
+    assert estimates.next_forgetting_s("s1", retry_s=300.0) == math.inf
+
+
+def test_a_late_call_changes_the_mean_at_once_and_is_counted_as_no_second_one() -> None:
+    estimates = two_operations()
+    for _ in range(2):
+        estimates.observe_local(LIGHT, 3.0)
+    before_s = estimates.mean_call_s("s1")
+    estimates.observe_remote("s1", HEAVY, 8.0, now_s=1.0, late=True)
+    assert estimates.mean_call_s("s1") == pytest.approx(before_s + (8.0 - 2.0) / 3 / 2)
+
+
+def test_a_start_takes_what_it_adds_to_a_check() -> None:
+    estimates = two_operations()
+    assert estimates.start_s("s1") == 8.0
+    for _ in range(3):
+        estimates.observe_check("s1", 12.0, started=False)
+    assert estimates.start_s("s1") == 0.0
 
 
 def test_a_call_is_the_first_of_its_service_until_one_was_computed_since_the_start() -> None:

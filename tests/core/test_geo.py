@@ -17,6 +17,7 @@ from upwash.core.geo import (
     ahead,
     distance_m,
     ground_distance_m,
+    rounded,
 )
 
 HOME = GeoPosition(latitude_deg=39.3666, longitude_deg=22.9507)
@@ -58,6 +59,22 @@ def test_a_reach_that_is_measured_is_everywhere() -> None:
 def test_the_place_ahead_is_never_below_the_ground(time_s: float, altitude_m: float) -> None:
     place = ahead(Position(1.0, 2.0, 10.0), Velocity(4.0, 0.5, -3.0), time_s)
     assert place == Position(1.0 + 4.0 * time_s, 2.0 + 0.5 * time_s, altitude_m)
+
+
+def test_a_rounded_position_has_centimetres() -> None:
+    assert rounded(Position(1.2345, -1.2375, 20.1251)) == Position(1.23, -1.24, 20.13)
+
+
+def test_a_speed_is_that_along_the_path_or_over_the_ground() -> None:
+    velocity = Velocity(3.0, 4.0, -12.0)
+    assert (velocity.ground_m_s, velocity.speed_m_s) == (5.0, 13.0)
+
+
+def test_a_plane_around_the_date_line_has_no_gap() -> None:
+    frame = LocalFrame(GeoPosition(0.0, 179.9995))
+    across = GeoPosition(0.0, -179.9995)
+    assert frame.position(across).east_m == pytest.approx(111.32, abs=0.01)
+    assert frame.geo(frame.position(across)).longitude_deg == pytest.approx(across.longitude_deg)
 
 
 def test_home_is_the_origin() -> None:

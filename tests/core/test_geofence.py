@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Circle, Position
-from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon, breached_by_leg, breached_by_position
+from upwash.core.vehicle.geofence import (
+    AreaUnion,
+    Fence,
+    Polygon,
+    breached_by_leg,
+    breached_by_move,
+    breached_by_position,
+    breached_by_way,
+)
 
 SQUARE = Polygon((Position(0, 0), Position(100, 0), Position(100, 100), Position(0, 100)))
 # A U, open to the north: the notch lies between 40 and 60 m east, above 20 m north.
@@ -22,6 +30,8 @@ NOTCHED = Polygon(
         ]
     )
 )  # fmt: skip
+DIAMOND = Polygon((Position(0, -50), Position(50, 0), Position(0, 50), Position(-50, 0)))
+SOUTH_WEST = Polygon((Position(-100, -100), Position(0, -100), Position(0, 0), Position(-100, 0)))
 DISC = Circle(Position(50, 50), 30)
 
 
@@ -39,6 +49,13 @@ def at(east_m: float, north_m: float) -> Position:
         (SQUARE, (0, 0), True),  # a corner
         (SQUARE, (100.0005, 50), True),  # as good as on it
         (SQUARE, (100.01, 50), False),
+        (SQUARE, (-0.001, 50), True),
+        (SQUARE, (50, -0.001), True),
+        (SOUTH_WEST, (0.001, -50), True),
+        (SOUTH_WEST, (-50, 0.001), True),
+        (DIAMOND, (10, 0), True),  # in line with two corners
+        (DIAMOND, (60, 0), False),
+        (DIAMOND, (-60, 0), False),
         (SQUARE, (200, 0), False),  # in line with a side
         (SQUARE, (-50, 100), False),
         (NOTCHED, (50, 60), False),
@@ -65,6 +82,8 @@ def test_what_lies_in_a_polygon(polygon: Polygon, place: tuple[float, float], in
         (SQUARE, (-50, 49), (49, -50), False, False),
         (SQUARE, (50, 50), (50, 50), True, True),  # hovering
         (SQUARE, (150, 50), (150, 50), False, False),
+        (SQUARE, (100, 50), (100, 50), True, True),  # hovering above the border
+        (SQUARE, (0, 0), (0, 0), True, True),  # and above a corner
         (NOTCHED, (20, 90), (80, 90), False, True),  # over the notch
         (NOTCHED, (20, 10), (80, 10), True, True),
         (NOTCHED, (20, 20), (80, 20), True, True),  # along the floor of the notch
@@ -96,6 +115,22 @@ def test_all_fences_have_to_allow_a_place() -> None:
     assert breached_by_position(fences, at(50, 50)) == fences[1]
     assert breached_by_leg(fences, at(5, 5), at(95, 5)) is None
     assert breached_by_leg(fences, at(5, 5), at(95, 95)) == fences[1]
+
+
+def test_a_vehicle_outside_may_come_back_in_and_one_inside_may_not_cut_a_corner() -> None:
+    fences = (Fence("field", NOTCHED, inclusion=True),)
+    assert breached_by_move(fences, at(20, 90), at(20, 50)) is None
+    assert breached_by_move(fences, at(20, 90), at(80, 90)) == fences[0]
+    assert breached_by_move(fences, at(50, 90), at(80, 90)) is None
+    assert breached_by_move(fences, at(50, 90), at(50, 80)) == fences[0], "it would stay outside"
+
+
+def test_each_leg_of_a_way_has_to_be_allowed() -> None:
+    fences = (Fence("field", SQUARE, inclusion=True), Fence("house", DISC, inclusion=False))
+    around = [at(5, 5), at(95, 5), at(95, 95)]
+    assert breached_by_way(fences, around) is None
+    assert breached_by_way(fences, [*around, at(5, 5)]) == fences[1]
+    assert breached_by_way((), [*around, at(5, 5)]) is None
 
 
 coordinates = st.integers(-20, 120).map(float)
@@ -144,6 +179,8 @@ APART = Polygon((Position(110, 0), Position(200, 0), Position(200, 100), Positio
         ((Circle(Position(0, 0), 30), Circle(Position(70, 0), 30)), (-20, 0), (80, 0), False),
         ((SQUARE, BESIDE), (150, 50), (150, 50), True),  # hovering
         ((SQUARE, BESIDE), (250, 50), (250, 50), False),
+        ((SQUARE, DISC), (50, 50), (50, 50), True),
+        ((SQUARE, Circle(Position(150, 50), 50)), (99.5, 50), (100.5, 50), True),
     ],
 )
 def test_which_legs_keep_to_joined_areas(

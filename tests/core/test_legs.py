@@ -22,13 +22,41 @@ positions = st.builds(Position, coordinates_m, coordinates_m, st.sampled_from([2
 def test_a_long_leg_cruises_and_a_short_one_does_not() -> None:
     assert Leg(20.0, 4.0, 1.0).duration_s == 9.0  # 4 s and 8 m to speed up, 1 s at speed, 4 s to brake
     assert Leg(4.0, 4.0, 1.0).duration_s == 4.0
-    assert Leg(0.0, 4.0, 1.0).duration_s == 0.0
+    assert Leg(0.0, 4.0, 1.0, settling_s=2.0).duration_s == 0.0
+    assert Leg(20.0, 4.0, 1.0, settling_s=2.0).duration_s == 11.0
 
 
 def test_the_vehicle_has_come_half_way_in_half_the_time() -> None:
     assert Leg(20.0, 4.0, 1.0).reached_s(10.0) == 4.5
     assert Leg(20.0, 4.0, 1.0).reached_s(-1.0) == 0.0
     assert Leg(20.0, 4.0, 1.0).reached_s(21.0) == 9.0
+    assert Leg(20.0, 4.0, 1.0, settling_s=2.0).reached_s(20.0) == 9.0, "it settles at its target"
+
+
+def test_before_its_start_and_after_its_end_a_leg_goes_no_further() -> None:
+    assert [Leg(20.0, 4.0, 1.0).travelled_m(time_s) for time_s in (-1.0, 0.0, 9.0, 100.0)] == [
+        0.0,
+        0.0,
+        20.0,
+        20.0,
+    ]
+    nowhere = Leg(0.0, 4.0, 1.0)
+    assert (nowhere.reached_s(1.0), nowhere.travelled_m(1.0), nowhere.back_s(1.0)) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "found_m_s2"), [(20.0, 0.05), (20.1, None), (0.64, 50.0), (0.63, None)]
+)
+def test_an_acceleration_that_no_vehicle_has_is_not_learnt(
+    duration_s: float, found_m_s2: float | None
+) -> None:
+    found = acceleration_m_s2(5.0 if duration_s > 1 else 5.12, 100.0, duration_s)
+    assert found == (None if found_m_s2 is None else pytest.approx(found_m_s2))
+
+
+def test_a_take_off_takes_its_lifting_and_its_climb() -> None:
+    pace = Pace(lifting_s=3.0, climb_m_s=2.0)
+    assert [pace.takeoff_s(altitude_m) for altitude_m in (-1.0, 0.0, 20.0)] == [3.0, 3.0, 13.0]
 
 
 @given(length_m=lengths_m, speed_m_s=speeds_m_s, acceleration=accelerations_m_s2, share=st.floats(0.0, 1.0))
@@ -217,6 +245,81 @@ def test_after_a_stop_without_a_call_nothing_is_expected_of_the_others() -> None
     expected = at_first()
     expected.leg_begun(PLACES[0], PLACES[1], None, now_s=5.0)
     assert expected.coming(PLACES[0], now_s=5.0, count=20) == []
+
+
+def test_the_photo_of_this_stop_or_else_of_the_last_one_is_expected() -> None:
+    assert MissionModel(MissionBeliefs(), {}).photo_s == 0.0
+    expected = at_first()
+    assert expected.photo_s == PHOTO_S
+    expected.call_begun(HEAVY, now_s=2.0)
+    assert expected.photo_s == 2.0
+
+
+def test_a_call_under_way_is_over_when_it_was_expected_at_the_latest() -> None:
+    expected = at_first()
+    expected.call_begun(HEAVY, now_s=1.0)
+    expected.call_ends(11.0)
+    assert [expected.open_s(now_s) for now_s in (5.0, 11.0, 12.0)] == [6.0, 0.0, 0.0]
+
+
+def test_a_mission_that_is_late_is_expected_to_go_on_at_once() -> None:
+    assert gaps_s(at_first().coming(PLACES[0], now_s=30.0, count=2)) == [0.0, LEG_S + PHOTO_S]
+    called = at_first()
+    called.call_begun(HEAVY, now_s=1.0)
+    called.call_ends(11.0)
+    assert gaps_s(called.coming(PLACES[0], now_s=30.0, count=1)) == [LEG_S + PHOTO_S]
+
+
+def test_a_range_that_was_entered_counts_from_there_though_the_leg_goes_on() -> None:
+    expected = at_first()
+    expected.call_begun(HEAVY, now_s=1.0)
+    expected.call_ends(2.0)
+    expected.leg_begun(PLACES[1], PLACES[2], None, now_s=2.0)
+    (before,) = expected.coming(Position(25.0, 0.0, 20.0), now_s=5.0, count=1)
+    assert before.gap_s == pytest.approx(LEG_S - 10.0**0.5 + PHOTO_S)
+    assert before.in_range_s["far"] == pytest.approx(4.5 + PHOTO_S)
+    (inside,) = expected.coming(Position(35.0, 0.0, 20.0), now_s=7.0, count=1)
+    assert inside.in_range_s["far"] == inside.gap_s == pytest.approx(10.0**0.5 + PHOTO_S)
+
+
+def test_the_next_leg_leads_to_the_next_waypoint_of_the_plan() -> None:
+    expected = mission_model(speeds_m_s={3: 2.0})
+    assert expected.next_leg() is None, "it has not begun"
+    legs = []
+    for number, place in enumerate(PLACES):
+        expected.leg_begun(PLACES[max(0, number - 1)], place, None, now_s=20.0 * number)
+        assert expected.next_leg() is None, "a leg is under way"
+        expected.arrived(now_s=20.0 * number + LEG_S)
+        following = expected.next_leg()
+        legs.append(following and (following.start, following.end, following.leg.ground_speed_m_s))
+    speeds_m_s = (4.0, 4.0, 2.0, 4.0)
+    assert legs == [*zip(PLACES, PLACES[1:], speeds_m_s, strict=False), None]
+    expected.leg_begun(PLACES[4], Position(0.0, 20.0, 20.0), None, now_s=100.0)
+    expected.arrived(now_s=109.0)
+    assert expected.next_leg() is None, "it is off its plan"
+    assert expected.rest(PLACES[0], now_s=109.0) == []
+
+
+def test_a_place_that_is_visited_twice_is_the_later_one_on_the_second_visit() -> None:
+    plan = [Waypoint(number, PLACES[place]) for number, place in enumerate((0, 1, 0, 2))]
+    expected = MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [StopCall(HEAVY, PHOTO_S)]), AREAS)
+    left = []
+    for place in (0, 1, 0, 1):
+        expected.leg_begun(PLACES[0], PLACES[place], None, now_s=0.0)
+        left.append(len(expected.rest(PLACES[0], now_s=0.0)))
+    assert left == [4, 3, 2, 3], "the last leg goes back to an earlier place"
+
+
+def test_a_way_back_teaches_nothing_and_has_no_hold() -> None:
+    plan = [Waypoint(number, place, hold_s=5.0) for number, place in enumerate(PLACES)]
+    expected = MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [StopCall(HEAVY, PHOTO_S)]), AREAS)
+    expected.leg_begun(PLACES[1], PLACES[0], None, now_s=0.0, back=True)
+    expected.arrived(now_s=LEG_S)
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=LEG_S + 7.0)
+    assert gaps_s(expected.coming(PLACES[0], now_s=LEG_S + 7.0, count=2)) == [
+        LEG_S + 5.0 + PHOTO_S,
+        LEG_S + 5.0 + PHOTO_S,
+    ]
 
 
 def test_the_acceleration_is_learnt_from_the_legs() -> None:

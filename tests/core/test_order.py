@@ -67,6 +67,8 @@ def test_a_sweep_is_taken_where_it_saves_two_per_cent_and_not_where_it_saves_les
     assert (indices, sweep) == ([2, 1, 0], 1)
     assert why.startswith("sweep 1, by rows from the ")
     assert "saves 2.0 % by forecast (1.6 instead of 1.7 min)" in why
+    why, indices, sweep = taking(sweep_1=100.0)
+    assert (why, sweep) == ("as given: by forecast no sweep is quicker", None)
     why, indices, sweep = taking(sweep_1=98.1)
     assert (indices, sweep) == ([0, 1, 2], None)
     assert "less than 2 %" in why
@@ -168,6 +170,17 @@ def test_whichever_sweep_is_given_is_the_first(columns: int, rows: int, number: 
 )
 def test_what_is_no_full_grid_has_no_sweep(given_places: list[tuple[float, float]]) -> None:
     assert sweeps(waypoints(given_places)) == ()
+
+
+@pytest.mark.parametrize(("off_m", "count"), [(5.0, SWEEPS), (5.1, 0)])
+def test_a_place_belongs_to_a_row_up_to_a_quarter_of_the_least_distance_off_it(
+    off_m: float, count: int
+) -> None:
+    assert len(sweeps(waypoints([(0.0, 0.0), (20.0, 0.0), (40.0, off_m)]))) == count
+
+
+def test_two_places_are_a_field() -> None:
+    assert len(sweeps(waypoints([(0.0, 0.0), (20.0, 0.0)]))) == SWEEPS
 
 
 def test_rows_and_columns_may_be_unevenly_far_apart() -> None:

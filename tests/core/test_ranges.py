@@ -33,6 +33,26 @@ def test_every_border_is_noticed_on_a_long_way_of_small_steps_and_after_a_leap(
         assert inside == {name for name, area in areas.items() if area.contains(position)}
 
 
+def test_a_border_is_noticed_where_the_way_ends_exactly_on_it() -> None:
+    ranges = Ranges({"s1": Circle(Position(100.0, 0.0), 50.0)})
+    assert ranges.crossed(Position(0.0, 0.0)) == []
+    assert ranges.crossed(Position(50.0, 0.0)) == ["s1"]
+
+
+def test_a_place_is_on_a_border_within_a_centimetre() -> None:
+    for east_m, is_on_border in (
+        (49.5, False),
+        (49.98, False),
+        (49.995, True),
+        (50.005, True),
+        (50.1, False),
+    ):
+        ranges = Ranges({"far": Circle(Position(900.0, 0.0), 50.0), "s1": Circle(Position(100.0, 0.0), 50.0)})
+        ranges.crossed(Position(east_m, 0.0))
+        assert ranges.is_on_border == is_on_border
+    assert not Ranges({}).is_on_border
+
+
 class Counted(dict[str, Circle]):
     """Areas that count how often one of them is looked at."""
 

@@ -59,6 +59,18 @@ def test_it_learns_from_answers(demands: int, answers: int, goes: bool) -> None:
     assert learnt(demands, answers).decide(outlook(8.0)).goes is goes
 
 
+@pytest.mark.parametrize(
+    ("delay_s", "goes", "why"),
+    [
+        (3.0, False, "going costs 0.00 s on average"),  # 3 of 4 times it saves 3 s, and else it loses 9 s
+        (8.0, True, "going gains 3.50 s on average"),
+    ],
+)
+def test_it_goes_only_if_that_gains(delay_s: float, goes: bool, why: str) -> None:
+    verdict = StayRule("learn").decide(outlook(delay_s))
+    assert (verdict.goes, verdict.why) == (goes, why)
+
+
 def test_what_was_long_ago_is_forgotten() -> None:
     rule = learnt(40, 40)
     for _ in range(40):

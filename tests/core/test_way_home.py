@@ -52,6 +52,51 @@ def test_a_landing_where_it_is_counts_down_at_once(way: WayHome, airframe: objec
         assert left_s == pytest.approx(really_s, abs=8.0)
 
 
+PLAIN = WayHome(
+    altitude_m=30.0, climb_m_s=2.0, speed_m_s=10.0, acceleration_m_s2=1.0, hover_s=5.0, descent_m_s=2.0,
+    slowly_below_m=10.0, landing_m_s=0.5,
+)  # fmt: skip
+CLIMB_S, WAY_S, DOWN_S, SINKING_S = 20 / 2 + 2, 400 / 10 + 10, 20 / 2 + 2 + 20.0, 20 / 2 + 20.0
+
+
+@pytest.mark.parametrize(
+    ("reports", "left_s"),
+    [
+        ([(400, 10)], CLIMB_S + WAY_S + 5.0 + DOWN_S),
+        ([(400, 20)], 7.0 + WAY_S + 5.0 + DOWN_S),
+        ([(400, 30)], WAY_S + 5.0 + DOWN_S),
+        ([(398, 10)], CLIMB_S + WAY_S - 2.0 + 5.0 + DOWN_S),
+        ([(397, 10)], WAY_S - 6.0**0.5 + 5.0 + DOWN_S),  # it climbs the rest on its way
+        ([(410, 30)], WAY_S + 1.0 + 5.0 + DOWN_S),  # it still flies away
+        ([(350, 30)], WAY_S - 10.0 + 5.0 + DOWN_S),
+        ([(2.5, 30)], 5.0**0.5 + 5.0 + DOWN_S),
+        ([(2, 30)], 5.0 + SINKING_S),
+        ([(0, 29)], 5.0 + 19 / 2 + 20.0),
+        ([(0, 28.5)], 5.0 + DOWN_S),  # it has not climbed yet
+        ([(0, 30)] * 4, 2.0 + SINKING_S),
+        ([(0, 30)] * 9, SINKING_S),
+        ([(0, 30), (0, 29)], 4.0 + SINKING_S),
+        ([(0, 30), (0, 28)], 18 / 2 + 20.0),
+        ([(0, 30), (0, 4)], 8.0),
+        ([(0, 30), (0, -1)], 0.0),
+    ],
+)
+def test_each_part_of_a_return_is_left_until_the_next_has_begun(
+    reports: list[tuple[float, float]], left_s: float
+) -> None:
+    down = WayDown(PLAIN, Position(400.0, 0.0, 10.0), HOME)
+    for second, (east_m, altitude_m) in enumerate(reports):
+        said_s = down.left_s(Position(east_m, 0.0, altitude_m), now_s=100.0 + second)
+    assert said_s == pytest.approx(left_s)
+
+
+def test_a_return_from_above_needs_no_climb_and_a_landing_needs_no_way() -> None:
+    above = Position(400.0, 0.0, 50.0)
+    assert WayDown(PLAIN, above, HOME).left_s(above, now_s=0.0) == WAY_S + 5.0 + 40 / 2 + 2 + 20.0
+    drifted = Position(410.0, 0.0, 50.0)
+    assert WayDown(PLAIN, above, None).left_s(drifted, now_s=0.0) == 40 / 2 + 20.0
+
+
 def test_a_vehicle_that_sinks_without_having_climbed_is_believed() -> None:
     down = WayDown(PX4, Position(1.0, 0.0, 12.0), HOME)
     assert down.left_s(Position(1.0, 0.0, 12.0), now_s=0.0) > 40.0

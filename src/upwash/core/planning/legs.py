@@ -41,11 +41,8 @@ class Leg(Struct, frozen=True):
 
     def reached_s(self, travelled_m: float) -> float:
         """Seconds from the start until the vehicle has travelled that far."""
-        if travelled_m <= 0:
-            return 0.0
+        travelled_m = min(max(0.0, travelled_m), self.length_m)
         left_m = self.length_m - travelled_m
-        if left_m <= 0:
-            return self._moving_s
         ramp_m = self._top_m_s * self._ramp_s / 2
         if travelled_m <= ramp_m:
             return math.sqrt(2 * travelled_m / self.acceleration_m_s2)
@@ -84,7 +81,7 @@ class Leg(Struct, frozen=True):
 def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: float) -> float | None:
     """The acceleration that explains a leg's duration; None if the duration does not determine it."""
     cruise_s = length_m / ground_speed_m_s
-    if length_m <= 0 or duration_s <= cruise_s:
+    if duration_s <= cruise_s:
         return None
     if duration_s < 2 * cruise_s:
         value_m_s2 = ground_speed_m_s / (duration_s - cruise_s)

@@ -101,10 +101,9 @@ class WayDown:
 
     def __init__(self, way: WayHome, start: Position, home: Position | None) -> None:
         self._way = way
-        self._home = home
-        self._top_m = start.altitude_m if home is None else max(start.altitude_m, way.altitude_m)
-        length_m = 0.0 if home is None else ground_distance_m(start, home)
-        self._leg = Leg(length_m, way.speed_m_s, way.acceleration_m_s2)
+        self._home = home or start
+        self._top_m = max(start.altitude_m, way.altitude_m)
+        self._leg = Leg(ground_distance_m(start, self._home), way.speed_m_s, way.acceleration_m_s2)
         self._above_home_s: float | None = None  # since when it is
         self._highest_m = start.altitude_m
         self._sinks = home is None
@@ -122,7 +121,7 @@ class WayDown:
         return self._to_home_s(position) + way.hover_s + descent_s(self._top_m, way)
 
     def _take(self, position: Position, now_s: float) -> None:
-        if self._home is not None and ground_distance_m(position, self._home) > _AT_HOME_M:
+        if ground_distance_m(position, self._home) > _AT_HOME_M:
             return
         self._sinks |= position.altitude_m < self._highest_m - _SUNK_M
         has_climbed = self._highest_m >= self._top_m - _SUNK_M
@@ -131,14 +130,14 @@ class WayDown:
 
     def _to_home_s(self, position: Position) -> float:
         way, leg = self._way, self._leg
-        left_m = 0.0 if self._home is None else ground_distance_m(position, self._home)
+        left_m = ground_distance_m(position, self._home)
         flown_m = leg.length_m - left_m
         rise_m = max(0.0, self._top_m - position.altitude_m)
         has_left = flown_m > _AT_HOME_M  # it may climb the rest on its way
         climbs_s = 0.0 if has_left else Leg(rise_m, way.climb_m_s, way.acceleration_m_s2).duration_s
-        if flown_m < 0:  # it still flies away
-            return climbs_s + Leg(left_m, way.speed_m_s, way.acceleration_m_s2).duration_s
-        return climbs_s + leg.duration_s - leg.reached_s(flown_m)
+        whole_m = max(left_m, leg.length_m)  # it may still fly away
+        whole = Leg(whole_m, way.speed_m_s, way.acceleration_m_s2)
+        return climbs_s + whole.duration_s - leg.reached_s(flown_m)
 
     def _descent_s(self, altitude_m: float) -> float:
         way = self._way
