@@ -18,7 +18,7 @@ HERE, THERE = Position(0.0, 0.0), Position(500.0, 0.0)
 LOCAL_S, REMOTE_S, CHECK_S, RUNNING_S = 10.0, 1.0, 12.0, 4.0
 
 
-def estimates(coverage: Coverage | None = None, **remote_s: float) -> Estimates:
+def estimates(remote_s: dict[str, float], coverage: Coverage | None = None) -> Estimates:
     """Looks and counts take 10 s on the drone; servers host looks alone."""
     servers = {name: Beliefs(CHECK_S, RUNNING_S, {LOOK: delay_s}) for name, delay_s in remote_s.items()}
     return Estimates(local_s={LOOK: LOCAL_S, COUNT: LOCAL_S}, servers=servers, coverage=coverage)
@@ -47,12 +47,12 @@ def forecast(
     now_s: float = 100.0,
 ) -> Forecast:
     known = {each.name: each for each in servers}
-    believed = believed or estimates(**dict.fromkeys(known, REMOTE_S))
+    believed = believed or estimates(dict.fromkeys(known, REMOTE_S))
     return make_forecast(calls, known, believed, selected, now_s=now_s, banned_s=banned_s or {}, idle_s=60.0)
 
 
 def test_each_call_is_shown_with_the_faster_servers_in_its_range() -> None:
-    believed = estimates(a=REMOTE_S, even=LOCAL_S, slow=11.0)
+    believed = estimates({"a": REMOTE_S, "even": LOCAL_S, "slow": 11.0})
     servers = [server(name) for name in ("a", "even", "slow")]
     shown = forecast(
         [call(5.0, a=5.0, even=5.0, slow=5.0), call(3.0, a=2.0), call(2.0)], *servers, believed=believed
@@ -91,7 +91,7 @@ def test_the_services_of_a_server_that_was_left_run_until_it_is_idle_for_long() 
 
 
 def test_of_a_check_under_way_its_rest_is_left() -> None:
-    believed = estimates(a=REMOTE_S)
+    believed = estimates({"a": REMOTE_S})
     checked = server("a", Trigger.SELECTED)
     again = server("a", Trigger.SELECTED, Trigger.STARTED, Trigger.TURN_OVER)
     for each, left_s in ((checked, CHECK_S), (again, RUNNING_S)):
@@ -121,7 +121,7 @@ def test_a_server_without_a_range_is_as_fast_as_it_was_at_the_place_of_the_call(
     coverage = Coverage({"a": ()})
     for place, delay_s in ((HERE, 3.0), (THERE, 20.0)):
         coverage.asked("a", place, answered=True).note(LOOK, delay_s)
-    believed = estimates(coverage, a=LOCAL_S)
+    believed = estimates({"a": LOCAL_S}, coverage)
     calls = [call(5.0, at=HERE, a=5.0), call(5.0, at=THERE, a=5.0), call(5.0, at=Position(250.0, 0.0), a=5.0)]
     shown = forecast(calls, server(), believed=believed)
     assert [each.offers[0].call_s for each in shown.calls] == [3.0, 20.0, LOCAL_S]
@@ -130,6 +130,6 @@ def test_a_server_without_a_range_is_as_fast_as_it_was_at_the_place_of_the_call(
 
 def test_the_peers_of_the_servers_that_gain_are_shown() -> None:
     servers = [server("a", peers="b"), server("b"), server("slow", peers="a")]
-    believed = estimates(a=REMOTE_S, b=REMOTE_S, slow=11.0)
+    believed = estimates({"a": REMOTE_S, "b": REMOTE_S, "slow": 11.0})
     shown = forecast([call(5.0, a=5.0, b=5.0, slow=5.0)], *servers, believed=believed)
     assert shown.peers == {"a": frozenset("b")}
