@@ -59,7 +59,7 @@ from upwash.sim import link
 from upwash.sim.journal import MemoryJournal
 
 MOST_SEEDS = 3_000
-_TINY_LEASE_S = 0.003  # for whatever is none: with less, virtual time would hardly go on
+_TINY_LEASE_S = 0.05  # for whatever is none: with less, virtual time would hardly go on
 _LONG_LEASE_S = 1e5
 
 

@@ -11,6 +11,14 @@ pytestmark = pytest.mark.long
 # By `python -m tests.sim.planted`; a search from 1 would spend minutes in worlds that keep their promises.
 FOUND_BY_SEED = {
     "every call has the patience of a first one": 133,
+    "a drone is served after its turn": 34,
+    "a drone without a slot asks without pause": 10,
+    "services that nobody wants are dialled": 30,
+    "a silent vehicle ends the watch over ranges": 45,
+    "an autopilot that restarted is flown on": 179,
+    "a restart is taken for the pilot's act": 45,
+    "a failed server is probed without pause": 87,
+    "an instance of no use is never replaced": 59,
     "calls go to the server in preparation": 273,
     "a transition of the server table is skipped": 95,
     "turns never end": 431,
