@@ -2,10 +2,24 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.geo import Position
+from upwash.core.geo import Circle, Measured, Position
 from upwash.core.knowledge.coverage import MOST_PLACES, NEAR_M, SAME_M, Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
+from upwash.core.policies.policy import LocationAware
+from upwash.core.selection.commands import Effect, Mapped
+from upwash.core.selection.events import (
+    CheckAnswered,
+    NetworkGone,
+    ProbeUnanswered,
+    Reached,
+    SelectionEvent,
+    ServerUnusable,
+    Tick,
+)
+from upwash.core.selection.recovery import Probing
+from upwash.core.selection.selection import Selection
+from upwash.core.selection.settings import SelectionSettings
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 LIGHT = Operation("detector", "process_photo", "light")
@@ -131,3 +145,71 @@ def test_the_goodput_of_a_place_is_that_of_large_calls() -> None:
     place.carry(10_000, 2.0)
     place.carry(30_000, 3.0)
     assert place.goodput_bit_s == 8 * 40_000 / 5.0
+
+
+# --- what the drone's machine measures ----------------------------------------------------------------------
+
+
+def mapping(*, has_range: bool = False) -> Selection:
+    """The machine with lte selected by check 1 at 0 s; a server is measured unless it has a range."""
+    believed = estimates(Coverage({"s1": ()} if has_range else {"lte": ()}))
+    areas = {"lte": Circle(HERE, 1000.0)} if has_range else {"lte": Measured()}
+    settings = SelectionSettings(probing=Probing())
+    machine = Selection(areas, estimates=believed, policy=LocationAware(), settings=settings)
+    machine.handle(Tick(), now_s=0.0, position=HERE)
+    return machine
+
+
+def mapped(effects: list[Effect]) -> list[tuple[int, int]]:
+    """How many calls and questions were tried, and answered, at the places that are to be logged."""
+    return [(each.place.tried, each.place.answered) for each in effects if isinstance(each, Mapped)]
+
+
+@pytest.mark.parametrize(
+    ("event", "counted"),
+    [
+        (CheckAnswered(1, running=True), [(1, 1)]),
+        (ServerUnusable(1, "no answer", unreached=True), [(1, 0)]),
+        (ServerUnusable(1, "no slot"), []),  # it answered
+        (NetworkGone(1, "no carrier"), [(1, 0)]),
+        (CheckAnswered(9, running=True), []),
+        (ProbeUnanswered(1), []),  # it is not probed
+    ],
+)
+def test_whether_a_server_without_a_range_answers_is_measured(
+    event: SelectionEvent, counted: list[tuple[int, int]]
+) -> None:
+    assert mapped(mapping().handle(event, now_s=2.0, position=HERE)) == counted
+    assert mapped(mapping(has_range=True).handle(event, now_s=2.0, position=HERE)) == []
+
+
+def test_a_probe_without_an_answer_counts_once_for_each_place() -> None:
+    counts = []
+    for machine in (mapping(), mapping(has_range=True)):
+        machine.handle(NetworkGone(1, "no carrier"), now_s=2.0, position=HERE)
+        for now_s, east_m in ((3.0, 0.0), (4.0, 1.0), (5.0, 50.0), (6.0, 51.0), (7.0, 0.0)):
+            effects = machine.handle(ProbeUnanswered(2), now_s=now_s, position=east_of_here(east_m))
+            counts.append(mapped(effects))
+    assert counts == [[(2, 0)], [], [(1, 0)], [], [(3, 0)], *[[]] * 5]
+
+
+def test_a_call_is_measured_where_it_was_made_and_a_failed_one_costs_the_drones_own_too() -> None:
+    machine = mapping()
+    machine.handle(CheckAnswered(1, running=True), now_s=2.0, position=HERE)
+    there = east_of_here(500.0)
+    answered = Reached("lte", there, True, HEAVY, 2.0, 500_000)
+    ((tried, right),) = mapped(machine.handle(answered, now_s=5.0, position=HERE))
+    assert (tried, right) == (1, 1)
+    known = machine.estimates.coverage
+    assert known is not None
+    place = known.at("lte", there)
+    assert place is not None and (place.call_s(HEAVY), place.goodput_bit_s) == (2.0, 2e6)
+    machine.handle(Reached("lte", there, False, HEAVY, 3.0, 500_000), now_s=9.0, position=HERE)
+    assert place.call_s(HEAVY) == (2.0 + 3.0 + LOCAL_S) / 2
+    assert place.goodput_bit_s == 2e6, "a failed call carried nothing"
+    without = Selection(
+        {"lte": Circle(HERE, 1000.0)},
+        estimates=Estimates(local_s={HEAVY: LOCAL_S}, servers={"lte": Beliefs(3.0, 1.0, {HEAVY: REMOTE_S})}),
+        policy=LocationAware(),
+    )
+    assert mapped(without.handle(answered, now_s=5.0, position=HERE)) == []

@@ -368,6 +368,34 @@ def test_a_service_that_is_withdrawn_is_stopped_and_one_of_another_version_start
     assert machine.offer(offers, outdated=outdated) == [StartInstance("s1", "mapper", 3)]
 
 
+def test_where_the_running_instance_ends_first_the_one_of_the_other_version_has_its_place() -> None:
+    machine = with_detector_running()
+    same = ServerOffer(frozenset({"detector"}), 1)
+    machine.offer({"s1": same, "s2": same}, outdated=frozenset({("s1", "detector")}))
+    machine.at("s1").gone("detector", 1, "killed", now_s=9.0)
+    assert machine.start("s1", "detector", Client("d1"), now_s=9.5)[0] == StartPending(2, stopping=False)
+    machine.at("s1").ready("detector", 2, ":9001", now_s=10.0)
+    assert machine.start("s1", "detector", Client("d1"), now_s=11.0)[0] == ServiceRunning(":9001")
+
+
+def test_a_daemon_is_idle_without_slots_that_are_held_and_instances_that_run() -> None:
+    machine = host()
+    assert machine.is_idle
+    machine.start("s1", "detector", Client("d1"), now_s=0.0)
+    assert not machine.is_idle
+    machine.at("s1").ready("detector", 1, ":9000", now_s=8.0)
+    machine.leave("s1", Client("d1"), now_s=9.0)
+    assert not machine.is_idle, "an instance runs"
+    assert machine.look(now_s=608.0) == [StopInstance("s1", "detector", 1)]
+    assert machine.is_idle
+
+
+def test_measured_slots_have_a_lane_for_each_service_unless_the_offer_says_more() -> None:
+    for lanes, slots in (({}, 4), ({"detector": 3}, 12)):
+        offer = ServerOffer(frozenset({"detector"}), "auto", lanes=lanes)
+        assert AdmissionController({"s1": offer}).servers(now_s=0.0)[0].slots == slots
+
+
 def test_a_former_instance_serves_on_where_another_version_comes_after_its_successor_has_ended() -> None:
     machine = with_detector_running()
     same = ServerOffer(frozenset({"detector"}), 1)

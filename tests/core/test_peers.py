@@ -126,7 +126,7 @@ def test_a_peer_whose_drones_never_come_is_refused_for_a_while() -> None:
         assert hold(machine, Client(f"x{number}", f"x{number}"), now_s=50.0 * number)[0] is None
     assert hold(machine, now_s=150.0)[0] == Denied("the last 3 drones that s1 expected did not come")
     assert isinstance(hold(machine, now_s=749.0)[0], Denied)
-    assert hold(machine, now_s=751.0)[0] is None
+    assert hold(machine, now_s=750.0)[0] is None
 
 
 def test_a_drone_that_comes_clears_the_peer() -> None:

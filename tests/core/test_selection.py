@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -181,7 +182,8 @@ def test_another_server_is_preferred_to_one_without_a_slot_and_of_two_such_the_d
         (2.0, UNDER_BOTH, SlotRefused(1, 1), f"s1 full, 1 waiting, s1 CHECK AVL, leave s1, {NEXT}"),
         (5.0, UNDER_BOTH, SlotRefused(2, 1), "s2 full, 1 waiting"),
         # s1 may have a slot again after a minute.
-        (62.5, UNDER_BOTH, LocalCallEnded(HEAVY, 8.0), "s2 CHECK AVL, leave s2, s1 AVL CHECK, check s1 3"),
+        (61.9, UNDER_BOTH, Tick(), ""),
+        (62.0, UNDER_BOTH, Tick(), "s2 CHECK AVL, leave s2, s1 AVL CHECK, check s1 3"),
     )
 
 
@@ -743,6 +745,15 @@ def test_after_a_wait_the_server_that_became_ready_gets_the_call() -> None:
     assert isinstance(decision, Remote)
     assert (decision.server, decision.deadline_s) == ("s1", 3.0)
     assert commands == []
+
+
+def test_the_next_look_is_when_a_server_may_have_a_slot_again_or_is_idle() -> None:
+    machine = selection()
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    machine.handle(SlotRefused(1, 1), now_s=2.0, position=UNDER_S1)
+    assert machine.next_look_s(now_s=5.0) == 62.0
+    assert with_s1_left_running(selection()).next_look_s(now_s=30.0) == 200.0
+    assert with_s1_ready(selection()).next_look_s(now_s=30.0) == math.inf
 
 
 def test_after_a_wait_that_was_too_short_the_call_runs_here() -> None:

@@ -73,6 +73,39 @@ def test_the_service_that_is_the_narrowest_counts() -> None:
     assert (slots.count, slots.why) == (1, "no service is offered")
 
 
+def test_the_first_calls_of_a_drone_count_alike_and_of_later_ones_the_latest_for_a_fifth() -> None:
+    slots = MeasuredSlots({"detector": 1})
+    for now_s, took_s in ((0.0, 0.6), (10.0, 1.0), (20.0, 3.0)):
+        slots.answered("detector", "d1", took_s=took_s, queued_s=0.0, now_s=now_s)
+    assert slots.why == "a drone keeps detector busy for 20 % of its time"
+    for number in range(3, 10):
+        slots.answered("detector", "d1", took_s=2.0, queued_s=0.0, now_s=10.0 * number)
+    slots.answered("detector", "d1", took_s=7.0, queued_s=0.0, now_s=100.0)
+    assert slots.why == "a drone keeps detector busy for 30 % of its time"
+
+
+def test_a_call_that_takes_no_time_between_two_others_leaves_no_room() -> None:
+    slots = MeasuredSlots({"detector": 1})
+    for _ in range(3):
+        slots.answered("detector", "d1", took_s=0.0, queued_s=0.0, now_s=5.0)
+    assert (slots.count, slots.why) == (1, "a drone keeps detector busy for 100 % of its time")
+
+
+def test_of_many_drones_the_64_that_called_last_count() -> None:
+    slots = MeasuredSlots({"detector": 1})
+    calls(slots, "hammer", every_s=0.6, took_s=0.6)
+    calls(slots, "d0", every_s=10.0, took_s=1.0)
+    for number in range(1, 63):
+        calls(slots, f"d{number}", every_s=10.0, took_s=1.0)
+    assert slots.count == 8, "the hammer and 63 others"
+    slots.answered("detector", "d0", took_s=1.0, queued_s=0.0, now_s=60.0)
+    calls(slots, "d63", every_s=10.0, took_s=1.0)
+    assert slots.count == 10
+    calls(slots, "hammer", every_s=0.6, took_s=0.6)
+    slots.came("d0")
+    assert slots.count == 8, "d1 called before d0"
+
+
 def test_time_without_a_slot_is_not_counted_as_a_drones_pace() -> None:
     slots = MeasuredSlots({"detector": 1})
     calls(slots, "d1", every_s=9.0, took_s=0.6)

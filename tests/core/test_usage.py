@@ -112,6 +112,11 @@ def test_of_many_teams_the_longest_unseen_are_forgotten() -> None:
         usage.took(Client(f"t{number}-1"), now_s=0.0)
         usage.gave_back(f"t{number}-1", held_by="", now_s=1.0)
     assert [len(usage.teams(now_s=1.0)), len(usage.drones(now_s=1.0))] == [100, 200]
+    for seen in ("t200-1", "new-1"):
+        usage.took(Client(seen), now_s=2.0)
+        usage.gave_back(seen, held_by="", now_s=3.0)
+    teams = {team.team for team in usage.teams(now_s=3.0)}
+    assert {"t200", "new"} <= teams and "t201" not in teams and len(teams) == 100
 
 
 def test_a_drone_with_another_certificate_is_still_one_drone() -> None:

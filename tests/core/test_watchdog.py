@@ -238,6 +238,39 @@ def test_a_service_that_does_not_start_is_offered_to_nobody_during_the_pause() -
         assert "failed 2 times in a row: no such model" in answer.why
 
 
+def test_a_sign_of_life_of_this_instance_and_of_no_other_keeps_it_running() -> None:
+    machine = host(D1)
+    machine.at("s1").heard("detector", 1, now_s=50.0)
+    machine.at("s1").heard("detector", 7, now_s=90.0)
+    assert machine.at("s1").watch("detector", 1, now_s=109.9) == []
+    assert machine.at("s1").watch("detector", 7, now_s=110.0) == []
+    (stop, *_) = machine.at("s1").watch("detector", 1, now_s=110.0)
+    assert isinstance(stop, StopInstance) and "no sign of life for 60 s" in stop.why
+
+
+@pytest.mark.parametrize(("outcome", "limit_s"), [("value", 50.0), ("raised", 60.0)])
+def test_the_limit_of_calls_is_learnt_from_values(outcome: str, limit_s: float) -> None:
+    machine = host(D1)
+    machine.at("s1").answered("detector", 1, "d1", took_s=10.0, outcome=outcome, now_s=10.0)
+    machine.at("s1").called("detector", 1, "d1", now_s=100.0)
+    machine.at("s1").heard("detector", 1, now_s=100.0 + limit_s)
+    assert machine.at("s1").watch("detector", 1, now_s=99.9 + limit_s) == []
+    assert machine.at("s1").watch("detector", 1, now_s=100.0 + limit_s) != []
+
+
+def test_an_instance_computes_one_call_at_a_time_unless_its_offer_says_more() -> None:
+    for lanes, stopped in (({}, False), ({"detector": 2}, True)):
+        machine = AdmissionController(
+            {"s1": ServerOffer(frozenset({"detector"}), 2, lanes=lanes)}, AdmissionSettings(lease_s=1e4)
+        )
+        machine.start("s1", "detector", D1, now_s=0.0)
+        machine.at("s1").ready("detector", 1, ":1", now_s=0.0)
+        machine.at("s1").called("detector", 1, "d1", now_s=0.0)
+        machine.at("s1").called("detector", 1, "d2", now_s=50.0)
+        machine.at("s1").heard("detector", 1, now_s=60.0)
+        assert bool(machine.at("s1").watch("detector", 1, now_s=60.0)) == stopped
+
+
 def test_an_instance_that_is_stopped_for_another_reason_has_not_failed() -> None:
     machine = host(D1)
     machine.leave("s1", D1, now_s=0.0)

@@ -69,9 +69,9 @@ class Peers:
     # --- what this daemon asks of peers -----------------------------------------------------------------------
 
     def elsewhere(self, drone: str, peer: str, *, now_s: float) -> str:
-        """Why the peer cannot hold a slot for the drone: another peer holds one; "" if it can."""
+        """Why the peer cannot hold a slot for the drone: another peer holds one; "" if it can; after `forget`."""
         ahead = self._sent_ahead.get(drone)
-        if ahead is not None and ahead.peer != peer and ahead.until_s > now_s:
+        if ahead is not None and ahead.peer != peer:
             return f"{drone} has a slot of {ahead.peer} held for another {ahead.until_s - now_s:.0f} s"
         return ""
 
