@@ -22,6 +22,8 @@ from upwash.mavlink.px4 import EventMessage, px4_events
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot, Patience
 from upwash.real.mavlink.arducopter import ARDUCOPTER
+from upwash.real.mavlink.gate import admits
+from upwash.real.mavlink.news import VehicleNewsFeed
 from upwash.real.mavlink.px4_firmware import PX4
 from upwash.real.mavlink.telemetry import VehicleTelemetry
 from upwash.real.mavlink.vehicle import MavlinkVehicle
@@ -138,6 +140,44 @@ async def test_a_number_that_cannot_be_true_counts_as_not_known(
     await flown.say(message)
     assert getattr(flown.vehicle.telemetry, name) is value
     assert len(flown.troubles("out-of-range")) == 1
+
+
+E7, MM = 10**7, 1000
+# The least and the most, and the number that stands for not known.
+EDGES: dict[tuple[str, str], tuple[float, float, int | None]] = {
+    ("GLOBAL_POSITION_INT", "lat"): (-90 * E7, 90 * E7, None),
+    ("GLOBAL_POSITION_INT", "lon"): (-180 * E7, 180 * E7, None),
+    ("GLOBAL_POSITION_INT", "alt"): (-1_000 * MM, 100_000 * MM, None),
+    ("GLOBAL_POSITION_INT", "relative_alt"): (-10_000 * MM, 100_000 * MM, None),
+    ("GPS_RAW_INT", "lat"): (-90 * E7, 90 * E7, None),
+    ("HOME_POSITION", "altitude"): (-1_000 * MM, 100_000 * MM, None),
+    ("POSITION_TARGET_GLOBAL_INT", "alt"): (-1_000.0, 100_000.0, None),
+    ("ATTITUDE", "yaw"): (-2 * math.tau, 2 * math.tau, None),
+    ("WIND", "speed"): (0.0, 150.0, None),
+    ("WIND", "direction"): (-360.0, 360.0, None),
+    ("WIND_COV", "wind_x"): (-150.0, 150.0, None),
+    ("SYS_STATUS", "battery_remaining"): (-1, 100, -1),
+    ("EXTENDED_SYS_STATE", "landed_state"): (0, 4, 0),
+    ("SYSTEM_TIME", "time_unix_usec"): (0, 4_102_444_800_000_000, 0),  # the year 2100
+}
+
+
+@pytest.mark.parametrize(("kind", "name"), EDGES)
+def test_a_number_is_possible_up_to_its_edge(kind: str, name: str) -> None:
+    least, most, unknown = EDGES[kind, name]
+    made = {each.msgname: each for each in mavlink.mavlink_map.values()}[kind]
+    news = VehicleNewsFeed()
+    beyond = (
+        (least - 1, most + 1)
+        if isinstance(most, int)
+        else (math.nextafter(least, -math.inf), math.nextafter(most, math.inf))
+    )
+    for value in least, most, *beyond:
+        message = made(*[0] * len(made.fieldnames))
+        setattr(message, name, value)
+        is_possible = value in (least, most)
+        assert admits(message, ARDUCOPTER.ranges, news) == (is_possible or unknown is not None)
+        assert getattr(message, name) == (value if is_possible or unknown is None else unknown)
 
 
 @played(fly)

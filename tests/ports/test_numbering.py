@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.real.mavlink.numbering import Numbering
+from upwash.real.mavlink.numbering import BootClock, Numbering, Twins
 
 Numbers = Callable[[str, int], int]  # the number of the so-manieth message of that kind
 PERIODS = {
@@ -172,3 +172,184 @@ def test_numbers_that_count_again_are_believed_again() -> None:
     for at_s, each in stream(10.0, of_one_count):
         numbering.is_news(each, 10.0 + at_s, linked=True)
     assert numbering.counts_up
+
+
+# --- step by step -------------------------------------------------------------------------------------------
+
+TICK_S = 1 / 16  # which floats hold exactly
+
+
+@pytest.mark.parametrize(
+    ("numbers", "last_is_news"),
+    [
+        ([100, 101], True),
+        ([100, 108, 101], False),  # a small step: what was left out is late
+        ([100, 109, 101], True),  # a leap that no number has followed
+        ([100, 109, 109], False),
+        ([100, 36], False),  # late by 64
+        ([100, 35], True),
+        ([100, 150, 151, 101], False),  # a leap that the next number follows: what was left out is lost
+        ([100, 150, 214, 213], False),
+        ([100, 150, 215, 101], True),
+        ([0, 40, 50, 10], False),
+        ([250, 2, 251], False),
+        ([100, 200, 8, 250], False),
+        ([100, 101, 40], False),
+    ],
+)
+def test_a_number_is_ahead_late_or_a_strangers(numbers: list[int], *, last_is_news: bool) -> None:
+    numbering = Numbering()
+    *before, last = (
+        numbering.is_news(heard(message("ATTITUDE", boot_ms), number), 0.0, linked=True)
+        for boot_ms, number in enumerate(numbers)
+    )
+    assert before == [True] * len(before)
+    assert last == last_is_news
+
+
+def test_a_number_that_comes_again_is_a_copy_for_half_a_second() -> None:
+    numbering = Numbering()
+    for at_s, is_news in (0.0, True), (0.25, False), (0.5, False), (0.5 + TICK_S, True), (1.0, False):
+        assert numbering.is_news(heard(message("SYS_STATUS", 0), 7), at_s, linked=True) == is_news
+
+
+def judged(numbers: Iterable[int], numbering: Numbering | None = None, *, first_ms: int = 0) -> Numbering:
+    """What becomes of messages that differ, with these numbers."""
+    numbering = numbering or Numbering()
+    for boot_ms, number in enumerate(numbers, first_ms):
+        numbering.is_news(heard(message("ATTITUDE", boot_ms), number), 0.0, linked=True)
+    return numbering
+
+
+@pytest.mark.parametrize(
+    ("numbers", "counts_up", "share"),
+    [
+        ([0] * 31, True, 1.0),  # not judged yet
+        ([0] * 32, False, 1.0),
+        (range(32), True, 1.0),
+        (range(0, 64, 2), True, 32 / 63),
+        ([*range(24), *[23] * 8], True, 1.0),
+        ([*range(23), *[22] * 9], False, 1.0),
+        ([*range(32), *(32 * pair + at for pair in range(1, 17) for at in (23, 31))], True, 1 / 16),
+        (
+            [*range(32), *(32 * pair + at for pair in range(1, 17) for at in (23, 31 + pair // 16))],
+            False,
+            1.0,
+        ),
+    ],
+)
+def test_numbers_count_if_they_are_as_many_as_the_messages_or_at_most_sixteen_times(
+    numbers: Iterable[int], share: float, *, counts_up: bool
+) -> None:
+    numbering = judged(numbers)
+    assert numbering.counts_up == counts_up
+    assert numbering.received_share == pytest.approx(share)
+    assert numbering.wrong_times == (not counts_up)
+
+
+def test_judgements_that_numbers_do_not_count_are_counted_until_the_first_that_they_do() -> None:
+    numbering = judged([0] * 96)
+    assert numbering.wrong_times == 3
+    assert judged([1, *range(1, 32)], numbering).wrong_times == 0
+    assert numbering.counts_up
+
+
+def test_a_silence_begins_the_judgement_anew() -> None:
+    numbering = judged([0] * 31)
+    assert numbering.is_news(heard(message("ATTITUDE", 900), 0), 9.0, linked=False)
+    judged([0] * 30, numbering, first_ms=1000)
+    assert numbering.counts_up
+    judged([0], numbering, first_ms=2000)
+    assert not numbering.counts_up
+
+
+def test_where_numbers_do_not_count_a_time_since_boot_may_go_back_by_two_seconds_or_more() -> None:
+    for later_ms, is_news in (1, True), (0, True), (-1, False), (-1999, False), (-2000, True):
+        numbering = judged([0] * 32)
+        first = mavlink.MAVLink_global_position_int_message(9_000, 1, 1, 1, 1, 0, 0, 0, 0)
+        then = mavlink.MAVLink_global_position_int_message(9_000 + later_ms, 2, 2, 2, 2, 0, 0, 0, 0)
+        assert numbering.is_news(heard(first, 0), 1.0, linked=True)
+        assert numbering.is_news(heard(then, 0), 1.0, linked=True) == is_news
+    assert numbering.is_news(heard(message("SYS_STATUS", 0), 0), 1.0, linked=True)
+    assert numbering.is_news(heard(message("SYS_STATUS", 0), 0), 1.0, linked=True), "it has no time"
+    assert numbering.is_news(heard(message("GLOBAL_POSITION_INT", 6_900), 0), 9.0, linked=False)
+
+
+@pytest.mark.parametrize(
+    ("others", "after_s", "is_news"),
+    [(0, 0.5, False), (0, 0.5 + TICK_S, True), (63, 0.0, False), (64, 0.0, True)],
+)
+def test_where_numbers_do_not_count_a_copy_is_known_for_half_a_second_among_64_messages(
+    others: int, after_s: float, *, is_news: bool
+) -> None:
+    numbering = judged([0] * 32)
+    first = heard(message("GLOBAL_POSITION_INT", 9_000), 0)
+    assert numbering.is_news(first, 1.0, linked=True)
+    judged([0] * others, numbering, first_ms=1000)
+    assert numbering.is_news(first, 1.0 + after_s, linked=True) == is_news
+
+
+# --- clocks -------------------------------------------------------------------------------------------------
+
+
+def clock(*times: tuple[float, float]) -> tuple[list[bool], float]:
+    """Whether each time since boot, with its arrival, shows a restart; and how much time has passed by the clock."""
+    boot_clock = BootClock()
+    return [boot_clock.take(boot_s, now_s) for boot_s, now_s in times], boot_clock.elapsed_s
+
+
+@pytest.mark.parametrize(
+    ("times", "restarts", "elapsed_s"),
+    [
+        ([(100.0, 0.0)], False, 0.0),
+        ([(100.0, 0.0), (101.0, 1.0)], False, 1.0),
+        ([(100.0, 0.0), (101.0, 1.0), (100.5, 1.5), (102.0, 2.0)], False, 2.0),  # out of order
+        ([(100.0, 0.0), (99.0, 3.0), (103.0, 3.0)], False, 3.0),
+        ([(100.0, 0.0), (99.0 - TICK_S, 3.0)], True, 3.0),
+        ([(500.0, 0.0), (1.0, 0.5)], True, 0.5),  # after a pause
+        ([(500.0, 0.0), (1.0, 0.25), (1.25, 0.5)], False, 0.5),
+        ([(500.0, 0.0), (1.0, 0.25), (1.25, 0.5), (1.5, 0.75), (1.75, 1.0), (2.0, 1.25)], True, 1.25),
+        ([(500.0, 9.0), (1.0, 9.25), (1.25, 9.5), (1.5, 9.75), (1.75, 10.0)], False, 1.0),
+        ([(500.0, 0.0), (1.0, 0.25), (500.5, 0.5), (1.5, 0.75), (501.0, 1.0), (2.0, 1.25)], False, 1.75),
+        ([(100.0, 0.0), (110.0, 0.25)], False, 10.0),  # a simulated clock may be as fast
+        ([(100.0, 0.0), (110.0 + TICK_S, 0.25)], False, 0.25),
+        ([(100.0, 0.0), (900.0, 0.25), (100.5, 0.5)], False, 0.75),  # one time that is not true
+        ([(100.0, 8.0), (900.0, 8.25), (900.5, 8.75), (901.0, 9.25), (901.5, 9.5)], False, 1.75),
+        ([(100.0, 8.0), (900.0, 8.25), (900.5, 8.75), (901.0, 9.0), (101.25, 9.25)], False, 2.25),
+    ],
+)
+def test_a_clock_goes_on_starts_anew_or_is_not_believed(
+    times: list[tuple[float, float]], restarts: bool, elapsed_s: float
+) -> None:
+    (*before, last), passed_s = clock(*times)
+    assert not any(before)
+    assert last == restarts
+    assert passed_s == pytest.approx(elapsed_s)
+
+
+def test_after_a_restart_time_passes_by_the_new_clock() -> None:
+    restarts, elapsed_s = clock((500.0, 0.0), (1.0, 0.5), (2.0, 1.5), (3.0, 2.5))
+    assert (restarts, elapsed_s) == ([False, True, False, False], 2.5)
+
+
+@pytest.mark.parametrize(
+    ("times", "twins"),
+    [
+        ([(9_000, 0.0), (6_999, 0.0), (9_000, 0.5), (6_999, 0.5), (9_000, 1.0), (6_999, 1.0)], True),
+        ([(9_000, 0.0), (7_000, 0.0), (9_000, 0.5), (7_000, 0.5), (9_000, 1.0), (7_000, 1.0)], False),
+        ([(9_000, 0.0), (6_999, 0.0), (9_000, 0.5), (6_999, 0.5)], False),
+        ([(9_000, 7.0), (6_000, 7.0), (9_000, 9.0), (6_000, 9.0), (9_000, 17.0), (6_000, 17.0)], True),
+        ([*[(9_000, 7.0), (6_000, 7.0)] * 2, (9_000, 17.0 + TICK_S), (6_000, 17.0 + TICK_S)], False),
+        ([(1_000, 5.0), *[(101_000, 15.0), (81_000, 15.0)] * 3], False),  # a clock that is ten times as fast
+        ([(1_000, 5.0), *[(101_000, 15.0), (80_999, 15.0)] * 3], True),
+        ([(0, 5.0), *[(9_000, 5.5), (6_000, 5.5)] * 3], False),  # less than a second says nothing of its speed
+    ],
+)  # fmt: skip
+def test_a_clock_that_goes_back_three_times_in_ten_seconds_is_of_two_vehicles(
+    times: list[tuple[int, float]], *, twins: bool
+) -> None:
+    both = Twins()
+    for boot_ms, now_s in times:
+        assert both.evidence == ""
+        both.take(message("ATTITUDE", boot_ms), now_s)
+    assert both.evidence == ("two clocks since boot" if twins else "")

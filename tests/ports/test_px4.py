@@ -424,6 +424,46 @@ def test_of_failed_checks_the_one_that_says_why_is_told(
     assert [text.text for _, text in telemetry.texts] == said
 
 
+STATES = {
+    Mode.MANUAL: 0,
+    Mode.ALTCTL: 1,
+    Mode.POSCTL: 2,
+    Mode.MISSION: 3,
+    Mode.LOITER: 4,
+    Mode.RTL: 5,
+    Mode.ACRO: 10,
+    Mode.OFFBOARD: 14,
+    Mode.STABILIZED: 15,
+    Mode.TAKEOFF: 17,
+    Mode.LAND: 18,
+}
+
+
+@pytest.mark.parametrize(("mode", "state"), STATES.items())
+def test_a_failed_check_is_told_in_the_modes_that_it_concerns(mode: Mode, state: int) -> None:
+    all_modes = 2**32 - 1
+    for modes, said in (1 << state, ["no valid position estimate"]), (all_modes - (1 << state), []):
+        telemetry = VehicleTelemetry(armed=True, mode=mode)
+        checks(telemetry, ("check_modes_local_pos", modes))
+        assert [text.text for _, text in telemetry.texts] == said
+    telemetry = VehicleTelemetry(armed=False, mode=mode)
+    checks(telemetry, ("check_modes_local_pos", all_modes))
+    assert not telemetry.texts
+
+
+def test_in_a_mode_that_is_not_known_each_failed_check_is_told() -> None:
+    telemetry = VehicleTelemetry(armed=True, mode=123)
+    checks(telemetry, ("check_modes_local_pos", 0))
+    assert [text.text for _, text in telemetry.texts] == ["no valid position estimate"]
+
+
+def test_modes_have_the_names_that_a_ground_station_shows() -> None:
+    own = ("TAKEOFF", "LOITER", "MISSION", "RTL", "LAND")
+    for mode in Mode:
+        name = f"AUTO.{mode.name}" if mode.name in own else mode.name
+        assert PX4.mode_name(mode) == name
+
+
 def test_a_failsafe_has_its_cause_where_something_says_it() -> None:
     telemetry = VehicleTelemetry(
         armed=True, mode=Mode.LAND, flown_and_intended_mode=(Mode.LAND, Mode.OFFBOARD)

@@ -99,7 +99,7 @@ class Numbering:
         boot_ms = getattr(message, "time_boot_ms", None)
         if boot_ms is None:
             return True
-        late_by_ms = self._boot_ms.get(message.get_msgId(), boot_ms - 1) - boot_ms
+        late_by_ms = self._boot_ms.get(message.get_msgId(), -math.inf) - boot_ms
         if 0 < late_by_ms < _LATE_BY_MS or (late_by_ms == 0 and is_copy):
             return False
         self._boot_ms[message.get_msgId()] = boot_ms

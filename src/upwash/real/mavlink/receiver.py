@@ -71,7 +71,7 @@ class MessageReceiver:
         """
         messages, has_key = self._judged(data, self.reader())
         if any(self._follows(message) for message in messages):
-            return self._pass_on(messages), True
+            return self._pass_on(messages), has_key
         for message in messages:
             self._overheard(message)
         return False, has_key
@@ -115,7 +115,7 @@ class Peer:
         self._receiver = receiver
         self._moved_after_s = moved_after_s
         self._signed = signed
-        self._heard_s = 0.0
+        self._heard_s: float  # when the peer's last accepted message came
         self._overheard_s = -math.inf
         self._late: Address | None = None  # of a vehicle with outdated signatures, while there is no peer
 

@@ -233,7 +233,7 @@ class VehicleTelemetry:
 
     def _whole_text(self, message: Message) -> str:
         """The text of a message; "" while parts of it are missing."""
-        if not getattr(message, "id", 0):
+        if not message.id:
             return str(message.text)
         if message.chunk_seq == 0 or message.id != self._text:
             self._chunks.clear()  # one text at a time: an interrupted text stays incomplete

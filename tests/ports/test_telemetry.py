@@ -1,0 +1,363 @@
+"""What the driver takes each report of a vehicle to say, report by report."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import GeoPosition, Velocity
+from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix
+from upwash.mavlink.px4 import CurrentModeMessage, Mode
+from upwash.real.mavlink.arducopter import ARDUCOPTER
+from upwash.real.mavlink.px4_firmware import PX4
+from upwash.real.mavlink.telemetry import VehicleTelemetry
+
+ON_GROUND, IN_AIR, TAKEOFF, LANDING = 1, 2, 3, 4
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+SURE = mavlink.EKF_POS_HORIZ_ABS
+
+
+def taken(*messages: Any, at_s: float = 10.0) -> VehicleTelemetry:
+    telemetry = VehicleTelemetry()
+    for message in messages:
+        telemetry.take(message, at_s)
+    return telemetry
+
+
+def position(lat: int = 393_666_001, lon: int = -229_507_003, hdg: int = 27_015) -> Any:
+    return mavlink.MAVLink_global_position_int_message(
+        1, lat, lon, alt=488_123, relative_alt=12_345, vx=-123, vy=456, vz=-78, hdg=hdg
+    )
+
+
+def home(latitude: int, longitude: int) -> Any:
+    return mavlink.MAVLink_home_position_message(latitude, longitude, 488_123, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+
+
+def system_status(battery: int, *, present: int = 0, health: int = 0) -> Any:
+    return mavlink.MAVLink_sys_status_message(present, 0, health, 0, 12_000, 0, battery, *[0] * 6)
+
+
+def battery(percent: int, number: int = 0) -> Any:
+    return mavlink.MAVLink_battery_status_message(number, 0, 0, 0, [0] * 10, 0, 0, 0, percent)
+
+
+def landed(state: int) -> Any:
+    return mavlink.MAVLink_extended_sys_state_message(0, state)
+
+
+def beat(*, armed: bool = False, status: int = 4) -> Any:
+    return mavlink.MAVLink_heartbeat_message(2, 3, 1 | (128 if armed else 0), 4, status, 3)
+
+
+def ekf(flags: int) -> Any:
+    return mavlink.MAVLink_ekf_status_report_message(flags, *[0.0] * 5)
+
+
+def text(words: bytes, severity: int = 4, number: int = 0, chunk: int = 0) -> Any:
+    sent = mavlink.MAVLink_statustext_message(severity, words, number, chunk)
+    return mavlink.MAVLink(None).parse_char(sent.pack(mavlink.MAVLink(None, 1, 1)))
+
+
+def test_a_position_is_in_degrees_and_metres_and_a_velocity_points_up() -> None:
+    told = taken(position())
+    assert told.position == GeoPosition(39.3666001, -22.9507003, 12.345)
+    assert told.above_sea_m == 488.123
+    assert told.home_above_sea_m == pytest.approx(475.778)
+    assert told.velocity == Velocity(east_m_s=4.56, north_m_s=-1.23, up_m_s=0.78)
+    assert told.heading_deg == 270.15
+    assert told.speed_m_s == pytest.approx(math.hypot(4.56, 1.23, 0.78))
+
+
+@pytest.mark.parametrize(("hdg", "heading_deg"), [(0, 0.0), (35_999, 359.99), (36_000, None), (65_535, None)])
+def test_a_heading_beyond_the_circle_is_not_known(hdg: int, heading_deg: float | None) -> None:
+    assert taken(position(hdg=hdg)).heading_deg == heading_deg
+
+
+@pytest.mark.parametrize(("e7", "known"), [((0, 0), False), ((1, 0), True), ((0, 1), True), ((1, 1), True)])
+def test_a_place_of_two_zeros_alone_is_not_known(e7: tuple[int, int], *, known: bool) -> None:
+    told = taken(position(*e7), home(*e7))
+    place = e7[0] / 1e7, e7[1] / 1e7
+    assert told.position == (GeoPosition(*place, 12.345) if known else None)
+    assert told.home == (GeoPosition(*place, 488.123) if known else None)
+    assert told.home_above_sea_m == (pytest.approx(475.778) if known else 0.0)
+
+
+def test_a_vehicle_that_reports_nothing_is_nowhere_and_may_move() -> None:
+    told = VehicleTelemetry()
+    assert (told.speed_m_s, told.home_above_sea_m, told.stands) == (math.inf, 0.0, None)
+    assert not told.on_ground and not told.in_the_air
+
+
+def test_an_attitude_is_in_degrees_with_the_nose_between_0_and_360() -> None:
+    told = taken(mavlink.MAVLink_attitude_message(1, 0.5, -0.25, -0.125, 0, 0, 0)).attitude
+    assert told == Attitude(math.degrees(0.5), math.degrees(-0.25), 360 - math.degrees(0.125))
+
+
+@pytest.mark.parametrize(
+    ("kind", "named"),
+    [
+        (0, "none"),
+        (1, "none"),
+        (2, "2d"),
+        (3, "3d"),
+        (4, "dgps"),
+        (5, "rtk-float"),
+        (6, "rtk-fixed"),
+        (7, "3d"),
+    ],
+)
+def test_a_fix_has_its_kind_its_satellites_and_its_dilution(kind: int, named: FixKind) -> None:
+    def fix(eph: int, satellites: int) -> Any:
+        return mavlink.MAVLink_gps_raw_int_message(1, kind, 1, 1, 0, eph, 0, 0, 0, satellites)
+
+    assert taken(fix(121, 14)).gps == GpsFix(named, satellites=14, hdop=1.21)
+    assert taken(fix(65_535, 255)).gps == GpsFix(named, satellites=None, hdop=None)
+
+
+@pytest.mark.parametrize(
+    ("state", "stands", "flies"),
+    [
+        (0, None, False),
+        (ON_GROUND, True, False),
+        (IN_AIR, False, True),
+        (TAKEOFF, False, True),
+        (LANDING, False, True),
+    ],
+)
+def test_a_landed_state_says_whether_it_stands_or_flies(
+    state: int, stands: bool | None, *, flies: bool
+) -> None:
+    told = taken(landed(state))
+    assert (told.stands, told.in_the_air) == (stands, flies)
+    assert told.airborne_s == (10.0 if flies else -math.inf)
+
+
+@pytest.mark.parametrize(("percent", "known"), [(57, 57.0), (0, 0.0), (-1, None)])
+def test_a_battery_has_its_percent_unless_that_is_not_known(percent: int, known: float | None) -> None:
+    assert taken(system_status(99), battery(percent)).battery_percent == known
+    assert taken(battery(99), system_status(percent)).battery_percent == known
+    assert taken(system_status(57), battery(8, number=1)).battery_percent == 57.0, "a second one is another's"
+
+
+@pytest.mark.parametrize(
+    ("present", "health", "can"),
+    [(0, PREARM, None), (PREARM, 0, False), (PREARM, PREARM, True), (1, PREARM, None)],
+)
+def test_an_arducopter_can_be_armed_if_its_checks_pass(present: int, health: int, can: bool | None) -> None:
+    assert taken(system_status(50, present=present, health=health)).can_be_armed is can
+
+
+@pytest.mark.parametrize(
+    ("flags", "sure"),
+    [
+        (SURE, True),
+        (SURE | mavlink.EKF_ATTITUDE, True),
+        (0, False),
+        (SURE | mavlink.EKF_CONST_POS_MODE, False),
+        (SURE | 1 << 15, False),  # GPS glitching
+        (mavlink.EKF_CONST_POS_MODE, False),
+    ],
+)
+def test_an_arducopter_knows_its_place_by_its_filters_flags(flags: int, *, sure: bool) -> None:
+    assert taken(ekf(flags)).knows_its_place is sure
+
+
+def test_motors_stop_when_an_armed_vehicle_is_disarmed() -> None:
+    told = taken(beat(status=3))
+    assert (told.mode, told.armed, told.disarmed_s, told.system_status) == (4, False, -math.inf, 3)
+    told.take(beat(armed=True), 11.0)
+    assert (told.armed, told.disarmed_s) == (True, -math.inf)
+    told.take(beat(armed=True), 12.0)
+    told.take(beat(), 13.0)
+    told.take(beat(), 14.0)
+    assert (told.armed, told.disarmed_s) == (False, 13.0)
+
+
+@pytest.mark.parametrize(
+    ("from_deg", "towards"), [(0.0, (0.0, -5.0)), (90.0, (-5.0, 0.0)), (225.0, (3.5355, 3.5355))]
+)
+def test_wind_blows_away_from_its_direction(from_deg: float, towards: tuple[float, float]) -> None:
+    wind = taken(mavlink.MAVLink_wind_message(from_deg, 5.0, 0.0)).wind
+    assert wind is not None
+    assert (wind.east_m_s, wind.north_m_s) == pytest.approx(towards, abs=1e-4)
+
+
+def test_wind_of_a_px4_is_a_velocity() -> None:
+    told = taken(mavlink.MAVLink_wind_cov_message(1, 3.0, 4.0, 0.5, 0, 0, 0, 0, 0))
+    assert told.wind == Velocity(east_m_s=4.0, north_m_s=3.0)
+
+
+def test_a_breached_fence_and_a_time_are_told_and_forgotten() -> None:
+    told = taken(
+        mavlink.MAVLink_fence_status_message(1, 1, 1, 1), mavlink.MAVLink_system_time_message(1_500_000, 1)
+    )
+    assert (told.fence_breached, told.unix_s) == (True, 1.5)
+    told.take(mavlink.MAVLink_fence_status_message(0, 1, 1, 1), 11.0)
+    told.take(mavlink.MAVLink_system_time_message(0, 1), 11.0)
+    assert (told.fence_breached, told.unix_s) == (False, None)
+
+
+@pytest.mark.parametrize(("component", "ours"), [(0, True), (191, True), (1, False), (190, False)])
+def test_an_answer_counts_if_it_is_to_all_or_to_this_program(component: int, *, ours: bool) -> None:
+    told = taken(mavlink.MAVLink_command_ack_message(400, 4, 0, 0, 255, component))
+    assert told.answers == ({400: 4} if ours else {})
+
+
+def test_channels_of_a_remote_control_are_compared() -> None:
+    still, moved = ([level_us] * 18 for level_us in (1500, 1600))
+    told = taken(*(mavlink.MAVLink_rc_channels_message(0, 18, *channels, 255) for channels in (still, moved)))
+    assert told.remote.moved(10.0) is True
+
+
+# --- texts --------------------------------------------------------------------------------------------------
+
+
+def words(*messages: Any) -> list[str]:
+    return [heard.text for _, heard in taken(*messages).texts]
+
+
+def test_a_text_in_chunks_is_one_text_and_an_interrupted_one_is_none() -> None:
+    long, longer = b"x" * 50, b"y" * 50
+    assert words(text(long)) == ["x" * 50]
+    assert words(text(long, number=7), text(b"end", number=7, chunk=1)) == ["x" * 50 + "end"]
+    assert words(text(long, number=7), text(longer, number=7, chunk=1), text(b"", number=7, chunk=2)) == [
+        "x" * 50 + "y" * 50
+    ]
+    assert words(text(long, number=7), text(b"other", number=8)) == ["other"]
+    assert words(text(long, number=7), text(b"its end", number=8, chunk=1)) == ["its end"]
+    assert words(text(long, number=7), text(longer, number=7), text(b"end", number=7, chunk=1)) == [
+        "y" * 50 + "end"
+    ]
+    assert words(text(b"one", number=7), text(b"two", number=7, chunk=1)) == ["one", "two"]
+
+
+def test_texts_are_told_by_their_severity_for_three_seconds_and_once() -> None:
+    told = taken(text(b"bad", 3), text(b"worse", 2), text(b"bad", 3), text(b"odd", 200))
+    assert told.said_lately(13.0) == "worse (critical); bad (error); odd (debug)"
+    assert told.said_since(10.0) == told.said_lately(13.0)
+    assert told.said_lately(13.1) == told.said_since(10.1) == ""
+    assert told.texts_heard == 4
+
+
+def test_the_last_32_texts_are_kept() -> None:
+    assert words(*(text(b"%d" % number) for number in range(33))) == [str(number) for number in range(1, 33)]
+
+
+def test_a_dead_man_may_explain_the_mode_for_three_seconds() -> None:
+    told = taken(text(b"upwash: companion silent, RTL"))
+    assert told.dead_man == "its dead man, which did not hear this program"
+    told.take(beat(armed=True), 13.0)
+    assert told.dead_man
+    told.take(beat(armed=True), 13.1)
+    assert told.dead_man == ""
+    assert taken(text(b"upwash: well"), beat()).dead_man == ""
+
+
+# --- PX4 ----------------------------------------------------------------------------------------------------
+
+
+def px4(*messages: Any, **before: Any) -> VehicleTelemetry:
+    telemetry = VehicleTelemetry(**before)
+    for message in messages:
+        PX4.take(telemetry, message, 10.0)
+    return telemetry
+
+
+def flown(mode: int, intended: int) -> Any:
+    return CurrentModeMessage(standard_mode=0, custom_mode=mode, intended_custom_mode=intended)
+
+
+@pytest.mark.parametrize(("state", "mode"), [(ON_GROUND, Mode.LAND), (IN_AIR, Mode.LOITER), (0, Mode.LOITER)])
+def test_in_the_air_the_mode_of_a_px4_is_that_of_its_last_report(state: int, mode: Mode) -> None:
+    told = px4(flown(Mode.LOITER, Mode.OFFBOARD), mode=Mode.LAND, landed_state=state)
+    assert (told.mode, told.flown_and_intended_mode) == (mode, (Mode.LOITER, Mode.OFFBOARD))
+
+
+@pytest.mark.parametrize(
+    ("told", "why"),
+    [
+        ({}, ""),
+        ({"system_status": mavlink.MAV_STATE_CRITICAL}, "its system status is critical"),
+        ({"system_status": mavlink.MAV_STATE_EMERGENCY}, ""),
+        ({"flown_and_intended_mode": (Mode.RTL, Mode.RTL)}, ""),
+        ({"flown_and_intended_mode": (Mode.RTL, 0)}, ""),  # it does not tell
+        ({"flown_and_intended_mode": (Mode.RTL, Mode.LOITER)}, "a fail-safe chose it, AUTO.LOITER was set"),
+        ({"flown_and_intended_mode": (Mode.RTL, 12345)}, "a fail-safe chose it, number 0x3039 was set"),
+        ({"flown_and_intended_mode": (Mode.LAND, Mode.LOITER)}, ""),  # of another mode than the heartbeat's
+        (
+            {"flown_and_intended_mode": (Mode.RTL, Mode.RTL), "system_status": mavlink.MAV_STATE_CRITICAL},
+            "",
+        ),
+    ],
+)
+def test_a_px4_flies_a_mode_that_nobody_set_by_a_fail_safe(told: dict[str, Any], why: str) -> None:
+    assert PX4.failsafe(VehicleTelemetry(mode=Mode.RTL, **told), "AUTO.RTL") == why
+
+
+@pytest.mark.parametrize(("health", "can"), [(0, False), (PREARM, True), (PREARM | 1, True), (1, False)])
+def test_a_px4_can_be_armed_if_its_check_is_healthy(health: int, *, can: bool) -> None:
+    assert px4(system_status(50, health=health)).can_be_armed is can
+
+
+ABSOLUTE, CONSTANT, GLITCH = (
+    mavlink.ESTIMATOR_POS_HORIZ_ABS,
+    mavlink.ESTIMATOR_CONST_POS_MODE,
+    mavlink.ESTIMATOR_GPS_GLITCH,
+)
+
+
+@pytest.mark.parametrize(
+    ("flags", "state", "sure"),
+    [
+        (ABSOLUTE, IN_AIR, True),
+        (0, IN_AIR, False),
+        (ABSOLUTE | CONSTANT, IN_AIR, False),
+        (ABSOLUTE | CONSTANT, ON_GROUND, True),  # where its place is constant
+        (ABSOLUTE | mavlink.ESTIMATOR_ATTITUDE, ON_GROUND, True),
+        (ABSOLUTE | GLITCH, ON_GROUND, False),
+        (ABSOLUTE | GLITCH, IN_AIR, False),
+        (0, ON_GROUND, False),
+    ],
+)
+def test_a_px4_knows_its_place_by_its_estimators_flags(flags: int, state: int, *, sure: bool) -> None:
+    status = mavlink.MAVLink_estimator_status_message(1, flags, *[0.0] * 8)
+    assert px4(status, landed_state=state).knows_its_place is sure
+
+
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [
+        (mavlink.COPTER_MODE_GUIDED, "GUIDED"),
+        (mavlink.COPTER_MODE_SMART_RTL, "SMART_RTL"),
+        (99, "number 99"),
+    ],
+)
+def test_a_mode_of_an_arducopter_has_its_name(number: int, name: str) -> None:
+    assert ARDUCOPTER.mode_name(number) == name
+
+
+def said(*texts: str) -> list[tuple[float, Any]]:
+    return [(1.0, heard) for words_of in texts for _, heard in taken(text(words_of.encode())).texts]
+
+
+@pytest.mark.parametrize(
+    ("mode", "told", "why"),
+    [
+        ("RTL", {}, ""),
+        ("LOITER", {"fence_breached": True, "dead_man": "x", "system_status": 5}, ""),
+        ("RTL", {"fence_breached": True, "system_status": 5}, "it has left its fence"),
+        ("RTL", {"dead_man": "its dead man", "fence_breached": True}, "its dead man"),
+        ("LAND", {"system_status": 5}, "its system status is critical"),
+        ("BRAKE", {"system_status": 6}, "its system status is critical"),
+        ("AUTO", {"system_status": 4, "texts": said("Battery 1 low")}, ""),
+        ("AUTO_RTL", {"system_status": 5, "texts": said("Battery 1 is low")}, "its battery is low"),
+        ("SMART_RTL", {"system_status": 5, "texts": said("EKF variance", "Ok")}, "its position estimate failed"),
+        ("LAND", {"system_status": 5, "texts": said("Battery", "ADSB threat")}, "it avoids another aircraft"),
+    ],
+)  # fmt: skip
+def test_a_fail_safe_of_an_arducopter_has_its_cause(mode: str, told: dict[str, Any], why: str) -> None:
+    assert ARDUCOPTER.failsafe(VehicleTelemetry(**told), mode) == why
