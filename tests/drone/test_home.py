@@ -66,6 +66,11 @@ def test_they_count_from_the_vehicles_home_where_the_planned_one_agrees_with_it(
     config = planned(tmp_path, (SEA, 530.0), home_m=480.0)
     assert altitudes(config) == [50.0]
     assert altitudes(above_home(config, 488.0)) == [42.0]
+    assert altitudes(above_home(config, 510.0)) == [20.0]
+
+
+def test_a_place_one_metre_above_home_is_flown(tmp_path: Path) -> None:
+    assert altitudes(above_home(planned(tmp_path, (SEA, 489.0)), 488.0)) == [1.0]
 
 
 def test_a_take_off_above_the_sea_counts_from_there_too(tmp_path: Path) -> None:
@@ -126,7 +131,7 @@ def test_a_home_that_rose_since_they_were_converted_is_told_and_then_refused(tmp
     assert list(home.doubts(VehicleLimits(home_above_sea_m=491.0), HERE)) == []
     (doubt,) = home.doubts(VehicleLimits(home_above_sea_m=494.0), HERE)
     assert "converted with a home at 488 m above the sea, and the vehicle's home 494 m" in doubt
-    home.require_same(VehicleLimits(home_above_sea_m=510.0))
+    home.require_same(VehicleLimits(home_above_sea_m=518.0))
     with pytest.raises(
         AutopilotRefused, match="with a home at 488 m, and the vehicle's home is now at 519 m"
     ):
@@ -141,6 +146,7 @@ def test_a_plan_above_home_that_was_made_for_another_place_is_told(tmp_path: Pat
         "the plan's home is 100 m above the sea, and the vehicle's home 488 m: check that the plan is of this place"
     ]
     assert list(home.doubts(VehicleLimits(home_above_sea_m=120.0), HERE)) == []
+    assert list(home.doubts(VehicleLimits(), Position(60.0, 80.0))) == []
     assert list(home.doubts(VehicleLimits(), Position(90.0, 120.0))) == [
         "the vehicle stands 150 m from the plan's home, and returns to its own home"
     ]

@@ -13,12 +13,12 @@ from tests.events import event as made
 
 from upwash.config import DroneConfig
 from upwash.config.drone_file import drone_config
-from upwash.drone.resumption import waypoints_done
+from upwash.drone.resumption import order_begun, waypoints_done
 from upwash.errors import UsageError
 from upwash.eventlog.schema import Event
 from upwash.real.host.journal import read_events
 
-PLACES = [[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]
+PLACES = [[0.0, 0.0], [20.0, 0.0], [40.0, 30.0]]
 
 
 def config(services: int = 1, **mission: Any) -> DroneConfig:
@@ -57,6 +57,35 @@ def done(*events: Event, services: int = 1) -> list[int]:
 
 def test_nothing_is_done_before_the_first_result() -> None:
     assert done(*BEGUN) == done(*BEGUN, *at(0)) == []
+
+
+def test_a_log_that_has_lost_its_first_line_counts_all_the_same() -> None:
+    assert done(STARTED, *at(0, "look")) == [0]
+
+
+def test_a_call_of_a_waypoint_that_the_drone_has_not_reached_does_not_count() -> None:
+    assert done(*BEGUN, event("call_started", waypoint=1), event("call")) == []
+
+
+def test_a_hundredth_of_a_metre_is_the_same_place() -> None:
+    assert done(*BEGUN, event("arrived", waypoint=0, east_m=0.01, north_m=0.0), event("call")) == [0]
+
+
+def begun(*events: Event) -> tuple[list[int], str] | None:
+    order = order_begun(events, config())
+    return order and ([waypoint.index for waypoint in order.waypoints], order.why)
+
+
+def test_the_order_begun_is_that_of_the_last_flight_in_the_log() -> None:
+    planned = event("planned", order=[2, 0, 1], order_why="shorter")
+    assert begun(OPENED) == begun(OPENED, planned, OPENED, STARTED) is None
+    assert (
+        begun(OPENED, planned, STARTED) == begun(OPENED, event("planned"), planned) == ([2, 0, 1], "shorter")
+    )
+    assert begun(OPENED, event("planned", order=[])) == ([0, 1, 2], "")
+    for order in ([0, 1], [0, 1, 2, 3], [0, 1, 3]):
+        with pytest.raises(UsageError, match="its order is of other waypoints than there are now"):
+            begun(OPENED, event("planned", order=order))
 
 
 def test_a_waypoint_is_done_with_its_result_and_the_next_one_is_not() -> None:
@@ -114,6 +143,10 @@ def test_a_waypoint_that_the_drone_only_circles_is_not_done() -> None:
         (
             [*BEGUN, event("arrived", waypoint=1, east_m=25.0, north_m=0.0)],
             "waypoint 1 was 5.00 m from where it is now",
+        ),
+        (
+            [*BEGUN, event("arrived", waypoint=2, east_m=40.0, north_m=18.0)],
+            "waypoint 2 was 12.00 m from where it is now",
         ),
         ([*BEGUN, event("arrived", waypoint=7, east_m=25.0, north_m=0.0)], "the plan has no waypoint 7"),
     ],

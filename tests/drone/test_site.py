@@ -9,6 +9,7 @@ from msgspec import structs
 
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
+from upwash.drone.home import PlannedHome
 from upwash.drone.site import Site
 from upwash.errors import AutopilotRefused
 from upwash.plans import Ending
@@ -106,6 +107,12 @@ AROUND = site((40.0, 0.0, 15.0), (40.0, 40.0, 15.0), (0.0, 40.0, 15.0))  # home 
             heights(20.0, returns_at_m=30.0),
             "the way home at RTL_ALT = 30 m: it ends at FENCE_ALT_MAX = 20 m; lower RTL",
         ),
+        (AROUND, heights(20.0, returns_at_m=20.0), "the way home at RTL_ALT = 20 m: it ends at"),
+        (
+            structs.replace(AROUND, home=PlannedHome(above_sea_m=488.0, counts_from_sea=True)),
+            replace(VehicleLimits(), home_above_sea_m=519.0),
+            "the vehicle's home is now at 519 m",
+        ),
     ],
 )
 def test_what_the_vehicles_fence_forbids_is_refused_with_its_place(
@@ -162,9 +169,10 @@ def test_the_way_home_leads_to_the_vehicles_home_which_is_not_where_it_stands() 
         ),
         (replace(VehicleLimits(), untold=("FENCE_ENABLE",)), ["the vehicle did not tell FENCE_ENABLE"]),
         (keep_out(10, 10, 30, 30), ["a straight way home from waypoint 1 crosses area 1"]),
-        (heights(20.0, margin_m=2.0), []),
+        (heights(17.0, margin_m=2.0), []),
+        (replace(keep_in(box(-5, -5, 42, 42)), margin_m=2.0, names=NAMES), []),
         (VehicleLimits(home=Position(0.0, -21.0)), ["the vehicle stands 21 m from its own home"]),
-        (VehicleLimits(home=Position(0.0, -19.0)), []),
+        (VehicleLimits(home=Position(0.0, -20.0)), []),
     ],
 )
 def test_what_the_vehicles_fence_allows_with_doubt_is_told(limits: VehicleLimits, said: list[str]) -> None:
@@ -172,6 +180,26 @@ def test_what_the_vehicles_fence_allows_with_doubt_is_told(limits: VehicleLimits
     told = list(AROUND.doubts(limits, STANDS))
     assert len(told) == len(said)
     assert all(part in sentence for part, sentence in zip(said, told, strict=True))
+
+
+def test_of_several_straight_ways_home_that_cross_a_fence_the_first_is_named() -> None:
+    flown = site((40.0, 0.0, 15.0), (40.0, 40.0, 15.0), (44.0, 44.0, 15.0))
+    (said,) = flown.doubts(keep_out(10, 10, 30, 30), STANDS)
+    assert said.startswith("a straight way home from 2 waypoints, the first of them 1, crosses area 1")
+
+
+@pytest.mark.parametrize(
+    ("away_m", "said"),
+    [(500.0, ""), (501.0, "501 m"), (999.0, "999 m"), (1000.0, "1.0 km"), (900_000.0, "900.0 km")],
+)
+def test_the_vehicle_starts_no_farther_from_the_mission_than_configured(away_m: float, said: str) -> None:
+    stands = Position(40.0 + away_m, 0.0)
+    if not said:
+        AROUND.require_reachable(stands)
+        structs.replace(site(), farthest_start_m=0.0).require_reachable(stands)  # it has no waypoints
+        return
+    with pytest.raises(AutopilotRefused, match=f"the vehicle stands {said} from the nearest waypoint"):
+        AROUND.require_reachable(stands)
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from tests.drone.test_safe_ends import fly as fly_safely
+from tests.drone.test_safe_ends import scenario
 
 from upwash.config import read_drone_config
+from upwash.errors import AutopilotRefused
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
+from upwash.sim.autopilot import ModelAutopilot
 
 SCENARIO = """
 [mission]
@@ -90,6 +95,17 @@ def test_what_is_done_with_a_payload_is_in_the_log(tmp_path: Path) -> None:
     assert (sent.severity, sent.text) == (4, "two hot spots")
 
 
+def test_a_command_that_the_vehicle_refuses_ends_the_mission_and_is_not_logged() -> None:
+    class Bare(ModelAutopilot):
+        async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
+            assert (number, parameters) == (183, (9, 1500))
+            raise AutopilotRefused(name, "there is no servo")
+
+    scene, error = fly_safely(scenario(), lambda drone: drone.payload.command(183, 9, 1500), autopilot=Bare)
+    assert isinstance(error, AutopilotRefused) and "there is no servo" in str(error)
+    assert not scene.events("payload_commanded")
+
+
 @pytest.mark.parametrize(
     "shoot",
     ["drone.payload.trigger_camera()", "drone.payload.command(2000)", "drone.payload.command(203, 0, 0)"],
@@ -112,6 +128,10 @@ def test_a_camera_gets_no_second_trigger_while_its_shutter_may_be_held(tmp_path:
         ("drone.payload.command(183, *range(8))", "8 parameters, and a command has at most 7"),
         ("drone.payload.point_gimbal(pitch_deg=-91)", "pitch_deg is -91: give degrees from -90 to 90"),
         ("drone.payload.point_gimbal(pitch_deg=float('nan'))", "pitch_deg is nan"),
+        (
+            "drone.payload.point_gimbal(pitch_deg=0, yaw_deg=180.5)",
+            "yaw_deg is 180.5: give degrees from -180 to 180",
+        ),
         ("drone.autopilot.turn_to(361)", "heading_deg is 361: give degrees from 0 to 360"),
         ("drone.autopilot.send_text('ä' * 101)", "202 bytes: give a text of 1 to 200 bytes"),
         ("drone.autopilot.send_text('')", "0 bytes: give a text"),
