@@ -396,6 +396,13 @@ def test_a_flight_that_ends_where_it_is_needs_the_way_down_only() -> None:
     assert now.home_s == 2.0 + PX4.hover_s + descent_s(30.0, PX4)
 
 
+def test_a_battery_that_empties_faster_than_configured_is_measured() -> None:
+    energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
+    for time_s, percent in ((0.0, 90.0), (100.0, 60.0)):
+        energy.take(FlightReport(time_s, HOME, percent))
+    assert energy.rate_percent_s == pytest.approx(31 / 100)
+
+
 def test_while_no_report_comes_the_battery_is_believed_to_empty_as_before() -> None:
     energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
     energy.take(FlightReport(100.0, HOME, 50.0))

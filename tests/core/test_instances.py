@@ -80,6 +80,7 @@ def test_a_denial_says_why_and_changes_nothing(server: str, services: list[str],
     assert commands == []
     assert machine.leases("s1") == {"d1"}
     assert machine.leases("s2") == set()
+    assert machine.refused_times == {"s1": 0, "s2": int(server == "s2"), "": int(server == "s3")}
 
 
 @pytest.mark.parametrize(("server", "service"), [("s3", "detector"), ("s2", "counter"), ("s1", "counter")])
@@ -388,6 +389,26 @@ def test_a_daemon_is_idle_without_slots_that_are_held_and_instances_that_run() -
     assert not machine.is_idle, "an instance runs"
     assert machine.look(now_s=608.0) == [StopInstance("s1", "detector", 1)]
     assert machine.is_idle
+
+
+def test_the_next_end_is_looked_for_within_a_lease_and_within_the_time_of_an_idle_instance() -> None:
+    offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
+    for lease_s, idle_stop_s in ((30.0, 600.0), (600.0, 30.0)):
+        machine = AdmissionController(offers, AdmissionSettings(lease_s=lease_s, idle_stop_s=idle_stop_s))
+        assert machine.next_end_s(now_s=100.0) == 130.0
+    machine.start("s1", "detector", Client("d1"), now_s=100.0)
+    machine.at("s1").ready("detector", 1, ":9000", now_s=108.0)
+    assert machine.next_end_s(now_s=120.0) == 138.0
+
+
+def test_a_former_instance_that_ended_by_itself_is_not_stopped() -> None:
+    machine = with_detector_running()
+    same = ServerOffer(frozenset({"detector"}), 1)
+    machine.offer({"s1": same, "s2": same}, outdated=frozenset({("s1", "detector")}))
+    machine.at("s1").ready("detector", 2, ":9001", now_s=10.0)
+    assert machine.next_end_s(now_s=10.0) == 30.0
+    machine.at("s1").gone("detector", 1, "killed", now_s=11.0)
+    assert machine.look(now_s=50.0) == [ended(50.0), admit()]
 
 
 def test_measured_slots_have_a_lane_for_each_service_unless_the_offer_says_more() -> None:

@@ -217,3 +217,11 @@ def test_a_call_that_falls_back_is_judged_as_one_on_the_drone() -> None:
     assert lightened is not None and lightened.operation == LIGHT
     coming_s = 10.0 + 3 * (LEG_S + PHOTO_S) + 0.7 + 2 * 10.0 + HOME_S
     assert lightened.forecast_s == pytest.approx(at_s + 3.0 + coming_s, abs=0.01)
+    outlook = selection.outlook(now_s=at_s + 4.0, position=here)
+    assert outlook is not None and outlook.stay_s == pytest.approx(3.0 - 1.0)
+
+
+def test_a_call_that_falls_back_in_time_runs_as_it_was_asked_for() -> None:
+    selection, _ = begun(1e9)
+    assert first_call(selection, at_s=TAKEOFF_S + PHOTO_S) is None
+    assert selection.fall_back(HEAVY, now_s=TAKEOFF_S + 5.0, position=PLAN[0].position) is None

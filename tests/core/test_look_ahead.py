@@ -50,6 +50,10 @@ def test_the_server_of_the_next_call_is_chosen_once_it_is_in_range() -> None:
     assert choose(forecast, in_range="b") == "b"
 
 
+def test_the_server_of_the_next_call_comes_before_that_of_the_call_after_it() -> None:
+    assert choose(Forecast(calls("b", "a", "a"), CHECKS, 0.0), in_range="ab") == "b"
+
+
 def test_a_server_is_not_left_for_one_that_is_just_as_good() -> None:
     assert choose(Forecast(calls("ab", "ab", "ab"), CHECKS, 0.0), in_range="ab", current="b") == "b"
 

@@ -179,6 +179,11 @@ def test_a_place_belongs_to_a_row_up_to_a_quarter_of_the_least_distance_off_it(
     assert len(sweeps(waypoints([(0.0, 0.0), (20.0, 0.0), (40.0, off_m)]))) == count
 
 
+def test_a_column_runs_north_though_its_places_are_the_nearest_to_each_other() -> None:
+    given = [(0.0, 0.0), (0.0, 20.0), (30.0, 20.0), (30.0, 0.0)]
+    assert sweeps(waypoints(given))[0].name == "by columns from the bottom-left"
+
+
 def test_two_places_are_a_field() -> None:
     assert len(sweeps(waypoints([(0.0, 0.0), (20.0, 0.0)]))) == SWEEPS
 

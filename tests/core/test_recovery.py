@@ -37,7 +37,7 @@ def test_each_failure_leaves_a_server_alone_for_twice_as_long_up_to_ten_seconds(
 
 def test_failures_are_forgotten_after_a_minute_without_any() -> None:
     twice = ServerFailures().after(0.0).after(1.0)
-    assert twice.after(61.9).count == 3
+    assert twice.after(62.0).count == 3
     assert twice.after(62.1).count == 1
 
 
@@ -62,6 +62,23 @@ def test_one_trial_is_under_way_at_a_time_whatever_the_operation() -> None:
     assert recovery.trial_due_s("s1", READ) == math.inf
     recovery.trial_over("s1")
     assert recovery.trial_due_s("s1", READ) == 100.0
+
+
+def test_a_trial_is_over_when_it_is_answered_and_when_its_server_fails() -> None:
+    recovery = doubted()
+    recovery.trial_begun("s1")
+    recovery.failed("s1", [LOOK], now_s=101.0)
+    assert recovery.trial_due_s("s1", READ) == 100.0
+    recovery.trial_begun("s1")
+    recovery.answered("s1", LOOK, 0.7, local_s=3.0, now_s=102.0)
+    assert recovery.trial_due_s("s1", READ) == 100.0
+    assert recovery.trial_due_s("s1", LOOK) == -math.inf
+
+
+def test_an_answer_as_late_as_the_drones_own_ends_no_doubt() -> None:
+    recovery = doubted()
+    recovery.answered("s1", LOOK, 3.0, local_s=3.0, now_s=101.0)
+    assert recovery.in_doubt("s1", LOOK)
 
 
 @pytest.mark.parametrize(("slow_for_s", "pause_s"), [(0.0, 0.0), (30.0, 1.0), (150.0, 5.0), (5000.0, 10.0)])

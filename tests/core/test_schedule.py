@@ -74,6 +74,10 @@ def test_a_server_is_kept_that_has_peers_or_is_prepared() -> None:
     checks = {**SAME, "c": CheckTimes(12.0, 4.0)}
     assert quickest(both, checks, peers={"b": frozenset("c")}).servers == ["b", "c", "c"]
     assert quickest(both, checks, peers={"a": frozenset("c")}).servers == ["a", "c", "c"]
+    after = [call(30.0, c=30.0), call(8.0, a=4.0, b=4.0), call(8.0, a=8.0, b=8.0)]
+    for prepared in "ab":
+        best = quickest(after, checks, peers={"c": frozenset(prepared)})
+        assert (best.servers, best.total_s) == (["c", prepared, prepared], 3 * REMOTE_S)
 
 
 def test_a_wait_has_to_gain_what_is_asked() -> None:
@@ -81,6 +85,35 @@ def test_a_wait_has_to_gain_what_is_asked() -> None:
     assert quickest(calls, SAME).total_s == 4.0 + REMOTE_S
     assert quickest(calls, SAME, gain_wait=0.25).total_s == 4.0 + REMOTE_S
     assert quickest(calls, SAME, gain_wait=0.5).total_s == LOCAL_S
+
+
+@pytest.mark.parametrize(
+    ("ready_in_s", "total_s"), [(7.0, LOCAL_S + REMOTE_S), (7.1, LOCAL_S + 8.0 + REMOTE_S)]
+)
+def test_a_check_that_was_left_has_started_services_if_the_rest_is_that_of_a_start(
+    ready_in_s: float, total_s: float
+) -> None:
+    # A check of 12 s joins and asks for 4 s; a second more is kept for a server that was slow to do so.
+    calls = [call(5.0), call(8.0, a=4.0)]
+    assert quickest(calls, SAME, server="a", ready_in_s=ready_in_s).total_s == total_s
+
+
+@pytest.mark.parametrize(("head_start_s", "total_s"), [(3.0, 2.0 + 2.0 + 1.0), (2.9, 3 * 2.0)])
+def test_services_that_a_check_started_during_a_call_run_at_the_next_visit(
+    head_start_s: float, total_s: float
+) -> None:
+    # Of 20 s 15 are left after the first call, or more.
+    calls = [
+        ComingCall(2.0, 5.0, [Offer("a", REMOTE_S, head_start_s)]),
+        ComingCall(2.0, 5.0, []),
+        ComingCall(2.0, 8.0, [Offer("a", REMOTE_S, 4.0)]),
+    ]
+    assert quickest(calls, {"a": CheckTimes(20.0, 4.0)}).total_s == total_s
+
+
+def test_a_check_that_is_just_over_is_no_wait() -> None:
+    calls = [ComingCall(LOCAL_S, 4.0, [Offer("a", 9.0, 4.0)])]
+    assert quickest(calls, {"a": CheckTimes(4.0, 4.0)}, gain_wait=0.25).total_s == 9.0
 
 
 def test_a_range_that_was_left_on_the_way_needs_a_new_check() -> None:

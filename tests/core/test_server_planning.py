@@ -137,8 +137,12 @@ def test_flying_on_costs_a_call_on_the_drone_nothing_and_without_an_open_call_th
     assert isinstance(machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)[0], Local)
     assert machine.outlook(now_s=4.0, position=PLAN[0].position) == Outlook(NEXT, PHOTO_S, 7.0, 7.0)
     assert machine.outlook(now_s=14.0, position=PLAN[0].position) == Outlook(NEXT, PHOTO_S, 0.0, 0.0)
-    machine.handle(LocalCallEnded(LOOK, 14.0), now_s=15.0, position=PLAN[0].position)
-    assert machine.outlook(now_s=15.0, position=PLAN[0].position) is None
+    machine.handle(TargetUnknown(), now_s=14.5, position=PLAN[0].position)
+    assert machine.outlook(now_s=14.5, position=PLAN[0].position) is None, "it leaves its plan"
+    called = at_first(flight(), until_s=PHOTO_S)
+    called.decide(LOOK, now_s=1.0, position=PLAN[0].position)
+    called.handle(LocalCallEnded(LOOK, 14.0), now_s=15.0, position=PLAN[0].position)
+    assert called.outlook(now_s=15.0, position=PLAN[0].position) is None
 
 
 def test_a_call_without_an_estimate_is_expected_to_be_over_at_once() -> None:
