@@ -1,4 +1,4 @@
-"""Waiting in tests for what another thread, process or machine does."""
+"""Waiting in tests for what another thread, process or machine does, and how fast this machine is meanwhile."""
 
 from __future__ import annotations
 
@@ -28,3 +28,11 @@ def wait_for(
         assert time.monotonic() < give_up_s, f"not within {within_s:g} s: {seen()}"
         time.sleep(_LOOK_S)
     return found
+
+
+def million_steps_s() -> float:
+    """The processor time that a loop of a million steps takes now, on this machine, beside what else runs."""
+    began_s = time.process_time()
+    for _ in range(1_000_000):
+        pass
+    return time.process_time() - began_s

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 import onnxruntime
@@ -92,9 +91,6 @@ def test_a_model_that_no_provider_loads_is_the_models_error(session: type[Sessio
 
 
 def test_a_reason_without_end_is_cut(session: type[Session]) -> None:
-    session.printed = "x" * 100_000
-    began_s = time.process_time()
+    """It would take hours, and so exceed the time of a test, if each letter might begin a place in a source."""
+    session.raised = "x" * 3_000_000
     assert len(refusal()) < 1300
-    assert (
-        time.process_time() - began_s < 1.0
-    )  # it took 10 s where each letter might have begun a place in a source

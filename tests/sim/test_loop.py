@@ -35,9 +35,7 @@ def test_it_jumps_to_the_next_timer() -> None:
         await asyncio.sleep(3 * 24 * 3600.0)
         return asyncio.get_running_loop().time()
 
-    began_s = time.monotonic()
-    assert run_virtually(nap()) == 3 * 24 * 3600.0
-    assert time.monotonic() - began_s < 1.0
+    assert run_virtually(nap()) == 3 * 24 * 3600.0  # no test may take as long
 
 
 def test_timers_come_in_the_order_of_their_time_and_then_of_their_making() -> None:
@@ -141,17 +139,16 @@ def test_ctrl_c_ends_a_simulation_though_what_runs_swallows_cancellations(goes_o
 # --- missions that sleep ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("call", ["time.sleep(7)", "sleep(7)"])
+@pytest.mark.parametrize("call", ["time.sleep(700)", "sleep(700)"])  # longer than a test may take
 def test_a_mission_that_sleeps_is_warned_by_name(tmp_path: Path, call: str) -> None:
-    genuine, began_s = time.sleep, time.monotonic()
+    genuine = time.sleep
     with pytest.warns(
-        RuntimeWarning, match=r"time\.sleep\(7\) in mission\(\), line 7 of .*mine\.py, is skipped"
+        RuntimeWarning, match=r"time\.sleep\(700\) in mission\(\), line 7 of .*mine\.py, is skipped"
     ) as caught:
         run = simulate(flying(tmp_path, f"{call}; drone.autopilot.return_home_and_land()"))
     assert (caught[0].filename, caught[0].lineno) == (str(tmp_path / "mine.py"), 7)
     assert run.failure == ""
     assert run.result.mission_time_s == 26.0
-    assert time.monotonic() - began_s < 5.0
     assert time.sleep is genuine
 
 
