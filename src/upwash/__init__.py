@@ -26,7 +26,6 @@ from upwash.errors import (
     UpwashError,
     UsageError,
 )
-from upwash.rpc.service import once, service
 
 __all__ = [
     "Attitude",
@@ -91,6 +90,7 @@ if TYPE_CHECKING:
     from upwash.lab.campaigns.comparison import ComparedPolicy, compare
     from upwash.lab.least_time import Bound, FleetBound
     from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
+    from upwash.rpc.service import once, service
 else:
     _NAMES = {
         "upwash.core.geo": ("EarthPosition", "Position", "Velocity", "Waypoint"),
@@ -105,10 +105,11 @@ else:
         "upwash.eventlog.schema": ("Event",),
         "upwash.lab.campaigns.comparison": ("ComparedPolicy", "compare"),
         "upwash.lab.simulation": ("FleetSimulation", "Simulation", "simulate", "simulate_fleet"),
+        "upwash.rpc.service": ("once", "service"),
     }
 
     def __getattr__(name: str) -> object:
-        """Import names on first use that a service's process never needs."""
+        """Import a name on its first use: no process needs them all."""
         for module, names in _NAMES.items():
             if name in names:
                 return getattr(import_module(module), "read" if name == "read_log" else name)
