@@ -112,7 +112,7 @@ $(RUNS): requirements-run.lock pyproject.toml
 
 $(READY): requirements.lock $(RUNS)
 	@echo "installing what developing needs besides: some minutes, once"
-	$(PIP) --require-hashes -r requirements.lock
+	$(PIP) --no-compile --require-hashes -r requirements.lock # compiles what is imported when it is
 	touch $@
 
 # Ray has no wheels for some processors and Pythons: its row is left out there.
