@@ -19,6 +19,7 @@ from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.packets import Message
 from upwash.ports import FenceNames, VehicleLimits
 from upwash.real.mavlink.gate import LATITUDE_E7, LONGITUDE_E7, Range
+from upwash.real.mavlink.telemetry import place_of_e7
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 ARDUCOPTER_FENCE = (
@@ -189,7 +190,7 @@ def _item(number: int, message: Message) -> _Item:
     for what, value, span in numbers if message.command in (*_CORNERS, *_CIRCLES) else ():
         if not span.least <= value <= span.most:
             raise _nonsense(f"item {number} has a {what} of {value:g}")
-    return _Item(message.command, message.param1, GeoPosition(message.x / 1e7, message.y / 1e7))
+    return _Item(message.command, message.param1, place_of_e7(message.x, message.y))
 
 
 def _nonsense(what: str) -> AutopilotRefused:

@@ -121,7 +121,7 @@ class VehicleTelemetry:
             case "HEARTBEAT":
                 self._take_heartbeat(message, now_s)
             case "GLOBAL_POSITION_INT" if (message.lat, message.lon) != _NOT_KNOWN_YET:
-                self.position = GeoPosition(message.lat / 1e7, message.lon / 1e7, message.relative_alt / 1e3)
+                self.position = place_of_e7(message.lat, message.lon, message.relative_alt / 1e3)
                 self.above_sea_m = message.alt / 1e3
                 self.velocity = Velocity(message.vy / 100, message.vx / 100, -message.vz / 100)
                 self.heading_deg = message.hdg / 100 if message.hdg < _ROUND_CDEG else None
@@ -131,8 +131,7 @@ class VehicleTelemetry:
             case "GPS_RAW_INT":
                 self.gps = _gps_fix(message)
             case "HOME_POSITION" if (message.latitude, message.longitude) != _NOT_KNOWN_YET:
-                place = message.latitude / 1e7, message.longitude / 1e7
-                self.home = GeoPosition(*place, message.altitude / 1e3)
+                self.home = place_of_e7(message.latitude, message.longitude, message.altitude / 1e3)
             case "EXTENDED_SYS_STATE":
                 self.landed_state = message.landed_state
                 if self.in_the_air:
@@ -244,6 +243,11 @@ class VehicleTelemetry:
         text = "".join(self._chunks)
         self._chunks.clear()
         return text
+
+
+def place_of_e7(latitude_e7: int, longitude_e7: int, altitude_m: float = 0.0) -> GeoPosition:
+    """The place from MAVLink's degrees, which are whole numbers of 1e-7 degrees."""
+    return GeoPosition(latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_m)
 
 
 def _gps_fix(message: Message) -> GpsFix:

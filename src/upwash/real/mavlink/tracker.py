@@ -14,6 +14,7 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, distanc
 from upwash.core.vehicle.continuity import Continuity
 from upwash.eventlog.schema import HomeMoved, PositionDoubted
 from upwash.mavlink.packets import Message
+from upwash.real.mavlink.telemetry import place_of_e7
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _HOME = Position(0.0, 0.0)
@@ -104,13 +105,13 @@ class PositionTracker:
                 self._continuity.take_estimate(here, time_s=time_s, velocity=velocity)
                 self._look_at_jumps()
             case "GPS_RAW_INT" if message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX:
-                there = self._frame.position(GeoPosition(message.lat / 1e7, message.lon / 1e7))
+                there = self._frame.position(place_of_e7(message.lat, message.lon))
                 self._continuity.take_receiver(there, time_s=time_s, velocity=velocity)
                 self._look_at_jumps()
             case "HOME_POSITION":
                 self._look_at_home()
             case "POSITION_TARGET_GLOBAL_INT" if self._steers_by_targets:
-                place = GeoPosition(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
+                place = place_of_e7(message.lat_int, message.lon_int, message.alt)
                 self._vehicle.judge_target(self._frame.position(place))
             case "POSITION_TARGET_LOCAL_NED" if self._steers_by_targets:
                 if message.type_mask & _NO_PLACE == _NO_PLACE:
