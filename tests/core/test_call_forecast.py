@@ -48,6 +48,25 @@ def test_a_check_that_is_nearly_over_is_waited_for() -> None:
     (place,) = ahead.places([call(3.0, s1=3.0)])
     assert place == CallPlace("s1", 5.0)
     assert ahead.delay_s(place, call(0.0)) == 5.0 + REMOTE_S
+    assert ahead.delay_s(CallPlace("s1", 7.0), call(0.0)) == LOCAL_S, "it would gain less than a quarter"
+
+
+def test_a_server_that_is_ready_and_hardly_faster_is_called() -> None:
+    estimates = Estimates(local_s={HEAVY: LOCAL_S}, servers={"s1": Beliefs(CHECK_S, 3.0, {HEAVY: 9.0})})
+    chosen = make_policy("location-aware", gain_switch=0.25, gain_wait=0.25)
+    ahead = CallForecast(chosen, estimates, here=CallPlace(), unusable_s={})
+    assert ahead.delay_s(CallPlace("s1"), call(0.0)) == 9.0
+    assert ahead.delay_s(CallPlace("s1", 0.5), call(0.0)) == LOCAL_S
+
+
+def test_opportunistic_is_expected_to_stay_where_it_is_and_else_to_take_the_range_that_it_entered_first() -> (
+    None
+):
+    ahead = placing(CallPlace("slow"), policy="opportunistic")
+    places = ahead.places([call(5.0, s1=5.0, slow=5.0), call(5.0, s1=5.0), call(5.0, s1=1.0, slow=3.0)])
+    assert [place.server for place in places] == ["slow", "s1", "s1"]
+    first = placing(policy="opportunistic").places([call(5.0, s1=1.0, slow=3.0)])
+    assert [place.server for place in first] == ["slow"]
 
 
 def test_services_run_on_a_server_that_was_checked_before() -> None:

@@ -282,6 +282,16 @@ def test_what_is_slow_for_another_reason_tells_nothing() -> None:
         assert wind.against_m_s(HOME, HOME, 10.0) == 0.0
 
 
+def test_a_leg_is_steady_anew_after_a_report_without_it() -> None:
+    wind = Wind()
+    for second in range(6):
+        told_m_s = None if second == 2 else 8.0
+        wind.take(FlightReport(float(second), HOME, velocity=Velocity(5.0), leg_speed_m_s=told_m_s))
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 0.0
+    wind.take(FlightReport(6.0, HOME, velocity=Velocity(5.0), leg_speed_m_s=8.0))
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 3.0
+
+
 def test_a_leg_is_level_and_steady_within_its_bounds() -> None:
     swaying = Wind()
     for second in range(8):

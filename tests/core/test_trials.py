@@ -22,15 +22,18 @@ from tests.core.test_selection import (
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.policies.policy import Local, LocationAware, Opportunistic, Policy, Remote
+from upwash.core.selection.commands import Probe
 from upwash.core.selection.events import (
     CheckAnswered,
     LocalCallEnded,
+    NetworkGone,
     NoMoreCalls,
     ProbeAnswered,
     ProbeUnanswered,
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
+    SelectionEvent,
     Tick,
 )
 from upwash.core.selection.recovery import Probing
@@ -72,6 +75,25 @@ def test_a_failed_server_is_probed_while_it_is_in_range_and_the_mission_goes_on(
         (25.0, UNDER_S1, NoMoreCalls(), "leave s1"),
         (26.0, UNDER_S1, Tick(), ""),
     )
+
+
+@pytest.mark.parametrize(
+    ("failures", "alone_s"),
+    [
+        ((RemoteCallFailed("s1", 1, ""), RemoteCallFailed("s1", 3, "")), 1.0),
+        ((NetworkGone(1, ""), NetworkGone(3, "")), 0.0),
+    ],
+)
+def test_a_second_call_that_failed_delays_the_probe_and_a_network_that_was_lost_does_not(
+    failures: tuple[SelectionEvent, SelectionEvent], alone_s: float
+) -> None:
+    selection, delays_s = machine(), []
+    for number, (check, failure) in enumerate(zip((1, 3), failures, strict=True)):
+        effects = selection.handle(failure, now_s=20.0 + 10.0 * number, position=UNDER_S1)
+        delays_s += [each.alone_s for each in effects if isinstance(each, Probe)]
+        for event in (ProbeAnswered(check + 1, running=True), CheckAnswered(check + 2, running=True)):
+            selection.handle(event, now_s=25.0 + 10.0 * number, position=UNDER_S1)
+    assert delays_s == [0.0, alone_s]
 
 
 def test_without_probing_a_failed_server_is_not_probed() -> None:

@@ -26,7 +26,7 @@ def host(*drones: Client, slots: int = 3) -> AdmissionController:
 def call(
     machine: AdmissionController, drone: Client, took_s: float, *, now_s: float, outcome: str = "value"
 ) -> None:
-    machine.at("s1").usage.called(drone.key, took_s=took_s, is_answered=outcome != "dropped", now_s=now_s)
+    machine.at("s1").answered("detector", 9, drone.key, took_s=took_s, outcome=outcome, now_s=now_s)
 
 
 def status(machine: AdmissionController, now_s: float) -> ServerStatus:
@@ -134,7 +134,7 @@ def test_a_daemon_goes_on_from_what_the_one_before_it_counted() -> None:
     call(before, NORTH_1, 1.0, now_s=5.0)
     before.leave("s1", NORTH_1, now_s=10.0)
     told = status(before, 20.0)
-    after = AdmissionController({"s1": ServerOffer(frozenset(), slots=3)})
+    after = AdmissionController({"s1": ServerOffer(frozenset({"detector"}), slots=3)})
     after.take_up("s1", [HERON], [], now_s=1000.0)
     after.take_up_usage("s1", told.drones, told.teams, now_s=1000.0)
     after.take_up_usage("s7", told.drones, told.teams, now_s=1000.0)

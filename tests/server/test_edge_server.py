@@ -489,6 +489,19 @@ async def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_s
 
 
 @played(serve)
+async def test_a_call_that_takes_too_long_is_noticed_within_5_s(daemon: Daemon) -> None:
+    await daemon.start()
+    await asyncio.sleep(2.9)
+    daemon.runtime.called[0]("d1")
+    for _ in range(3):
+        await asyncio.sleep(CALL_LIMIT_S / 3)
+        daemon.edge.seen("s1", "d1")
+        assert not daemon.runtime.instances[0].refuses
+    await asyncio.sleep(2.2)  # it was looked at 2.9 s before the call, and every 5 s since
+    assert daemon.runtime.instances[0].refuses
+
+
+@played(serve)
 async def test_a_drone_that_waits_for_the_next_instance_gets_it_also_where_the_former_crashes_in_its_last_call(
     daemon: Daemon,
 ) -> None:

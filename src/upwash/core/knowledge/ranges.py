@@ -48,9 +48,9 @@ class AreaIndex:
 
     def _squares(self, centre: Position, radius_m: float) -> list[tuple[int, int]] | None:
         """The squares around a circle; None if there are too many."""
-        if (2 * radius_m / self._side_m + 2) ** 2 > _MOST_SQUARES:
-            return None
         east, north = self._steps(centre.east_m, radius_m), self._steps(centre.north_m, radius_m)
+        if len(east) * len(north) > _MOST_SQUARES:
+            return None
         return [(one, other) for one in east for other in north]
 
     def _steps(self, middle_m: float, radius_m: float) -> range:
