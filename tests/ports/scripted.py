@@ -23,7 +23,7 @@ _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
 class Script:
-    """An ArduCopter that sends a heartbeat each second, accepts all, and does nothing by itself."""
+    """An ArduCopter that sends a heartbeat each second, accepts all, and changes its mode and arming."""
 
     autopilot: MavlinkAutopilot  # which has found it
 
@@ -31,6 +31,7 @@ class Script:
         self.mode = mavlink.COPTER_MODE_GUIDED
         self.armed = armed
         self.mute = False
+        self.obeys = True
         self.results: dict[
             int, int | None
         ] = {}  # MAV_RESULT by command: ACCEPTED by default, None for no answer
@@ -132,10 +133,22 @@ class Script:
                 answers = [told[message.param1]] if message.param1 in told else []
             case "COMMAND_LONG" | "COMMAND_INT":
                 result = self.results.get(message.command, mavlink.MAV_RESULT_ACCEPTED)
+                self._obey(message, result)
                 if result is not None:
                     answers = [
                         mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, SYSTEM, 191)
                     ]
+        self._send(answers)
+
+    def _obey(self, message: Any, result: int | None) -> None:
+        if result != mavlink.MAV_RESULT_ACCEPTED or not self.obeys:
+            return
+        if message.command == mavlink.MAV_CMD_DO_SET_MODE:
+            self.mode = int(message.param2)
+        elif message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            self.armed = bool(message.param1)
+
+    def _send(self, answers: list[Any]) -> None:
         for answer in answers:
             self._line.datagram_received(bytes(answer.pack(self._codec)), ("", 1))
             self._codec.seq = (self._codec.seq + 1) % 256

@@ -1,0 +1,396 @@
+"""What each verb sends to an ArduCopter, when it is done, and when it gives up."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.played import played
+from tests.ports.scripted import FRAME, IN_AIR, ON_GROUND, SYSTEM, Script, landed, scripted
+
+from upwash.core.geo import Position, Velocity
+from upwash.errors import AutopilotOverruled, AutopilotRefused, AutopilotTimeout, UsageError
+from upwash.eventlog.schema import ArmingDelayed
+from upwash.real.mavlink import MavlinkAutopilot
+from upwash.sim.loop import run_virtually
+
+HERE = Position(30.0, 40.0, 10.0)
+REPOSITION, SPEED, YAW = (
+    mavlink.MAV_CMD_DO_REPOSITION,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED,
+    mavlink.MAV_CMD_CONDITION_YAW,
+)
+ARM, SERVO, CHECKS = (
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_DO_SET_SERVO,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS,
+)
+DENIED, FAILED = mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED
+Verb = Callable[[MavlinkAutopilot], Awaitable[None]]
+
+
+def tell(story: Callable[[Script], Awaitable[None]], *, flies: bool = True) -> None:
+    """Runs a story with a vehicle that flies 10 m high for the program, or stands for it."""
+
+    async def live() -> None:
+        async with scripted(armed=flies) as script:
+            if flies:
+                await script.resumed(HERE)
+            else:
+                await script.autopilot.claim(resumes=False)
+            await story(script)
+
+    run_virtually(live())
+
+
+def parameters(message: Any) -> tuple[float, ...]:
+    count = 4 if message.get_type() == "COMMAND_INT" else 7
+    return tuple(getattr(message, f"param{number}") for number in range(1, count + 1))
+
+
+@pytest.mark.parametrize(
+    ("verb", "limit_s"),
+    [
+        (lambda autopilot: autopilot.goto(Position(30.0, 140.0, 14.0)), 60 + 100 * 3 / 5 + 4 / 0.4),
+        (lambda autopilot: autopilot.goto(Position(30.0, 40.0, 6.0)), 60 + 4 / 0.4),
+        (lambda autopilot: autopilot.takeoff(20.0), 60 + 20 / 0.4),
+        (lambda autopilot: autopilot.land(), 60 + 10 / 0.4),
+        (
+            lambda autopilot: autopilot.return_home_and_land(),
+            60 + 50 * 3 / 5 + 10 / 0.4 + 2 * (60 + 100 / 0.4),
+        ),
+        (lambda autopilot: autopilot.hold(), 60),
+        (lambda autopilot: autopilot.turn_to(90.0), 80),
+    ],
+    ids=["leg", "descent", "take-off", "landing", "return", "hold", "turn"],
+)
+@played(tell)
+async def test_a_verb_has_the_time_of_a_slow_flight(script: Script, *, verb: Verb, limit_s: float) -> None:
+    await script.say(script.place(HERE, Velocity(east_m_s=3.0)))
+    begun_s = script.now_s
+    with pytest.raises(AutopilotTimeout, match=f"not done within {limit_s:.0f} s"):
+        await verb(script.autopilot)
+    assert script.now_s - begun_s == pytest.approx(limit_s, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("home", "altitude_m", "limit_s"),
+    [(Position(30.0, 100.0), 10.0, 60 + 36 + 25 + 620), (Position(30.0, 40.0), 120.0, 60 + 300 + 2 * 360)],
+)
+@played(tell)
+async def test_a_return_has_the_time_to_its_own_home(
+    script: Script, *, home: Position, altitude_m: float, limit_s: float
+) -> None:
+    geo = FRAME.geo(home)
+    place = round(geo.latitude_deg * 1e7), round(geo.longitude_deg * 1e7)
+    await script.say(
+        mavlink.MAVLink_home_position_message(*place, 488_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0),
+        script.place(HERE.at_altitude(altitude_m)),
+    )
+    with pytest.raises(AutopilotTimeout, match=f"not done within {limit_s} s, in mode RTL"):
+        await script.autopilot.return_home_and_land()
+
+
+# --- legs ---------------------------------------------------------------------------------------------------
+
+THERE = Position(30.0, 140.0, 14.0)
+
+
+async def begun(script: Script, verb: Awaitable[None]) -> asyncio.Future[None]:
+    task = asyncio.ensure_future(verb)
+    await asyncio.sleep(0.125)
+    return task
+
+
+@played(tell)
+async def test_a_target_is_a_place_above_the_sea_and_repeated_without_progress(script: Script) -> None:
+    begun_s = script.now_s
+    leg = await begun(script, script.autopilot.goto(THERE))
+    await asyncio.sleep(7.0)
+    order, *again = script.commands(REPOSITION)
+    assert len(again) == 2
+    assert order.get_type() == "COMMAND_INT"
+    assert (order.target_system, order.target_component) == (SYSTEM, 1)
+    assert (order.frame, order.current, order.autocontinue) == (mavlink.MAV_FRAME_GLOBAL, 0, 0)
+    *flags, heading = parameters(order)
+    assert flags == [-1.0, 0.0, 0.0] and math.isnan(heading)
+    geo = FRAME.geo(THERE)
+    assert (order.x, order.y) == (round(geo.latitude_deg * 1e7), round(geo.longitude_deg * 1e7))
+    assert order.z == pytest.approx(488.0 + 14.0)
+    times_s = [at_s - begun_s for at_s, sent in script.sent if getattr(sent, "command", 0) == REPOSITION]
+    assert times_s == pytest.approx([0.0, 3.0, 6.0], abs=0.01)
+    assert script.commands(SPEED) == []
+    leg.cancel()
+
+
+@played(tell)
+async def test_the_speed_is_sent_once_it_flies_and_again_while_it_flies_faster(script: Script) -> None:
+    leg = await begun(script, script.autopilot.goto(THERE))
+    begun_s, north_m = script.now_s, 40.0
+    for fast_m_s, sent in (6.0, 1), (6.1, 2), (6.1, 3), (5.0, 3):
+        for _ in range(10):
+            await asyncio.sleep(0.5)
+            north_m += 0.6
+            await script.say(script.place(Position(30.0, north_m, 10.0), Velocity(north_m_s=fast_m_s)))
+        assert abs(len(script.commands(SPEED)) - sent) <= (fast_m_s == 6.1)
+    first = script.commands(SPEED)[0]
+    assert parameters(first) == (mavlink.SPEED_TYPE_GROUNDSPEED, 5.0, -1.0, 0.0, 0.0, 0.0, 0.0)
+    assert len(script.commands(REPOSITION, since_s=begun_s)) == 0
+    times_s = [at_s for at_s, message in script.sent if getattr(message, "command", 0) == SPEED]
+    assert all(later_s - earlier_s > 5.0 for earlier_s, later_s in itertools.pairwise(times_s))
+    assert 2 <= len(times_s) <= 4
+    await script.autopilot.set_ground_speed(2.0)
+    assert parameters(script.commands(SPEED)[-1])[1] == 2.0
+    leg.cancel()
+
+
+@pytest.mark.parametrize(
+    ("off_m", "speed_m_s", "arrives"),
+    [(0.98, 0.49, True), (1.02, 0.0, False), (0.0, 0.5, False), (0.0, 0.0, True)],
+)
+@played(tell)
+async def test_a_leg_ends_at_rest_within_a_metre(
+    script: Script, *, off_m: float, speed_m_s: float, arrives: bool
+) -> None:
+    leg = await begun(script, script.autopilot.goto(THERE))
+    for north_m in range(40, 140, 2):
+        await asyncio.sleep(0.25)
+        await script.say(script.place(Position(30.0, float(north_m), 14.0), Velocity(north_m_s=8.0)))
+    await asyncio.sleep(0.25)
+    at_end = Position(THERE.east_m, THERE.north_m - off_m, 14.0)
+    await script.say(script.place(at_end, Velocity(north_m_s=speed_m_s)))
+    await asyncio.sleep(0.25)
+    assert leg.done() is arrives
+    leg.cancel()
+
+
+@pytest.mark.parametrize("result", [DENIED, FAILED])
+@played(tell)
+async def test_a_target_that_is_refused_is_no_change_of_the_owner(script: Script, *, result: int) -> None:
+    script.results[REPOSITION] = result
+    fence = "as it does to a target outside its own fence"
+    with pytest.raises(AutopilotRefused, match="answered MAV_RESULT_") as caught:
+        await script.autopilot.goto(THERE)
+    assert (fence in caught.value.problem) == (result == FAILED)
+    script.results.clear()
+    await script.autopilot.hold()
+    assert script.autopilot.control.is_ours
+
+
+@pytest.mark.parametrize(
+    ("wanted_deg", "now_deg", "done"),
+    [(90.0, 85.0, True), (90.0, 84.9, False), (90.0, 95.0, True), (2.0, 357.0, True), (2.0, 356.9, False)],
+)
+@played(tell)
+async def test_a_turn_ends_within_five_degrees(
+    script: Script, *, wanted_deg: float, now_deg: float, done: bool
+) -> None:
+    await script.say(script.place(HERE, heading_deg=180.0))
+    turn = await begun(script, script.autopilot.turn_to(wanted_deg))
+    assert parameters(script.commands(YAW)[0]) == (wanted_deg, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert not turn.done()
+    await script.say(script.place(HERE, heading_deg=now_deg))
+    await asyncio.sleep(0.125)
+    assert turn.done() is done
+    turn.cancel()
+
+
+@played(tell)
+async def test_a_hold_aims_at_the_place_where_it_comes_to_rest(script: Script) -> None:
+    await script.say(script.place(HERE, Velocity(north_m_s=4.0)))
+    hold = await begun(script, script.autopilot.hold())
+    (order,) = script.commands(REPOSITION)
+    geo = FRAME.geo(Position(30.0, 40.0 + 4.0 * (0.1 + 4.0 / (2 * 1.83)), 10.0))
+    assert (order.x, order.y) == pytest.approx((geo.latitude_deg * 1e7, geo.longitude_deg * 1e7), abs=2)
+    hold.cancel()
+
+
+@pytest.mark.parametrize(("flies", "state"), [(False, IN_AIR), (True, ON_GROUND)])
+def test_a_vehicle_that_stands_does_not_turn(state: int, *, flies: bool) -> None:
+    async def story(script: Script) -> None:
+        await script.say(landed(state))
+        with pytest.raises(AutopilotRefused, match="stands on the ground; nothing was sent"):
+            await script.autopilot.turn_to(90.0)
+        assert script.commands(YAW) == []
+
+    tell(story, flies=flies)
+
+
+# --- the end of a flight ------------------------------------------------------------------------------------
+
+
+@played(tell)
+async def test_a_landing_ends_at_a_touchdown_that_is_reported_after_its_begin(script: Script) -> None:
+    await script.say(landed(ON_GROUND))
+    await asyncio.sleep(0.125)
+    landing = await begun(script, script.autopilot.land())
+    assert not landing.done(), "that report is older"
+    await script.say(landed(IN_AIR))
+    await asyncio.sleep(0.125)
+    assert not landing.done()
+    await script.say(landed(ON_GROUND))
+    await asyncio.sleep(0.125)
+    assert landing.done()
+    await script.beat(armed=False)
+    assert script.autopilot.control.is_ours, "it disarms itself after touchdown"
+
+
+@played(tell)
+async def test_without_a_landed_state_a_landing_ends_when_the_motors_stop(script: Script) -> None:
+    await script.say(landed(0))
+    landing = await begun(script, script.autopilot.land())
+    assert not landing.done()
+    await script.beat(armed=False)
+    await asyncio.sleep(0.125)
+    assert landing.done()
+
+
+@pytest.mark.parametrize("falls", [True, False])
+@played(tell)
+async def test_motors_that_stop_in_the_air_are_no_touchdown(script: Script, *, falls: bool) -> None:
+    landing = await begun(script, script.autopilot.land())
+    await asyncio.sleep(1.0)
+    await script.beat(armed=False)
+    await script.say(landed(ON_GROUND))
+    await asyncio.sleep(0.5)
+    assert not landing.done()
+    await script.say(script.place(HERE, Velocity(up_m_s=-3.0 if falls else 0.0)))
+    await asyncio.sleep(0.125)
+    if falls:
+        with pytest.raises(AutopilotRefused, match="its motors stopped in the air"):
+            await landing
+    else:
+        await script.say(landed(ON_GROUND))
+        await landing
+
+
+# --- commands -----------------------------------------------------------------------------------------------
+
+
+@played(tell)
+async def test_a_command_without_an_answer_is_sent_eight_times(script: Script) -> None:
+    script.results[SERVO], begun_s = None, script.now_s
+    with pytest.raises(AutopilotTimeout, match="no answer to MAV_CMD_DO_SET_SERVO after 8 attempts"):
+        await script.autopilot.command(SERVO, "servo", (9.0, 1500.0))
+    assert [message.confirmation for message in script.commands(SERVO)] == list(range(8))
+    assert script.now_s - begun_s == pytest.approx(8.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("text_s", "said"), [(-1.0, ""), (0.25, "too far (warning)"), (0.75, "")])
+@played(tell)
+async def test_a_refusal_waits_half_a_second_for_the_vehicles_words(
+    script: Script, *, text_s: float, said: str
+) -> None:
+    text = mavlink.MAVLink_statustext_message(4, b"too far")
+    if text_s < 0:
+        await script.say(text)
+        await asyncio.sleep(-text_s)
+    script.results[SERVO] = DENIED
+    refused = asyncio.create_task(script.autopilot.command(SERVO, "servo", ()))
+    if text_s > 0:
+        await asyncio.sleep(text_s)
+        await script.say(text)
+    with pytest.raises(
+        AutopilotRefused, match=r"servo: .*MAV_RESULT_DENIED to MAV_CMD_DO_SET_SERVO"
+    ) as caught:
+        await refused
+    assert caught.value.vehicle_said == said
+
+
+@played(tell)
+async def test_a_command_whose_effect_does_not_show_is_repeated_and_given_up(script: Script) -> None:
+    script.obeys, begun_s = False, script.now_s
+    with pytest.raises(AutopilotTimeout, match="MAV_CMD_COMPONENT_ARM_DISARM was accepted and not done"):
+        await script.autopilot.disarm()
+    assert [parameters(message)[0] for message in script.commands(ARM)] == [0.0] * 8
+    assert script.now_s - begun_s == pytest.approx(8 * 2.5, abs=0.2)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, -1.0, math.nan])
+@played(tell)
+async def test_a_ground_speed_is_above_0(script: Script, *, speed_m_s: float) -> None:
+    with pytest.raises(UsageError, match="give a number above 0"):
+        await script.autopilot.set_ground_speed(speed_m_s)
+    await script.autopilot.set_ground_speed(0.5)
+
+
+# --- arming -------------------------------------------------------------------------------------------------
+
+
+def health(*, passes: bool, sure: bool) -> tuple[Any, Any]:
+    checked = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    return (
+        mavlink.MAVLink_sys_status_message(checked, checked, checked * passes, 0, 12_000, 0, 99, *[0] * 6),
+        mavlink.MAVLink_ekf_status_report_message(mavlink.EKF_POS_HORIZ_ABS * sure, *[0.0] * 5),
+    )
+
+
+@played(tell, flies=False)
+async def test_its_checks_are_asked_for_until_the_time_is_over(script: Script) -> None:
+    await script.say(*health(passes=False, sure=False))
+    begun_s = script.now_s
+    waiting = await begun(script, script.autopilot.ready())
+    assert script.news[-1] == ArmingDelayed(reasons=())
+    await script.say(mavlink.MAVLink_statustext_message(2, b"PreArm: Fence breached"))
+    await script.say(mavlink.MAVLink_statustext_message(2, b"PreArm: Fence breached"))
+    await script.say(mavlink.MAVLink_statustext_message(2, b"Arm: Leaning"))
+    await script.say(mavlink.MAVLink_statustext_message(2, b"Takeoff: no reason"))
+    await asyncio.sleep(0.5)
+    assert script.news[-1] == ArmingDelayed(reasons=("Fence breached", "Leaning"))
+    with pytest.raises(AutopilotRefused, match=r"was not ready within 120 s; the vehicle") as caught:
+        await waiting
+    assert caught.value.vehicle_said == "Fence breached; Leaning"
+    assert script.now_s - begun_s == pytest.approx(120.0, abs=0.01)
+    times_s = [at_s - begun_s for at_s, sent in script.sent if getattr(sent, "command", 0) == CHECKS]
+    assert times_s == pytest.approx([5.0 * number for number in range(24)], abs=0.01)
+
+
+@pytest.mark.parametrize(("passes", "sure"), [(True, False), (False, True)])
+@played(tell, flies=False)
+async def test_it_is_ready_when_its_checks_pass_and_it_knows_its_place(
+    script: Script, *, passes: bool, sure: bool
+) -> None:
+    await script.say(*health(passes=passes, sure=sure))
+    waiting = await begun(script, script.autopilot.ready())
+    own = ("it does not know its position yet",) if passes else ()
+    assert script.news[-1] == ArmingDelayed(reasons=own)
+    await asyncio.sleep(20.0)
+    assert not waiting.done()
+    await script.say(*health(passes=True, sure=True))
+    await asyncio.sleep(0.125)
+    assert waiting.done()
+    assert not script.autopilot.armed
+
+
+@played(tell, flies=False)
+async def test_arming_is_tried_again_every_two_seconds_while_its_last_checks_fail(script: Script) -> None:
+    script.mode, script.results[ARM], script.results[REPOSITION] = 0, FAILED, DENIED
+    begun_s = script.now_s
+    arming = await begun(script, script.autopilot.arm())
+    await script.say(mavlink.MAVLink_statustext_message(2, b"Arm: Throttle too high"))
+    with pytest.raises(AutopilotRefused, match="MAV_RESULT_FAILED to MAV_CMD_COMPONENT_ARM_DISARM"):
+        await arming
+    assert ArmingDelayed(reasons=("Throttle too high",)) in script.news
+    assert 115.0 < script.now_s - begun_s < 122.0
+    assert 45 <= len(script.commands(ARM)) <= 61
+    assert script.mode == mavlink.COPTER_MODE_GUIDED
+
+
+@played(tell, flies=False)
+async def test_an_armed_vehicle_is_waited_for_until_it_knows_its_place(script: Script) -> None:
+    script.results[REPOSITION] = DENIED
+    beats = len(script.of_kind("HEARTBEAT"))
+    arming = await begun(script, script.autopilot.arm())
+    assert script.autopilot.armed and not arming.done()
+    assert len(script.of_kind("HEARTBEAT")) > beats, "a dead man counts from here on"
+    await script.say(script.place(Position(0.0, 0.0)))
+    await arming
+    with pytest.raises(AutopilotOverruled, match=r"disarmed|motors"):
+        script.armed = False
+        await script.beat()
+        await script.autopilot.takeoff(5.0)
