@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from upwash.core.geo import Position
+from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
 from upwash.core.planning.mission_model import ExpectedCall
@@ -49,6 +51,18 @@ def test_a_check_that_is_nearly_over_is_waited_for() -> None:
     assert place == CallPlace("s1", 5.0)
     assert ahead.delay_s(place, call(0.0)) == 5.0 + REMOTE_S
     assert ahead.delay_s(CallPlace("s1", 7.0), call(0.0)) == LOCAL_S, "it would gain less than a quarter"
+
+
+def test_a_server_without_a_range_is_as_fast_as_at_the_place_of_the_call() -> None:
+    place = MeasuredPlace(Position(500.0, 0.0), tried=1, answered=1)
+    place.note(HEAVY, 5.0)
+    beliefs = {"lte": Beliefs(CHECK_S, 3.0, {HEAVY: REMOTE_S})}
+    estimates = Estimates(local_s={HEAVY: LOCAL_S}, servers=beliefs, coverage=Coverage({"lte": [place]}))
+    estimates.locate(Position(0.0, 0.0))
+    chosen = make_policy("location-aware", gain_switch=0.25, gain_wait=0.25)
+    ahead = CallForecast(chosen, estimates, here=CallPlace(), unusable_s={})
+    for at, delay_s in ((Position(500.0, 0.0), 5.0), (Position(0.0, 0.0), REMOTE_S)):
+        assert ahead.delay_s(CallPlace("lte"), ExpectedCall(HEAVY, 0.0, {}, at)) == delay_s
 
 
 def test_a_server_that_is_ready_and_hardly_faster_is_called() -> None:

@@ -65,6 +65,11 @@ def test_the_nearest_place_counts() -> None:
     assert (first.tried, first.answered, second.tried, second.answered) == (2, 2, 1, 0)
 
 
+def test_what_earlier_flights_measured_is_known() -> None:
+    place = MeasuredPlace(HERE, tried=2, answered=1)
+    assert Coverage({"lte": [place]}).at("lte", east_of_here(5.0)) is place
+
+
 def test_a_place_is_the_same_within_8_m_and_its_latest_call_is_new() -> None:
     known = coverage()
     first = known.asked("lte", HERE, answered=True)
@@ -116,6 +121,7 @@ def test_goodput_is_told_by_calls_that_carry_something() -> None:
     place.carry(100, 0.5)
     assert place.goodput_bit_s is None
     place.carry(500_000, 0.5)
+    assert place.goodput_bit_s == pytest.approx(8e6)
     place.carry(500_000, 1.5)
     assert place.goodput_bit_s == pytest.approx(4e6)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.energy import Consumption, FlightEnergy, FlightReport, Margin, Reserve, Wind
@@ -67,6 +68,12 @@ def test_the_way_home_is_the_sum_of_its_parts() -> None:
     assert storm_s == pytest.approx(climb_s + 400 / (10 / 3) + 10 / 3 + 5.0 + down_s)
     leaving_s = time_home_s(Position(384, 0, 10), HOME, way, velocity=Velocity(4.0))
     assert leaving_s == 4.0 + climb_s + way_s + 5.0 + down_s, "2 s at 4 m/s, and 8 m to stop"
+    agile = structs.replace(way, acceleration_m_s2=2.0)
+    standing_s, flying_s = (
+        time_home_s(Position(east_m, 0, 10), HOME, agile, velocity=Velocity(speed_m_s))
+        for east_m, speed_m_s in ((400, 0.0), (388, 4.0))
+    )
+    assert flying_s == standing_s + 2.0, "2 s at 4 m/s, and 4 m to stop in 2 s"
     assert time_home_s(Position(400, 0, 50), HOME, way) == way_s + 5.0 + descent_s(50.0, way)
     assert descent_s(30.0, way) == down_s
     assert descent_s(5.0, way) == 10.0
@@ -324,6 +331,9 @@ def test_a_reported_wind_counts_by_its_direction_and_never_as_a_help() -> None:
     assert wind.against_m_s(HOME, Position(0, 100), 10.0) == pytest.approx(
         2.0
     )  # 8 of 10 m/s are left, across it
+    wind.take(FlightReport(1.5, HOME, wind=Velocity(-3.0, -4.0)))
+    slower_m_s = 7.0 / math.sqrt(2) + 10.0 - math.sqrt(100.0 - 0.5)
+    assert wind.against_m_s(HOME, Position(100, 100), 10.0) == pytest.approx(slower_m_s)
     wind.take(FlightReport(2.0, HOME, wind=Velocity(0.0, -12.0)))
     assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 10.0, "nothing is left"
     assert wind.against_m_s(HOME, HOME, 10.0) == 12.0

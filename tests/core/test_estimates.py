@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.knowledge.estimates import Beliefs, Estimates, Window, offline_remote_s
-from upwash.core.operation import Operation
+from upwash.core.operation import Operation, name_of, server_of
 
 LIGHT = Operation("detector", "process_photo", "light")
 HEAVY = Operation("detector", "process_photo", "heavy")
@@ -29,6 +29,11 @@ def two_operations(*, remote_s: dict[Operation, float] | None = None) -> Estimat
 def test_an_operation_is_named_by_service_method_and_key() -> None:
     assert str(HEAVY) == "detector.process_photo[heavy]"
     assert str(Operation("detector", "ping")) == "detector.ping"
+
+
+def test_the_drone_has_the_name_of_no_server() -> None:
+    assert [server_of(name_of(server)) for server in (None, "s1")] == [None, "s1"]
+    assert name_of(None) == "local"
 
 
 @given(offline_s=delays_s, observed_s=st.lists(delays_s, max_size=8))

@@ -31,6 +31,7 @@ NOTCHED = Polygon(
     )
 )  # fmt: skip
 DIAMOND = Polygon((Position(0, -50), Position(50, 0), Position(0, 50), Position(-50, 0)))
+KITE = Polygon((Position(0, 0), Position(50, 50), Position(0, 100), Position(-50, 50)))
 SOUTH_WEST = Polygon((Position(-100, -100), Position(0, -100), Position(0, 0), Position(-100, 0)))
 DISC = Circle(Position(50, 50), 30)
 
@@ -84,6 +85,8 @@ def test_what_lies_in_a_polygon(polygon: Polygon, place: tuple[float, float], in
         (SQUARE, (150, 50), (150, 50), False, False),
         (SQUARE, (100, 50), (100, 50), True, True),  # hovering above the border
         (SQUARE, (0, 0), (0, 0), True, True),  # and above a corner
+        (KITE, (-10, -0.001), (10, -0.001), False, True),  # past its lowest corner
+        (KITE, (-10, -0.0011), (10, -0.0011), False, False),
         (NOTCHED, (20, 90), (80, 90), False, True),  # over the notch
         (NOTCHED, (20, 10), (80, 10), True, True),
         (NOTCHED, (20, 20), (80, 20), True, True),  # along the floor of the notch

@@ -240,6 +240,24 @@ def test_an_instance_that_crashed_is_absent_and_started_again_on_request() -> No
     assert commands == [StartInstance("s1", "detector", 2)]
 
 
+def test_an_end_that_is_reported_twice_starts_nothing() -> None:
+    machine = with_detector_running()
+    for now_s in (9.0, 10.0):
+        assert machine.at("s1").gone("detector", 1, "killed", now_s=now_s) == []
+    assert machine.at("s1").state("detector") is ABSENT
+
+
+def test_a_service_that_is_withdrawn_is_shown_until_its_instance_has_ended() -> None:
+    machine = with_detector_running()
+    machine.at("s1").change(ServerOffer(frozenset({"counter"}), 1), outdated=frozenset())
+    assert [(each.service, each.state) for each in machine.servers(now_s=9.0)[0].instances] == [
+        ("counter", "absent"),
+        ("detector", "stopping"),
+    ]
+    machine.at("s1").gone("detector", 1, now_s=10.0)
+    assert [each.service for each in machine.servers(now_s=10.0)[0].instances] == ["counter"]
+
+
 def test_an_instance_that_did_not_start_can_be_started_again() -> None:
     machine = host()
     machine.start("s1", "detector", Client("d1"), now_s=0.0)

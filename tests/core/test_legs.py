@@ -191,6 +191,15 @@ def test_a_range_counts_from_where_it_is_entered_on_the_way() -> None:
     assert calls[3].in_range_s["far"] == calls[3].gap_s
 
 
+def test_a_range_that_a_leg_hardly_enters_counts_for_the_rest_of_the_leg_and_a_short_photo() -> None:
+    plan = [Waypoint(number, place) for number, place in enumerate(PLACES[:3])]
+    areas = {"far": Circle(Position(70.0, 0.0), 30.1)}
+    expected = MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [StopCall(HEAVY, 0.1)]), areas)
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=0.0)
+    last = expected.coming(PLACES[0], now_s=0.0, count=9)[-1]
+    assert last.in_range_s["far"] == pytest.approx(0.2**0.5 + 0.1)
+
+
 def test_holds_of_the_plan_count_before_the_calls_of_their_stops() -> None:
     hold_s = 5.0
     plan = [Waypoint(number, place, hold_s=hold_s) for number, place in enumerate(PLACES)]

@@ -67,6 +67,7 @@ def test_a_sweep_is_taken_where_it_saves_two_per_cent_and_not_where_it_saves_les
     assert (indices, sweep) == ([2, 1, 0], 1)
     assert why.startswith("sweep 1, by rows from the ")
     assert "saves 2.0 % by forecast (1.6 instead of 1.7 min)" in why
+    assert "saves 55.0 % by forecast (0.8 instead of 1.7 min)" in taking(sweep_1=45.0)[0]
     why, indices, sweep = taking(sweep_1=100.0)
     assert (why, sweep) == ("as given: by forecast no sweep is quicker", None)
     why, indices, sweep = taking(sweep_1=98.1)
@@ -182,6 +183,12 @@ def test_a_place_belongs_to_a_row_up_to_a_quarter_of_the_least_distance_off_it(
 def test_a_column_runs_north_though_its_places_are_the_nearest_to_each_other() -> None:
     given = [(0.0, 0.0), (0.0, 20.0), (30.0, 20.0), (30.0, 0.0)]
     assert sweeps(waypoints(given))[0].name == "by columns from the bottom-left"
+
+
+def test_a_field_that_begins_in_the_middle_is_swept_from_the_bottom_left() -> None:
+    for first in ((0.0, 20.0), (20.0, 0.0), (20.0, 20.0)):
+        others = [place for place in field(3, 3) if place != first]
+        assert sweeps(waypoints([first, *others]))[0].name.endswith("from the bottom-left")
 
 
 def test_two_places_are_a_field() -> None:

@@ -192,6 +192,9 @@ def test_leaving_and_coming_again_gives_no_second_slot() -> None:
 def test_a_slot_that_the_peer_refused_is_none() -> None:
     machine = visited()
     machine.send_ahead("s2", "s1", D1, for_s=25.0, now_s=0.0)
+    machine.not_held("s3", D1)
+    machine.not_held("s1", D2)
+    assert isinstance(machine.send_ahead("s2", "s3", D1, for_s=25.0, now_s=0.0)[0], Denied)
     machine.not_held("s1", D1)
     assert machine.send_ahead("s2", "s3", D1, for_s=25.0, now_s=0.0) == (None, [])
 

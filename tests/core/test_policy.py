@@ -149,6 +149,7 @@ def test_unless_it_is_told_to_be_patient_the_first_call_is_as_any(policy: Policy
         (2.0, 0.5, None),
         (2.0, 1.5, 4.0),
         (5.5, 5.0, 0.5),
+        (5.5, 4.2, None),
         (6.0, 0.0, None),  # X = 0
         (6.0, 5.0, None),
         (6.0, 500.0, None),

@@ -111,6 +111,11 @@ def test_services_that_a_check_started_during_a_call_run_at_the_next_visit(
     assert quickest(calls, {"a": CheckTimes(20.0, 4.0)}).total_s == total_s
 
 
+def test_a_second_call_at_once_finds_its_server_ready() -> None:
+    assert quickest([call(4.0, a=4.0), call(0.0, a=0.0)], SAME, server="a").total_s == 2 * REMOTE_S
+    assert quickest([call(8.0, a=8.0), call(0.0, a=0.0)], SAME).total_s == 4.0 + 2 * REMOTE_S
+
+
 def test_a_check_that_is_just_over_is_no_wait() -> None:
     calls = [ComingCall(LOCAL_S, 4.0, [Offer("a", 9.0, 4.0)])]
     assert quickest(calls, {"a": CheckTimes(4.0, 4.0)}, gain_wait=0.25).total_s == 9.0

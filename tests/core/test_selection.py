@@ -462,6 +462,13 @@ def test_a_server_without_a_slot_goes_on_being_asked_and_no_call_waits_for_it() 
     assert isinstance(machine.decide(HEAVY, now_s=7.0, position=UNDER_S1)[0], Remote)
 
 
+def test_the_time_for_which_a_server_was_asked_again_teaches_nothing_about_checks() -> None:
+    machine = with_s1_ready(selection())
+    machine.handle(SlotTaken(1, "others wait"), now_s=50.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(2, running=True), now_s=60.0, position=UNDER_S1)
+    assert machine.estimates.check_s("s1", running=True) == 3.5
+
+
 def test_the_time_for_which_a_slot_was_waited_for_teaches_nothing_about_checks() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
@@ -817,6 +824,28 @@ def test_a_late_answer_teaches_how_slow_the_server_is_and_is_no_second_call() ->
     machine.handle(late, now_s=31.0, position=UNDER_S1)
     assert machine.estimates.remote_s("s1", HEAVY) == (0.75 + 0.75 + 9.75) / 3
     assert machine.estimates.mean_call_s() == counted
+
+
+def test_a_call_that_the_drone_computes_too_counts_once() -> None:
+    light = Operation("detector", "process_photo", "light")
+    machine = Selection(
+        AREAS,
+        estimates=Estimates(
+            local_s={HEAVY: 8.0, light: 2.0}, servers=dict.fromkeys(AREAS, Beliefs(11.5, 3.5, {HEAVY: 1.0}))
+        ),
+        policy=LocationAware(),
+    )
+    with_s1_ready(machine)
+    for event in (
+        LocalCallEnded(light, 2.0),
+        RemoteFaultTested("s1", 1, HEAVY, 1.0, "it raised", confirmed=True),
+        RemoteCallEnded("s1", HEAVY, 9.0, late=True),
+        LocalCallEnded(light, 2.0),
+    ):
+        machine.handle(event, now_s=20.0, position=UNDER_S1)
+        assert machine.estimates.mean_call_s() == (8.0 + 2.0) / 2, "three calls are needed for weights"
+    machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=30.0, position=UNDER_S1)
+    assert machine.estimates.mean_call_s() == pytest.approx((8.0 + 2 * 2.0) / 3)
 
 
 # ---- two radios

@@ -127,6 +127,21 @@ def test_flying_on_costs_a_remote_call_only_if_its_server_is_lost_on_the_way() -
         assert outlook.go_s == pytest.approx(go_s)
 
 
+def test_the_pace_of_the_vehicle_that_was_found_counts_for_the_next_leg() -> None:
+    machine = Selection(
+        {},
+        estimates=Estimates(local_s={LOOK: LOCAL_S}, servers={}),
+        policy=LocationAware(),
+        mission=MissionBeliefs(PLAN, 4.0, Pace(1.0), [StopCall(LOOK, PHOTO_S)], assumed=True),
+    )
+    found = MissionBegun(LANDS_AT_ONCE, Pace(4.0))
+    for event in (found, LegBegun(PLAN[0].position, None), LegEnded()):
+        machine.handle(event, now_s=0.0, position=PLAN[0].position)
+    machine.decide(LOOK, now_s=1.0, position=PLAN[0].position)
+    outlook = machine.outlook(now_s=1.0, position=PLAN[0].position)
+    assert outlook is not None and outlook.leg == Leg(20.0, 4.0, 4.0)
+
+
 def test_flying_on_costs_a_call_on_the_drone_nothing_and_without_an_open_call_there_is_nothing_to_weigh() -> (
     None
 ):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings
+from upwash.core.admission.clients import Client
+from upwash.core.admission.server import ServerOffer
 from upwash.core.admission.slots import MeasuredSlots
 
 
@@ -112,3 +115,21 @@ def test_time_without_a_slot_is_not_counted_as_a_drones_pace() -> None:
     slots.came("d1")
     slots.answered("detector", "d1", took_s=0.6, queued_s=0.0, now_s=10_000.0)
     assert slots.count == 15
+
+
+def test_a_server_measures_the_calls_of_drones_with_a_slot_from_when_they_got_it() -> None:
+    offer = ServerOffer(frozenset({"detector"}), "auto")
+    machine = AdmissionController({"s1": offer}, AdmissionSettings(lease_s=30.0))
+
+    def slots_after(*calls_s: float, drone: str = "d1", took_s: float = 1.0) -> int:
+        for now_s in calls_s:
+            machine.at("s1").answered("detector", 0, drone, took_s=took_s, queued_s=0.0, now_s=now_s)
+            machine.availability("s1", [], Client("d1"), now_s=now_s)
+        return machine.servers(now_s=0.0)[0].slots
+
+    machine.availability("s1", [], Client("d1"), now_s=0.0)
+    assert slots_after(10.0, 20.0, 30.0) == 10
+    assert slots_after(30.0, 31.0, 32.0, 33.0, drone="stranger") == 10
+    machine.look(now_s=100.0)
+    machine.availability("s1", [], Client("d1"), now_s=10_000.0)
+    assert slots_after(10_001.0, 10_011.0) == 10, "the time without a slot is left out"

@@ -123,6 +123,16 @@ def test_an_account_tells_how_long_a_drone_holds_or_waits() -> None:
     ]
 
 
+def test_accounts_are_forgotten_once_the_last_one_waits_no_more() -> None:
+    turns = Turns(30.0)
+    turns.took("d1", now_s=0.0)
+    turns.asked("d2", now_s=49.0)
+    turns.gave_back("d1", now_s=50.0)
+    turns.asked("d1", now_s=60.0)
+    (account,) = turns.waiting(now_s=60.0)
+    assert (account.drone, account.had_s) == ("d1", 0.0)
+
+
 def test_accounts_are_forgotten_once_nobody_is_there() -> None:
     turns = Turns(30.0)
     turns.took("d1", now_s=0.0)
@@ -206,7 +216,7 @@ def test_where_a_reload_took_slots_away_a_turn_that_ends_may_still_make_no_room(
 
 
 def test_a_drone_whose_turn_ended_counts_as_present_until_its_lease_would_have_ended() -> None:
-    for asks_s, had_s in ((20.0, 6.0), (31.0, 25.0)):
+    for asks_s, had_s in ((20.0, 6.0), (30.0, 6.0), (31.0, 25.0)):
         crowded = Crowded("d1", turn_s=5.0, lease_s=30.0)
         crowded.keep_asking("d2", until_s=4.0)
         assert crowded.ask("d2", 6.0)[0]

@@ -117,6 +117,21 @@ def test_of_many_teams_the_longest_unseen_are_forgotten() -> None:
         usage.gave_back(seen, held_by="", now_s=3.0)
     teams = {team.team for team in usage.teams(now_s=3.0)}
     assert {"t200", "new"} <= teams and "t201" not in teams and len(teams) == 100
+    for seen in ("t101-1", "new-2"):
+        usage.took(Client(seen), now_s=4.0)
+        usage.gave_back(seen, held_by="", now_s=5.0)
+    drones = {drone.drone for drone in usage.drones(now_s=5.0)}
+    assert "t101-1" in drones and "t102-1" not in drones
+
+
+def test_of_drones_that_give_their_slots_back_at_once_the_bound_holds_too() -> None:
+    usage = Usage("s1")
+    for number in range(250):
+        usage.took(Client(f"d{number}"), now_s=0.0)
+    assert len(usage.drones(now_s=1.0)) == 250
+    for number in range(250):
+        usage.gave_back(f"d{number}", held_by="", now_s=1.0)
+    assert len(usage.drones(now_s=1.0)) == 200
 
 
 def test_a_drone_with_another_certificate_is_still_one_drone() -> None:

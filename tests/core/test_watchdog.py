@@ -236,6 +236,8 @@ def test_a_service_that_does_not_start_is_offered_to_nobody_during_the_pause() -
         answer, commands = machine.start("s1", "detector", drone, now_s=3.0)
         assert isinstance(answer, Denied) and answer.pause_s == 19.0 and commands == []
         assert "failed 2 times in a row: no such model" in answer.why
+    answer, _ = machine.start("s1", "detector", D1, now_s=21.5)
+    assert isinstance(answer, Denied) and answer.pause_s == 0.5
 
 
 def test_a_sign_of_life_of_this_instance_and_of_no_other_keeps_it_running() -> None:
