@@ -52,14 +52,14 @@ def test_the_mission_flies_on_while_the_call_runs() -> None:
         done.append(pending.done())
         drone.autopilot.goto(drone.plan[1])
         done.append(pending.done())
-        assert pending.result() == []
+        assert pending.result() == pending.result() == []
         done.append(pending.done())
 
     events = flown(program)
     assert done == [False, False, True]
     (call,), (taken,) = of(events, schema.Call), of(events, schema.AnswerTaken)
     assert (call.delay_s, taken.waited_s) == (10.0, pytest.approx(1.0)), "9 s of it were flown"
-    assert taken.waypoint == 0
+    assert (taken.waypoint, taken.demanded) == (0, False)
 
 
 def test_a_second_call_is_refused_until_the_first_is_over_or_dropped() -> None:
@@ -80,8 +80,10 @@ def test_a_dropped_call_computes_on_and_the_next_waits_for_its_end() -> None:
         drone.start(detector.process_photo, b"photo", mode="heavy").cancel()
         detector.process_photo(b"photo", mode="light")
 
-    first, second = of(flown(program), schema.Call)
-    assert second.t - first.t == pytest.approx(3.0), "and it is not slowed down by it"
+    events = flown(program)
+    first, second = of(events, schema.Call)
+    assert second.t - first.t == second.delay_s == pytest.approx(3.0), "and it is not slowed down by it"
+    assert [started.waypoint for started in of(events, schema.CallStarted)] == [None]
 
 
 def test_what_is_no_method_of_a_service_cannot_be_started() -> None:
@@ -124,8 +126,14 @@ def test_a_mission_that_forgets_its_call_ends_all_the_same() -> None:
     def program(drone: Drone, detector: Detector) -> None:
         drone.start(detector.process_photo, b"photo", mode="heavy")
 
-    events = flown(program)
+    def at_last(drone: Drone) -> None:
+        in_the_air(lambda *_: None)(drone)
+        program(drone, drone.service(Detector))
+
+    assert of(flown(program), schema.MissionCompleted)
+    events = fly(scenario(), mission=at_last).events
     assert of(events, schema.MissionCompleted)
+    assert not of(events, schema.Call) and not of(events, schema.LocalFailed), "the call is broken off"
 
 
 def test_what_the_mission_raises_ends_the_flight_and_the_call() -> None:

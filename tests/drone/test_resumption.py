@@ -73,7 +73,7 @@ def test_a_hundredth_of_a_metre_is_the_same_place() -> None:
 
 def begun(*events: Event) -> tuple[list[int], str] | None:
     order = order_begun(events, config())
-    return order and ([waypoint.index for waypoint in order.waypoints], order.why)
+    return None if order is None else ([waypoint.index for waypoint in order.waypoints], order.why)
 
 
 def test_the_order_begun_is_that_of_the_last_flight_in_the_log() -> None:

@@ -65,7 +65,8 @@ class Pending(Generic[T]):
     async def _over(self) -> float:
         """Returns once the answer is there, or will never be, after how many seconds; for the loop."""
         begun_s = asyncio.get_running_loop().time()
-        if self._task is not None and not self._task.done():
+        assert self._task is not None  # noqa: S101 - the loop has made it
+        if not self._task.done():
             await asyncio.wait((self._task,))
         return asyncio.get_running_loop().time() - begun_s
 
