@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -11,10 +12,13 @@ import pytest
 from tests.drone.test_resume import fly, scenario
 
 from upwash import Drone, Position
-from upwash.drone.pending import why_failed
-from upwash.errors import MissionFailed, UsageError
+from upwash.drone.mission import MissionThread
+from upwash.drone.pending import Calls, why_failed
+from upwash.errors import InstanceError, MissionFailed, UsageError
 from upwash.eventlog import schema
+from upwash.rpc.service import make_stub
 from upwash.services import Detector
+from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
 
 # A call on the drone takes 10 s, a leg of 20 m 9 s, a photo 1 s.
@@ -220,3 +224,28 @@ def test_a_call_that_failed_says_why(error: Exception | None, failure: str) -> N
         return why_failed(call)
 
     assert run_virtually(wait()) == failure
+
+
+def test_calls_that_fail_and_are_never_asked_for_are_no_complaint_of_asyncio(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def fail(*_: object) -> None:
+        raise InstanceError("it has crashed")
+
+    async def run() -> None:
+        thread, journal = MissionThread(), MemoryJournal()
+        journal.begin()
+        calls = Calls(thread, fail, journal, waypoint=lambda: None)
+        detector = make_stub(Detector, lambda *_: None)
+
+        def program() -> None:
+            for _ in range(2):
+                pending = calls.start(detector.process_photo, b"photo", mode="light")
+                while not pending.done():
+                    thread.call(asyncio.sleep(0))
+
+        await thread.run(program)
+
+    asyncio.run(run())
+    gc.collect()
+    assert not caplog.records

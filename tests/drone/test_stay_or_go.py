@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Iterable
 from typing import Any, Literal
 
@@ -203,19 +202,3 @@ def test_a_call_that_fails_is_come_back_for_and_raised_there(hears: bool) -> Non
         assert [event["waypoint"] for event in scene.events("acted")] == [0]
     else:
         assert isinstance(error, InstanceError) and not scene.events("acted")
-
-
-def test_calls_that_fail_and_are_never_asked_for_are_no_complaint_of_asyncio(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    def mission(drone: Drone) -> None:
-        drone.autopilot.arm()
-        drone.autopilot.takeoff(10)
-        for _ in range(2):
-            drone.start(drone.service(Detector).process_photo, b"photo", mode="heavy")
-            drone.autopilot.hover(30.0)
-        drone.end_flight()
-
-    error = fly_far(far(), mission, happens=cut_the_wire, at_s=12.0)[1]
-    gc.collect()
-    assert error is None and not [record for record in caplog.records if record.name == "asyncio"]
