@@ -26,6 +26,10 @@ def test_pauses_begin_with_the_longer_of_the_two_and_grow_to_the_longest(
     assert rest[0] == first_s and rest[-1] == probing.longest_s
 
 
+def test_pauses_between_probes_grow_by_a_quarter() -> None:
+    assert list(islice(Probing(0.5, 1.0).pauses_s(), 6)) == [0.5, 0.5, 0.625, 0.78125, 0.9765625, 1.0]
+
+
 def test_each_failure_leaves_a_server_alone_for_twice_as_long_up_to_ten_seconds() -> None:
     failures, now_s, alone_s = ServerFailures(), 0.0, []
     for _ in range(7):

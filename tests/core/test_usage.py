@@ -128,10 +128,16 @@ def test_of_drones_that_give_their_slots_back_at_once_the_bound_holds_too() -> N
     usage = Usage("s1")
     for number in range(250):
         usage.took(Client(f"d{number}"), now_s=0.0)
-    assert len(usage.drones(now_s=1.0)) == 250
+    before = usage.drones(now_s=1.0)
+    assert len(before) == 250
     for number in range(250):
         usage.gave_back(f"d{number}", held_by="", now_s=1.0)
     assert len(usage.drones(now_s=1.0)) == 200
+    usage.took(Client("new"), now_s=1.0)
+    assert len(usage.drones(now_s=1.0)) == 200
+    after = Usage("s1")
+    after.take_up(before, [], now_s=1.0)
+    assert len(after.drones(now_s=1.0)) == 200
 
 
 def test_a_drone_with_another_certificate_is_still_one_drone() -> None:
