@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from upwash.core.geo import Circle, Measured, Position
-from upwash.core.knowledge.coverage import MOST_PLACES, NEAR_M, SAME_M, Coverage, MeasuredPlace
+from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import LocationAware
@@ -25,6 +25,7 @@ HEAVY = Operation("detector", "process_photo", "heavy")
 LIGHT = Operation("detector", "process_photo", "light")
 HERE = Position(100.0, 0.0)
 LOCAL_S, REMOTE_S = 10.0, 1.0
+SAME_M, NEAR_M, MOST_PLACES = 8.0, 12.0, 5_000
 
 
 def coverage() -> Coverage:
@@ -142,6 +143,15 @@ def test_a_place_is_reached_where_half_of_the_calls_are_answered(
     answered: int, tried: int, *, reached: bool
 ) -> None:
     assert MeasuredPlace(HERE, tried, answered).reached is reached
+
+
+@pytest.mark.parametrize(
+    ("bits", "transfer_s", "goodput_bit_s"), [(0.0, 2.0, None), (8.0, 0.0, None), (0.5, 0.25, 2.0)]
+)
+def test_a_place_has_a_goodput_where_bits_took_time(
+    bits: float, transfer_s: float, goodput_bit_s: float | None
+) -> None:
+    assert MeasuredPlace(HERE, bits=bits, transfer_s=transfer_s).goodput_bit_s == goodput_bit_s
 
 
 def test_the_goodput_of_a_place_is_that_of_large_calls() -> None:

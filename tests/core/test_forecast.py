@@ -7,7 +7,7 @@ import pytest
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.knowledge.estimates import Beliefs, Estimates
-from upwash.core.knowledge.servers import FULL_S, Server, State, Trigger
+from upwash.core.knowledge.servers import Server, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.planning.mission_model import ExpectedCall
@@ -15,7 +15,7 @@ from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer
 
 LOOK, COUNT = Operation("detector", "look"), Operation("counter", "count")
 HERE, THERE = Position(0.0, 0.0), Position(500.0, 0.0)
-LOCAL_S, REMOTE_S, CHECK_S, RUNNING_S = 10.0, 1.0, 12.0, 4.0
+LOCAL_S, REMOTE_S, CHECK_S, RUNNING_S, FULL_S = 10.0, 1.0, 12.0, 4.0, 15.0
 
 
 def estimates(remote_s: dict[str, float], coverage: Coverage | None = None) -> Estimates:

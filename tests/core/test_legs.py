@@ -250,6 +250,17 @@ def test_a_stop_is_expected_to_be_like_the_last_one() -> None:
     assert gaps_s(calls) == [2.0, 0.5, 3.0 + LEG_S + 2.0, 0.5]
 
 
+def test_the_time_before_a_leg_is_no_part_of_the_way_in_a_range() -> None:
+    expected = at_first()
+    expected.call_begun(HEAVY, now_s=1.0)
+    expected.call_ends(2.0)
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=5.0)
+    expected.arrived(now_s=14.0)
+    _, following = expected.coming(PLACES[1], now_s=14.0, count=2)
+    assert following.gap_s == pytest.approx(3.0 + LEG_S + PHOTO_S)
+    assert following.in_range_s["far"] == pytest.approx(4.5 + PHOTO_S)
+
+
 def test_after_a_stop_without_a_call_nothing_is_expected_of_the_others() -> None:
     expected = at_first()
     expected.leg_begun(PLACES[0], PLACES[1], None, now_s=5.0)

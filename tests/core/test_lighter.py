@@ -118,10 +118,12 @@ VEHICLE = EnergyFacts(
 )
 
 
-def begun(finish_by_s: float, *, policy: str = "location-aware") -> tuple[Selection, ExpectedTimes]:
+def begun(
+    finish_by_s: float, *, policy: str = "location-aware", light_s: float = 3.0
+) -> tuple[Selection, ExpectedTimes]:
     """Six waypoints, of which a server's range has those at 40 and 60 m; the vehicle has just been armed."""
     estimates = Estimates(
-        local_s={HEAVY: 10.0, LIGHT: 3.0},
+        local_s={HEAVY: 10.0, LIGHT: light_s},
         servers={"s1": Beliefs(check_s=4.0, check_running_s=2.0, remote_s={HEAVY: 0.7, LIGHT: 0.3})},
     )
     selection = Selection(
@@ -168,6 +170,11 @@ def test_a_call_is_lighter_exactly_where_the_mission_would_be_over_too_late() ->
     lightened = first_call(begun(needed_s - 0.01)[0], at_s=at_s)
     assert lightened is not None and (lightened.operation, lightened.asked) == (LIGHT, HEAVY)
     assert lightened.forecast_s == pytest.approx(needed_s, abs=0.01)
+
+
+def test_a_call_that_would_save_nothing_is_not_lighter_however_late_the_mission_is() -> None:
+    for light_s in (10.0, 11.0):
+        assert first_call(begun(1.0, light_s=light_s)[0], at_s=TAKEOFF_S + PHOTO_S) is None
 
 
 def test_time_that_was_lost_so_far_counts() -> None:

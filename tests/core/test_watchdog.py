@@ -8,20 +8,12 @@ from upwash.core.admission.admission import AdmissionController, AdmissionSettin
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
 from upwash.core.admission.server import Denied, ServerOffer
-from upwash.core.admission.watchdog import (
-    CALL_LIMIT_S,
-    DENIALS,
-    FIRST_PAUSE_S,
-    FORGOTTEN_S,
-    LEAST_LIMIT_S,
-    LONGEST_PAUSE_S,
-    InstanceFailures,
-    Limit,
-    Watch,
-)
+from upwash.core.admission.watchdog import InstanceFailures, Limit, Watch
 
 D1, D2, D3 = Client("d1"), Client("d2"), Client("d3")
 BOTH = frozenset({"d1", "d2"})
+CALL_LIMIT_S, LEAST_LIMIT_S, DENIALS = 60.0, 20.0, 3
+FIRST_PAUSE_S, LONGEST_PAUSE_S, FORGOTTEN_S = 10.0, 300.0, 300.0
 
 
 # --- a call's limit -----------------------------------------------------------------------------------------
