@@ -487,7 +487,7 @@ def test_where_others_wait_a_drone_that_gains_little_leaves_its_slot_to_them(
     assert written(effects) == ([] if stays else ["s1 READY AVL-R", "leave s1"])
     if not stays:
         assert machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=79.0, position=UNDER_S1) == []
-        again = machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=81.0, position=UNDER_S1)
+        again = machine.handle(Tick(), now_s=80.0, position=UNDER_S1)
         assert written(again) == ["s1 AVL-R CHECK-R", "check s1 2"], "nobody was seen waiting for a minute"
 
 
