@@ -152,7 +152,8 @@ def test_an_arducopter_that_boots_does_not_know_its_type_yet() -> None:
 
 def test_another_vehicle_that_comes_later_is_told_once() -> None:
     link = Link()
-    link.hear(beat(), beat(2), beat(2), beat(3))
+    met = [link.identity.meet(heard) for heard in (beat(), beat(2), beat(2), beat(3), beat())]
+    assert met == [True, False, False, False, False]
     assert link.kinds == ["another-vehicle"]
 
 

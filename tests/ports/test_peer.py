@@ -56,11 +56,20 @@ def test_nobody_is_answered_for_what_is_no_heartbeat_of_an_autopilot() -> None:
     port = Port()
     codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     text = bytes(mavlink.MAVLink_statustext_message(6, b"hello").pack(codec))
-    for data in b"", b"\x00", b"\xfd" * 300, text, beat(component=191), beat(system=2), beat()[:-1]:
+    for data in (
+        b"",
+        b"\x00",
+        b"\xfd" * 300,
+        text,
+        beat(component=191),
+        beat(system=2),
+        beat(system=2) + text,
+        beat()[:-1],
+    ):
         port.peer.take(data, ELSEWHERE, 0.0)
     assert port.peer.answered is None
     assert port.heard == []
-    assert port.peer.ignored == 7
+    assert port.peer.ignored == 8
 
 
 def test_nonsense_is_not_even_read_while_there_is_no_peer(monkeypatch: pytest.MonkeyPatch) -> None:

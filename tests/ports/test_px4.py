@@ -313,6 +313,16 @@ async def test_its_fence_is_among_its_limits(_: Bench, autopilot: MavlinkAutopil
     assert limits.highest_m == 40.0
 
 
+@pytest.mark.parametrize(("low", "critical"), [(0.25, 0.125), (0.0, 0.125), (0.25, 0.0)])
+def test_its_battery_s_stages_are_in_percent_and_0_stands_for_none(low: float, critical: float) -> None:
+    async def flight(_: Bench, autopilot: MavlinkAutopilot) -> None:
+        await autopilot.limits()
+        energy = autopilot.energy
+        assert (energy.low_percent, energy.critical_percent) == (100 * low or None, 100 * critical or None)
+
+    fly(flight, parameters={**RETURNS, "BAT_LOW_THR": low, "BAT_CRIT_THR": critical})
+
+
 @played(fly)
 async def test_whole_parameters_travel_as_bytes(sky: Bench, autopilot: MavlinkAutopilot) -> None:
     vehicle = autopilot.vehicle

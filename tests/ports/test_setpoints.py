@@ -76,6 +76,21 @@ def test_it_climbs_and_descends_as_fast_as_the_vehicle_can(
     assert places[-1] == target(*way)
 
 
+def test_a_slanted_leg_keeps_the_ground_speed_and_brakes_as_gently_as_it_accelerates() -> None:
+    places, velocities = leg(target(30.0, 40.0, 50.0), ground_speed_m_s=2.0)
+    assert max(math.hypot(velocity.east_m_s, velocity.north_m_s) for velocity in velocities) == pytest.approx(
+        2.0
+    )
+    places, velocities = leg(target(60.0))
+    braking = [
+        (distance_m(place, places[-1]), velocity.speed_m_s)
+        for place, velocity in zip(places, velocities, strict=True)
+        if 6.0 < distance_m(place, places[-1]) < 9.0
+    ]
+    for left_m, speed_m_s in braking:
+        assert speed_m_s == pytest.approx(math.sqrt(2 * USED_M_S2 * left_m), abs=0.1)
+
+
 def test_a_target_nearby_is_taken_at_once_and_one_out_of_reach_is_not() -> None:
     point = course()
     point.aim(target(0.09), ground_speed_m_s=5.0)
@@ -87,9 +102,13 @@ def test_a_target_nearby_is_taken_at_once_and_one_out_of_reach_is_not() -> None:
     assert distance_m(HERE, point.position) < 0.01
     assert not point.ended
     fast = course(Velocity(east_m_s=4.0))
-    fast.aim(target(0.28), ground_speed_m_s=5.0)
+    fast.aim(target(0.38), ground_speed_m_s=5.0)
     fast.advance(STEP_S, vehicle=HERE)
-    assert fast.position == target(0.28), "it is half a step away"
+    assert fast.position == target(0.38), "it is half a step away"
+    fast = course(Velocity(east_m_s=4.0))
+    fast.aim(target(0.5), ground_speed_m_s=5.0)
+    fast.advance(STEP_S, vehicle=HERE)
+    assert fast.position != target(0.5), "it is more than a step away"
 
 
 @pytest.mark.parametrize(("behind_m", "share"), [(0.0, 1.0), (3.0, 1.0), (4.5, 0.5), (6.0, 0.0), (9.0, 0.0)])
@@ -109,6 +128,8 @@ def test_the_push_is_the_change_of_the_velocity() -> None:
     assert point.setpoint_acceleration.north_m_s == pytest.approx(USED_M_S2)
     assert point.setpoint_velocity == point.velocity
     assert point.velocity.north_m_s == point.velocity.speed_m_s == pytest.approx(USED_M_S2 * STEP_S)
+    point.advance(STEP_S, vehicle=HERE)
+    assert point.setpoint_acceleration.north_m_s == pytest.approx(USED_M_S2)
     point.advance(0.0, vehicle=HERE)
     assert (point.setpoint_velocity, point.setpoint_acceleration) == (Velocity(), Velocity())
 
