@@ -166,6 +166,7 @@ def test_what_runs_once_runs_on_the_drone_and_once(tmp_path: Path) -> None:
     assert [message[1] for message in heard(run)] == [1, 2, 3, 4, 5]
     assert {call["place"] for call in releases} == {"local"}
     assert {call["decision"] for call in releases} == {"it runs once, and on the drone"}
+    assert {call["waited_s"] for call in releases} == {0.0}
     assert "s1" in [call["place"] for call in events(run, "call")]
 
 
