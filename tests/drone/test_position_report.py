@@ -56,3 +56,10 @@ def test_it_has_the_server_in_use_and_how_long_its_daemon_took_to_answer(
     assert {each.server for each in answered} == {"s1", "s2"}
     assert all(0.0 <= (each.round_trip_s or 0.0) < 5.0 for each in answered)
     assert not [report for report in reports if report.server is None and report.round_trip_s is not None]
+
+
+def test_it_has_the_vehicles_mode_arming_and_gps(reports: list[schema.PositionReport]) -> None:
+    assert {report.armed for report in reports} == {False, True}
+    flown = [report for report in reports if report.ground_speed_m_s]
+    assert {(report.mode, report.gps) for report in flown} >= {("GUIDED", "3d")}
+    assert all(report.satellites for report in reports)

@@ -189,7 +189,7 @@ class Flight:
         )
 
     def position_report(self) -> schema.PositionReport:
-        """The drone's position, motion, battery, and link to a server, as one record for the log."""
+        """The drone's position, motion, battery, mode, GPS, and link to a server, as one record for the log."""
         vehicle, (server, round_trip_s) = self._ports.autopilot, self._offloading.link
         here, told = rounded(vehicle.position), vehicle.telemetry
         speed_m_s, heading_deg, percent = told.ground_speed_m_s, told.heading_deg, told.battery_percent
@@ -204,6 +204,10 @@ class Flight:
             down_s=None if down_s is None else round(down_s, 1),
             server=server,
             round_trip_s=None if round_trip_s is None else round(round_trip_s, 4),
+            mode=told.mode,
+            armed=told.armed,
+            gps=told.gps.kind if told.gps else None,
+            satellites=told.gps.satellites if told.gps else None,
         )
 
     def stop(self, why: str) -> bool:

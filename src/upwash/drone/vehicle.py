@@ -356,6 +356,7 @@ class Vehicle:
         self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
     def _record_limits(self, limits: VehicleLimits) -> None:
+        battery = self._autopilot.energy
         self._journal.record(
             schema.LimitsRead(
                 home=rounded(limits.home) if limits.home else None,
@@ -363,6 +364,8 @@ class Vehicle:
                 highest_m=limits.highest_m,
                 lowest_m=limits.lowest_m,
                 fences=[fence.name for fence in limits.fences],
+                low_percent=battery.low_percent,
+                critical_percent=battery.critical_percent,
             )
         )
 

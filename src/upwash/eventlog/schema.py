@@ -21,6 +21,7 @@ from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import State, Trigger
 from upwash.core.operation import server_of
 from upwash.core.vehicle.control import Owner
+from upwash.core.vehicle.telemetry import FixKind
 
 VERSION = 5  # of the log; logs of earlier releases have none
 SEVERITIES = (
@@ -461,13 +462,18 @@ class ArmingDelayed(Event, frozen=True, kw_only=True):
 
 
 class LimitsRead(Event, frozen=True, kw_only=True, omit_defaults=True, tag="vehicle_limits"):
-    """The vehicle's home, the altitudes between which it may fly, and its fences by name, as read before arming."""
+    """The vehicle's home, the altitudes between which it may fly, and its fences by name, as read before arming.
+
+    At `low_percent` and `critical_percent` of its battery the vehicle itself warns or acts; absent where unknown.
+    """
 
     home: Position | None
     highest_m: Number | None
     fences: _Few[Text]
     lowest_m: Number | None = None
     home_above_sea_m: Number | None = None
+    low_percent: Number | None = None
+    critical_percent: Number | None = None
 
 
 class SiteDoubt(_Explained, frozen=True, kw_only=True):
@@ -639,7 +645,8 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
     """The position of the drone once a second (real flights), with its motion, battery and link as far as known.
 
     The heading is clockwise from north. `round_trip_s` is the delay of the last request to the daemon of the `server`
-    in use. While the program brings the vehicle down, `down_s` is the time to the ground.
+    in use. While the program brings the vehicle down, `down_s` is the time to the ground. `mode` is the autopilot's
+    own name, `gps` the receiver's fix, with the number of `satellites` in use.
     """
 
     east_m: Number
@@ -651,6 +658,10 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
     server: Text | None = None
     round_trip_s: Number | None = None
     down_s: Number | None = None
+    mode: Text | None = None
+    armed: bool | None = None
+    gps: FixKind | None = None
+    satellites: Count | None = None
 
 
 # --- servers ------------------------------------------------------------------------------------------------
