@@ -1,4 +1,4 @@
-"""Pages of reports for tests: of logs that are written here, as a reader of HTML has them."""
+"""What a flight's page says in words and tables, for tests: of logs that are written here, as a tree."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from xml.etree import ElementTree
 
 from tests.events import line
 
-from upwash.report.page import write_page
+from upwash.report.photos import PhotoShelf
 from upwash.report.record import read_records
+from upwash.report.sheet import draw_sheet
 
 Told = tuple[float, str, Mapping[str, object]]  # an event: when, its kind and its facts
-SVG, XHTML = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xhtml}"
+SVG = "{http://www.w3.org/2000/svg}"
 
 
 def log_of(file: Path, *events: Told, home: object = None) -> Path:
@@ -32,13 +33,8 @@ def arrivals(*waypoints: int) -> Iterator[Told]:
 
 
 def parsed(*logs: Path, photos: Path | None = None) -> ElementTree.Element:
-    """The page about these logs."""
-    return parsed_page(write_page(read_records(logs), photos=photos))
-
-
-def parsed_page(page: str) -> ElementTree.Element:
-    """The page as a tree."""
-    return ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
+    """What is said of these logs."""
+    return ElementTree.fromstring(draw_sheet(read_records(logs), PhotoShelf(photos)))
 
 
 def text(element: ElementTree.Element) -> str:
@@ -53,10 +49,10 @@ def of_class(page: ElementTree.Element, style: str) -> list[ElementTree.Element]
 
 def table_named(page: ElementTree.Element, caption: str) -> list[list[str]]:
     """The rows of the only table with that caption."""
-    (table,) = [each for each in page.iter(f"{XHTML}table") if each[0].text == caption]
-    return [[text(cell) for cell in row] for row in table.iter(f"{XHTML}tr")]
+    (table,) = [each for each in page.iter("table") if each[0].text == caption]
+    return [[text(cell) for cell in row] for row in table.iter("tr")]
 
 
 def heads(page: ElementTree.Element) -> list[str]:
     """The headings of the page's parts."""
-    return [text(each) for each in page.iter(f"{XHTML}h2")]
+    return [text(each) for each in page.iter("h2")]

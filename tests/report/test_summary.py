@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from tests.events import line
-from tests.report.pages import XHTML, heads, of_class, parsed, table_named, text
+from tests.report.pages import heads, of_class, parsed, table_named, text
 
 from upwash.report.groups import differences, groups_of, in_words, verdict, what_groups
 from upwash.report.record import Record, read_records
@@ -111,8 +111,8 @@ def test_from_four_flights_on_the_page_begins_with_a_summary_and_folds_each(tmp_
     assert [row[1:3] for row in rows[1:]] == [[policy, f"{time_s:.1f} s"] for policy, _, time_s in BOTH]
     folded = of_class(many, "flight-details")
     assert len(folded) == 6
-    assert all(each.tag == f"{XHTML}details" and "open" not in each.attrib for each in folded)
-    assert len(of_class(many, "flight")) == 6 + 3, "a dot a flight, and a dot a pair"
+    assert all(each.tag == "details" and "open" not in each.attrib for each in folded)
+    assert len(of_class(many, "dot")) == 6 + 3, "a dot a flight, and a dot a pair"
 
 
 def test_of_many_flights_those_that_ended_ill_come_first(tmp_path: Path) -> None:

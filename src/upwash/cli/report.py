@@ -11,11 +11,11 @@ from pathlib import Path
 from upwash.cli.arguments import option
 from upwash.errors import UsageError
 from upwash.report.exports import write_csv, write_geojson, write_json
-from upwash.report.page import write_page
 from upwash.report.record import Record, read_records
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 from upwash.support.standard_streams import print_bytes
+from upwash.view.file import write_page
 
 Writer = Callable[[Sequence[Record]], bytes]
 
@@ -36,7 +36,7 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
     files: list[tuple[Path | None, Writer]] = [
-        (options.out, _in_utf8(functools.partial(write_page, photos=options.photos))),
+        (options.out, _in_utf8(functools.partial(write_page, options.logs, photos=options.photos))),
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
         (options.mcap, functools.partial(_recording, photos=options.photos)),

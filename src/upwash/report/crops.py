@@ -38,10 +38,17 @@ def pixels_of(jpeg: bytes) -> MatLike | None:
         return None
 
 
+def shrunk(jpeg: bytes, width_px: int) -> tuple[bytes, int, int] | None:
+    """The photo at most that wide, and its own width and height; None where nothing here can decode the photo."""
+    pixels = pixels_of(jpeg)
+    if pixels is None:
+        return None
+    height, width = pixels.shape[:2]
+    return _smaller(pixels, min(1.0, width_px / width)), width, height
+
+
 def crop_around(box: Outline, pixels: MatLike) -> Crop | None:
     """The part of the photo around the box, None where the box lies beside the photo."""
-    import cv2
-
     photo_height, photo_width = pixels.shape[:2]
     across, down = box.left_px + box.width_px / 2, box.top_px + box.height_px / 2
     if not (0 <= across <= photo_width and 0 <= down <= photo_height):
@@ -52,8 +59,14 @@ def crop_around(box: Outline, pixels: MatLike) -> Crop | None:
     left = round(min(max(0.0, across - width / 2), photo_width - width))
     top = round(min(max(0.0, down - height / 2), photo_height - height))
     part = pixels[top : top + height, left : left + width]
-    smaller = min(1.0, WIDTH_PX / width, HEIGHT_PX / height)
-    size = max(1, round(smaller * width)), max(1, round(smaller * height))
-    shown = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
-    encoded = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
-    return Crop(encoded.tobytes(), left, top, width, height)
+    jpeg = _smaller(part, min(1.0, WIDTH_PX / width, HEIGHT_PX / height))
+    return Crop(jpeg, left, top, width, height)
+
+
+def _smaller(pixels: MatLike, scale: float) -> bytes:
+    import cv2
+
+    height, width = pixels.shape[:2]
+    size = max(1, round(scale * width)), max(1, round(scale * height))
+    shown = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()

@@ -105,7 +105,7 @@ def _row(name: str, dots: Sequence[tuple[str, float]], mean: Mean, x: Axis, top:
         element(
             "circle",
             element("title", told),
-            cx=x(value), cy=middle + _LANES[number % len(_LANES)], r=_RADIUS, class_="flight",
+            cx=x(value), cy=middle + _LANES[number % len(_LANES)], r=_RADIUS, class_="dot",
         )
         for number, (told, value) in enumerate(dots)
     ]  # fmt: skip

@@ -35,6 +35,11 @@ class ReportedCall:
     wait: str
     fell_back: bool
 
+    @property
+    def place(self) -> str:
+        """What people call the place where it ran: the server's name, or the drone."""
+        return self.result.server or "drone"
+
 
 @dataclass(frozen=True, slots=True)
 class WorstCall:

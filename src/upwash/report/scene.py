@@ -23,7 +23,6 @@ from foxglove.messages import (
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.servers import State
 from upwash.report.palette import DARK, components
-from upwash.report.places import name_of
 from upwash.report.record import Record, ReportedCall, Stretch
 
 FRAME = "home"  # east, north and up of it
@@ -121,7 +120,7 @@ def _call(index: int, call: ReportedCall, place: Position, record: Record, time:
     return SceneEntity(
         timestamp=time,
         frame_id=FRAME,
-        id=f"call {index}: {name_of(call.result.server)}",
+        id=f"call {index}: {call.place}",
         spheres=[_ball(place, _CALL_M, _colour(call.result.server, record))],
     )
 

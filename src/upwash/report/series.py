@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 
 from upwash.core.knowledge.servers import State
-from upwash.report.places import name_of
 from upwash.report.record import Record
 
 STATE_NUMBERS = {state: number for number, state in enumerate(State)}
@@ -52,7 +51,7 @@ def plotted_calls(record: Record) -> Iterator[tuple[float, PlottedCall]]:
             PlottedCall(
                 result.waypoint,
                 result.operation,
-                name_of(result.server),
+                call.place,
                 result.delay_s,
                 result.waited_s,
                 call.fell_back,

@@ -12,9 +12,7 @@ from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.findings import Finding
 from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
-from upwash.report.places import name_of
 from upwash.report.record import Record, ReportedCall, Stretch
-from upwash.report.timeline import state_seconds
 
 _MOST_ROWS = 300  # of a table with a row each of what a long flight has many of
 _AT_EITHER_END = 100
@@ -191,7 +189,7 @@ def calls(record: Record) -> Markup:
             _at(call.result.waypoint),
             f"{call.result.at_s:.1f} s",
             _ran_as(call.result),
-            name_of(call.result.server),
+            call.place,
             f"{call.result.delay_s:.2f} s",
             f"{call.result.waited_s:.2f} s, {call.wait}" if call.wait else "",
             *([f"{call.result.hidden_s:.2f} s" if call.result.hidden_s else ""] if goes else []),
@@ -303,7 +301,9 @@ def states(record: Record) -> Markup:
     """How long each server was in each state."""
     rows = []
     for server, stretches in record.stretches.items():
-        seconds = state_seconds(stretches)
+        seconds = dict.fromkeys(State, 0.0)
+        for stretch in stretches:
+            seconds[stretch.state] += stretch.to_s - stretch.from_s
         rows.append([server, *(f"{seconds[state]:.1f} s" for state in State)])
     return table("Time in each state", ["server", *(state.value for state in State)], rows)
 

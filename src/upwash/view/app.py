@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from importlib.resources import files
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import Response, StreamingResponse
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
+from starlette.responses import HTMLResponse, Response, StreamingResponse
+from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from upwash.report.palette import stylesheet
 from upwash.report.photos import PhotoShelf
 from upwash.support.addresses import names_this_machine
+from upwash.view.document import sources, write_document
 from upwash.view.feed import Feed
 
 _LISTENS_AT = "127.0.0.1"
-_LEAFLET = str(files("js_lib_leaflet") / "static" / "js_lib_leaflet")
 _POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; base-uri 'none'; "
-    "form-action 'none'; frame-ancestors 'none'; img-src 'self'"
+    "default-src 'none'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+    f"{sources()}; img-src 'self' data:"
 )
 _HANGS_UP = {"Connection": "close"}
 _HEADERS = {
@@ -41,6 +38,9 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
     `images` are the sources, in a policy's words, that browsers may load images from besides.
     """
     rendering = asyncio.Semaphore(1)
+
+    async def page(request: Request) -> Response:
+        return HTMLResponse(write_document("upwash: flight"))
 
     async def events(request: Request) -> Response:
         after = request.headers.get("last-event-id", "")
@@ -59,16 +59,11 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
             return Response("this photo is not to be had", status_code=404)
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    async def colours(request: Request) -> Response:
-        return Response(stylesheet(), media_type="text/css")
-
     return Starlette(
         routes=[
+            Route("/", page),
             Route("/events", events),
             Route("/photos/{log:int}/{run:int}/{number:int}.jpg", photo),
-            Route("/colours.css", colours),
-            Mount("/leaflet", StaticFiles(directory=_LEAFLET)),
-            Mount("/", StaticFiles(packages=[("upwash.view", "page")], html=True)),
         ],
         middleware=[
             Middleware(_Guarded, policy=" ".join((_POLICY, *images))),

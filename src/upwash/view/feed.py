@@ -106,10 +106,25 @@ class Feed:
             log: what_it_came_to(outcome, list(outcomes.values())) for log, outcome in outcomes.items()
         }
 
+    def everything(self) -> list[tuple[str, object]]:
+        """The kind and the data of each message of logs that nobody writes any more."""
+        for recording in self.recordings:
+            while recording.is_behind:
+                recording.advance()
+        self._summarize()
+        batches = [
+            ("facts", batch)
+            for log, recording in enumerate(self.recordings)
+            for batch, _ in _batches(log, recording, _Seen())
+        ]
+        return [("page", self._page()), *batches, ("summaries", self._summaries), ("end", None)]
+
+    def _page(self) -> Page:
+        return Page(self._names, _are_of_several_drones(self.recordings), self._tiles)
+
     async def messages(self, after: str = "") -> AsyncIterator[str]:
         """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""
-        page = Page(self._names, _are_of_several_drones(self.recordings), self._tiles)
-        yield f"retry: {_RETRY_MS}\n{_message('page', page)}"
+        yield f"retry: {_RETRY_MS}\n{_message('page', self._page())}"
         seen, summaries = self._seen(after), None
         while True:
             news, closed = self._news, self._closed

@@ -24,12 +24,14 @@ _STALE_S = 1.5  # a flown log tells the position every second, a simulated one w
 class Story:
     """One run, as far as its log tells it; `shots` are its photos so far, and `ended` says whether it is over.
 
+    `outlined` has the numbers of the photos on which something was found.
     `drone` is the drone's name, None before the mission began. `keeps` says of a photo's source whether its photos
     can be had.
     """
 
     def __init__(self, keeps: Callable[[str], bool]) -> None:
         self.shots: list[Shot] = []
+        self.outlined: set[int] = set()
         self.ended = False
         self.drone: str | None = None
         self._keeps = keeps
@@ -240,6 +242,8 @@ class Story:
                 )
             case schema.Notified(message=message, at=place):
                 told_of = self._pairing.told_of
+                if told_of is not None and message:
+                    self.outlined.add(told_of.number)
                 yield facts.Told(
                     at_s=self._now_s,
                     words=in_one_line(message),

@@ -1,4 +1,4 @@
-// The stories as they come from the server, and whether more can come.
+// The stories as they come from the server or are in the document, and whether more can come.
 
 import { Story } from "./story.js";
 
@@ -6,31 +6,47 @@ const LOST = "The connection to the program behind this page is lost; trying aga
 const ENDED = "The program behind this page has ended. What it told is still here; upwash view shows the log again.";
 
 export class Feed {
+  #hear;
+
   constructor({ opened, grown, summarized, said }) {
     this.stories = [];
     this.open = true;
-    const source = new EventSource("events");
-    source.addEventListener("page", (message) => {
-      if (this.stories.length === 0) {
-        const page = JSON.parse(message.data);
-        this.stories = page.logs.map((name) => new Story(name));
-        opened(this.stories, page);
-      }
-      said("");
-    });
-    source.addEventListener("facts", (message) => {
-      const batch = JSON.parse(message.data);
-      this.stories[batch.log].take(batch);
-      grown();
-    });
-    source.addEventListener("summaries", (message) => summarized(JSON.parse(message.data)));
+    this.said = said;
+    this.#hear = {
+      page: (page) => {
+        if (this.stories.length === 0) {
+          this.stories = page.logs.map((name) => new Story(name));
+          opened(this.stories, page);
+        }
+        said("");
+      },
+      facts: (batch) => {
+        this.stories[batch.log].take(batch);
+        grown();
+      },
+      summaries: summarized,
+      end: () => {
+        this.open = false;
+        for (const story of this.stories) story.isBehind = false;
+        grown();
+      },
+    };
+  }
+
+  start() {
+    const told = document.getElementById("told");
+    if (told) for (const [kind, data] of JSON.parse(told.textContent)) this.#hear[kind](data);
+    else this.#listen(new EventSource("events"));
+  }
+
+  #listen(source) {
+    for (const [kind, hear] of Object.entries(this.#hear)) {
+      source.addEventListener(kind, (message) => hear(JSON.parse(message.data)));
+    }
     source.addEventListener("end", () => {
       source.close();
-      this.open = false;
-      for (const story of this.stories) story.isBehind = false;
-      said(ENDED);
-      grown();
+      this.said(ENDED);
     });
-    source.addEventListener("error", () => said(LOST));
+    source.addEventListener("error", () => this.said(LOST));
   }
 }

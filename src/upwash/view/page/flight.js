@@ -55,6 +55,10 @@ export class Flight {
     );
   }
 
+  get stories() {
+    return [this.story];
+  }
+
   // What the buttons step through.
   get watched() {
     return this.story;

@@ -2,7 +2,7 @@
 
 import { Banner } from "./banner.js";
 import { Clock, told } from "./clock.js";
-import { write } from "./element.js";
+import { element, write } from "./element.js";
 import { Feed } from "./feed.js";
 import { Fleet } from "./fleet.js";
 import { Flight } from "./flight.js";
@@ -13,6 +13,7 @@ import { align } from "./timeline.js";
 const KEY_S = 5; // that an arrow key moves
 const GLIMPSE_MS = 2000;
 const SILENT_S = 5; // a flight tells where it is every second
+const MOST_BESIDE = 3; // flights; of more one is shown at a time
 
 const on = (id) => document.getElementById(id);
 const clock = new Clock();
@@ -23,6 +24,7 @@ const colours = new Colours(() => {
 const places = new Places(colours);
 const banner = new Banner(on("alarms"), on("cautions"));
 let views = []; // a flight each, or a fleet
+let summaries = {};
 let title = "upwash";
 let together = false;
 let frame = null;
@@ -31,13 +33,15 @@ let glimpse = null;
 const feed = new Feed({
   opened(stories, page) {
     together = page.together;
-    views = together ? [fleetOf(stories, page.tiles)] : stories.map((story, log) => flightOf(story, log, page.tiles));
-    on("flights").replaceChildren(...views.map((view) => view.element));
-    on("flights").classList.toggle("beside", views.length > 1);
+    const many = !together && stories.length > MOST_BESIDE;
+    const flights = many ? stories.slice(0, 1) : stories;
+    setViews(together ? [fleetOf(stories, page.tiles)] : flights.map((story, log) => flightOf(story, log, page.tiles)));
+    if (many) on("flights").before(chooserOf(stories, page.tiles));
     title = `upwash: ${listed(stories.map((story) => story.name))}`;
   },
   grown,
-  summarized(summaries) {
+  summarized(told) {
+    summaries = told;
     views.forEach((view) => view.summarize(summaries));
     refresh();
   },
@@ -45,6 +49,24 @@ const feed = new Feed({
     write(on("connection"), words);
   },
 });
+
+function setViews(shown) {
+  views = shown;
+  views.forEach((view) => view.summarize(summaries));
+  on("flights").replaceChildren(...views.map((view) => view.element));
+  on("flights").classList.toggle("beside", views.length > 1);
+}
+
+function chooserOf(stories, tiles) {
+  const select = element("select", {}, ...stories.map(({ name }, log) => element("option", { value: log }, name)));
+  select.addEventListener("change", () => {
+    const log = Number(select.value);
+    setViews([flightOf(stories[log], log, tiles)]);
+    clock.follow();
+    refresh();
+  });
+  return element("p", { class: "chooser" }, element("label", {}, `One of ${stories.length} flights `, select));
+}
 
 function fleetOf(stories, tiles) {
   return new Fleet(stories, { places, tiles, picked, changed: refresh });
@@ -83,7 +105,7 @@ function refresh() {
 function show() {
   const { stories } = feed;
   align(stories, together);
-  clock.extend(Math.max(0, ...stories.map((story) => story.clockS(story.endsS))));
+  clock.extend(Math.max(0, ...shown().map((story) => story.clockS(story.endsS))));
   const operations = stories.flatMap((story) => [...story.operations]);
   if (places.know(stories.flatMap((story) => story.servers), operations)) views.forEach((view) => view.restyle());
   const limits = {
@@ -96,8 +118,12 @@ function show() {
   showControls();
 }
 
+function shown() {
+  return views.flatMap((view) => view.stories);
+}
+
 function showNotices() {
-  const alarms = banner.show(feed.stories.map((story) => story.at(clock.nowS)), feed.open);
+  const alarms = banner.show(shown().map((story) => story.at(clock.nowS)), feed.open);
   document.title = alarms ? `ALARM · ${title}` : title;
 }
 
@@ -168,6 +194,7 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
   way();
 });
+feed.start();
 setInterval(() => {
   showMode();
   if (feed.stories.length) showNotices();

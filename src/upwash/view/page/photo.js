@@ -3,12 +3,14 @@
 import { card, drawn, element, write } from "./element.js";
 import { percent } from "./findings.js";
 import { firstFree, within } from "./labels.js";
+import { pictureOf } from "./pictures.js";
 
 const KEY = "Solid: found. Dashed: truly there, as the photo was rendered.";
 const PATIENCE_MS = 150; // photos that fly past faster are not asked for
 
 export class PhotoCard {
   #shot = null;
+  #picture = null;
   #found = []; // what the user was told of it: each with its number in the list
   #boxes = "";
   #timer = null;
@@ -36,18 +38,19 @@ export class PhotoCard {
     const shot = late ? (story.shot[told.number] ?? last) : last;
     this.#found = late ? toldOfOne(story.told, moment.count("told")) : [];
     if (shot !== this.#shot) this.#ask(shot, story.run);
-    this.frame.hidden = !story.keepsPhotos || (shot && (!shot.kept || shot === this.#lost));
+    this.frame.hidden = !story.keepsPhotos || (shot && (!this.#picture || shot === this.#lost));
     write(this.caption, shot ? this.#words(shot) : "No photo was taken yet.");
     this.#outline();
   }
 
   #ask(shot, run) {
     this.#shot = shot;
+    this.#picture = pictureOf(this.log, run, shot);
     clearTimeout(this.#timer);
-    this.key.hidden = !(shot?.kept && shot.truth);
+    this.key.hidden = !(this.#picture && shot.truth);
     this.image.hidden = true;
-    if (!shot?.kept) return;
-    const source = `photos/${this.log}/${run}/${shot.number}.jpg`;
+    if (!this.#picture) return;
+    const { source } = this.#picture;
     this.#timer = setTimeout(() => {
       this.image.src = source;
       this.image.hidden = false;
@@ -64,13 +67,14 @@ export class PhotoCard {
   #words(shot) {
     const where = shot.waypoint === null ? "before the first waypoint" : `at waypoint ${shot.waypoint}`;
     const said = this.#found.map(({ number, words }) => ` Finding ${number}: ${words}.`).join("");
-    const missing = shot.kept && shot !== this.#lost ? "" : " It was not kept where this page can find it.";
+    const missing = this.#picture && shot !== this.#lost ? "" : " It was not kept where this page can find it.";
     return `Photo ${shot.number + 1}, ${where}, from ${shot.source}.${said}${missing}`;
   }
 
   #outline() {
-    const { naturalWidth: width, naturalHeight: height, complete, hidden } = this.image;
-    const shown = this.#shot && complete && !hidden && width > 0;
+    const { naturalWidth, naturalHeight, complete, hidden } = this.image;
+    const { width = naturalWidth, height = naturalHeight } = this.#picture ?? {};
+    const shown = this.#shot && complete && !hidden && naturalWidth > 0;
     const truth = shown ? (this.#shot.truth ?? []) : [];
     const found = shown ? this.#found.flatMap(({ number, boxes }) => boxes.map((box) => ({ number, box }))) : [];
     const key = JSON.stringify([width, height, truth, found]);

@@ -1,0 +1,95 @@
+"""The flight page as one HTML document: its scripts and styles are in it, and it refers to no other file."""
+
+from __future__ import annotations
+
+import base64
+import functools
+import hashlib
+import re
+from graphlib import TopologicalSorter
+from importlib.resources import files
+
+from upwash.report.markup import Markup, element
+from upwash.report.palette import stylesheet
+
+_PAGE = files("upwash.view") / "page"
+_LEAFLET = files("js_lib_leaflet") / "static" / "js_lib_leaflet"
+_IMPORT = re.compile(r'^import (\{[^}]*\}|\* as L) from "\./([\w./-]+)";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export ((?:class|const|function) (\w+))", re.MULTILINE)
+_LEAFLET_MODULE = "leaflet/leaflet-src.esm.js"  # which leaflet.js is too, as the global L
+
+
+def write_document(title: str, *content: Markup, policy: str = "") -> str:
+    """The page, with the content after its own; a `policy` is stated in the document itself.
+
+    A policy is in the words of Content-Security-Policy, without the document's own `sources`.
+    """
+    stated = (
+        element("meta", http_equiv="Content-Security-Policy", content=f"{policy}; {sources()}")
+        if policy
+        else Markup()
+    )
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        stated,
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("title", title),
+        element("link", rel="icon", href=_icon()),
+        element("style", Markup(_style())),
+    )
+    body = element("body", Markup(_read("body.html")), *content, element("script", Markup(_script())))
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+
+
+@functools.cache
+def sources() -> str:
+    """What a policy has to say of the scripts and styles that are in the document: these run, and no others."""
+    return f"script-src '{_digest(_script())}'; style-src '{_digest(_style())}'"
+
+
+def _digest(text: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
+
+
+def _read(name: str) -> str:
+    return (_PAGE / name).read_text(encoding="utf-8")
+
+
+@functools.cache
+def _icon() -> str:
+    return f"data:image/svg+xml;base64,{base64.b64encode((_PAGE / 'icon.svg').read_bytes()).decode()}"
+
+
+@functools.cache
+def _style() -> str:
+    own = sorted(file.name for file in _PAGE.iterdir() if file.name.endswith(".css"))
+    leaflet = (_LEAFLET / "leaflet.css").read_text(encoding="utf-8")
+    return "\n".join([leaflet, stylesheet(), *map(_read, own)])
+
+
+@functools.cache
+def _script() -> str:
+    """Leaflet, and each module of the page as a function that runs after the modules that it imports."""
+    modules = {file.name: _read(file.name) for file in _PAGE.iterdir() if file.name.endswith(".js")}
+    needs = {
+        name: [needed for _, needed in _IMPORT.findall(text) if needed in modules]
+        for name, text in modules.items()
+    }
+    leaflet = (_LEAFLET / "leaflet.js").read_text(encoding="utf-8").partition("//# sourceMappingURL")[0]
+    ordered = [_as_function(name, modules[name]) for name in TopologicalSorter(needs).static_order()]
+    return "\n".join([leaflet, "const modules = {};", *ordered])
+
+
+def _as_function(name: str, text: str) -> str:
+    exported = ", ".join(found for _, found in _EXPORT.findall(text))
+    body = _EXPORT.sub(r"\1", _IMPORT.sub(_as_constants, text))
+    return f'modules["{name}"] = (() => {{\n"use strict";\n{body}return {{ {exported} }};\n}})();'
+
+
+def _as_constants(match: re.Match[str]) -> str:
+    names, module = match.groups()
+    if names == "* as L":
+        return ""
+    return f"const {names} = L;\n" if module == _LEAFLET_MODULE else f'const {names} = modules["{module}"];\n'

@@ -1,0 +1,67 @@
+"""The flight page as a file: with everything that its logs tell, and with photos, so that no program serves it."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+
+from upwash.eventlog.narration import counted
+from upwash.report.crops import shrunk
+from upwash.report.markup import Markup, element
+from upwash.report.photos import PhotoShelf
+from upwash.report.record import Record
+from upwash.report.sheet import draw_sheet
+from upwash.view.document import write_document
+from upwash.view.feed import Feed
+from upwash.view.recording import Recording, reading
+
+_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:"
+_SIDE_BY_SIDE = 3  # flights, which the title names
+_PHOTOS, _PHOTO_PX = 60, 640  # in a file, and how wide they are at most
+
+
+class _Photo(msgspec.Struct, frozen=True):
+    """A photo of a page: its source, and how large it was in pixels."""
+
+    source: str
+    width: int
+    height: int
+
+
+def write_page(logs: Sequence[Path], records: Sequence[Record], *, photos: Path | None = None) -> str:
+    """The page about these logs, whose records these are.
+
+    Photos are of that folder where the logs name them, and rendered ones. Raises UsageError for what is no event log.
+    """
+    shelf = PhotoShelf(photos)
+    with reading(logs, shelf.keeps) as recordings:
+        told = Feed(recordings).everything()
+        shown = dict(itertools.islice(_photos(recordings, shelf), _PHOTOS))
+    names = ", ".join(record.name for record in records)
+    title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"
+    return write_document(
+        title, draw_sheet(records, shelf), _data("told", told), _data("photos", shown), policy=_POLICY
+    )
+
+
+def _photos(recordings: Sequence[Recording], shelf: PhotoShelf) -> Iterator[tuple[str, _Photo]]:
+    """The photos that can be had, by log and number: first those on which something was found."""
+    for outlined in (True, False):
+        for log, recording in enumerate(recordings):
+            for number, shot in enumerate(recording.story.shots):
+                if (number in recording.story.outlined) is outlined and shelf.keeps(shot.source):
+                    jpeg = shelf.find(shot)
+                    if jpeg is not None and (photo := shrunk(jpeg, _PHOTO_PX)) is not None:
+                        content, width, height = photo
+                        source = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+                        yield f"{log}/{number}", _Photo(source, width, height)
+
+
+def _data(name: str, data: object) -> Markup:
+    """Data for the page's scripts; nothing in it ends the element."""
+    written = msgspec.json.encode(data).decode().replace("<", "\\u003c")
+    return element("script", Markup(written), type="application/json", id=name)
