@@ -80,9 +80,9 @@ def test_the_pictures_are_shown_under_the_pages_own_policy(page: Browser, few: s
 
 
 def test_the_alarm_is_the_first_thing_that_is_seen(page: Browser, few: str, many: str) -> None:
-    for address in (few, many):
+    for address, alarm in ((few, "#alarms"), (many, ".urgent")):
         page.open(address, width=1400)
-        box = page.run("return document.querySelector('.urgent').getBoundingClientRect().toJSON()")
+        box = page.run("return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", alarm)
         assert box["bottom"] < 450
 
 

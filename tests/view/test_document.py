@@ -123,8 +123,9 @@ def test_what_a_log_says_is_never_markup(tmp_path: Path) -> None:
 
 def test_without_scripts_a_file_says_what_the_flight_came_to(logs: tuple[Path, Path]) -> None:
     document = write_page(logs, read_records(logs))
-    assert "<article" in document
-    assert document.index("offloading saved") < document.index('<script type="application/json"')
+    assert document.index("offloading saved", document.index('class="sheet"')) < document.index(
+        '<script type="application/json"'
+    )
     assert "<noscript>" in document
 
 

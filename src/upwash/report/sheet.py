@@ -22,7 +22,7 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
     """Everything about the flights, side by side or, where there are many, one below the other after a summary."""
     if len(records) <= _SIDE_BY_SIDE:
         parts = _flights(records, records, shelf, pictures=_PICTURES // len(records))
-        return element("article", *parts, class_="sheet")
+        return _whole(*parts)
     pictures = max(1, _PICTURES // max(1, sum(bool(record.findings) for record in records)))
     folded = [
         element(
@@ -33,13 +33,12 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
         )
         for record in records
     ]
-    return element(
-        "article",
-        *draw_urgent(records),
-        *draw_summary(records),
-        element("section", element("h2", "Each flight"), *folded, class_="folded"),
-        class_="sheet",
-    )
+    each = element("section", element("h2", "Each flight"), *folded, class_="folded")
+    return _whole(*draw_urgent(records), *draw_summary(records), each)
+
+
+def _whole(*parts: Markup) -> Markup:
+    return element("section", *parts, class_="sheet", aria_label="In words and tables")
 
 
 def _flights(

@@ -36,7 +36,9 @@ const feed = new Feed({
     const many = !together && stories.length > MOST_BESIDE;
     const flights = many ? stories.slice(0, 1) : stories;
     setViews(together ? [fleetOf(stories, page.tiles)] : flights.map((story, log) => flightOf(story, log, page.tiles)));
-    if (many) on("flights").before(chooserOf(stories, page.tiles));
+    if (many) offerChoice(stories, page.tiles);
+    const sheet = document.querySelector(".sheet");
+    if (sheet && stories.length > MOST_BESIDE) on("flights").before(sheet); // first what they came to together
     title = `upwash: ${listed(stories.map((story) => story.name))}`;
   },
   grown,
@@ -57,7 +59,7 @@ function setViews(shown) {
   on("flights").classList.toggle("beside", views.length > 1);
 }
 
-function chooserOf(stories, tiles) {
+function offerChoice(stories, tiles) {
   const select = element("select", {}, ...stories.map(({ name }, log) => element("option", { value: log }, name)));
   select.addEventListener("change", () => {
     const log = Number(select.value);
@@ -65,7 +67,7 @@ function chooserOf(stories, tiles) {
     clock.follow();
     refresh();
   });
-  return element("p", { class: "chooser" }, element("label", {}, `One of ${stories.length} flights `, select));
+  on("controls").prepend(element("label", { class: "choice" }, element("span", { class: "unseen" }, "Flight"), select));
 }
 
 function fleetOf(stories, tiles) {
