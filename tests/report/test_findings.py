@@ -68,6 +68,14 @@ def test_a_finding_has_its_place_on_the_photo_and_on_the_earth(tmp_path: Path, p
     ]
 
 
+def test_each_box_is_a_finding_of_its_own(tmp_path: Path, photos: Path) -> None:
+    other = {**BOX, "label": "broken-module", "left_px": 300.0}
+    page = parsed(flight(tmp_path / "f.jsonl", [BOX, other], "look here"), photos=photos)
+    rows = [["1", "hot-spot 87 %"], ["2", "broken-module 87 %"], ["3", "look here"]]
+    assert [[row[0], row[-1]] for row in table_named(page, "Findings")[1:]] == rows
+    assert [text(picture).count("2: broken-module") for picture in pictures(page)] == [0, 1]
+
+
 def test_the_picture_is_the_part_of_the_photo_around_the_box(tmp_path: Path, photos: Path) -> None:
     (picture,) = pictures(parsed(flight(tmp_path / "f.jsonl", [BOX]), photos=photos))
     (image,) = picture.iter(f"{SVG}image")
@@ -148,7 +156,7 @@ def test_pictures_and_rows_are_bounded(tmp_path: Path, photos: Path) -> None:
     assert len(pictures(page)) == MOST_PICTURED
     rows = table_named(page, "Findings")[1:]
     assert len(rows) == 201
-    assert rows[100] == ["200 rows are left out: the event log has all of them, as notified"]
+    assert rows[100] == ["200 rows are left out: --findings FILE writes every finding"]
     assert rows[-1][-1] == "hot-spot 87 %", "a later finding keeps its confidence, though it has no picture"
 
 

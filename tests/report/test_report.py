@@ -260,6 +260,12 @@ def test_csv_has_a_row_for_each_call(logs: tuple[Path, Path], records: list[Reco
     assert {row["log"] for row in rows} == {"with", "without"}
 
 
+def test_a_logs_name_is_no_formula_of_a_spreadsheet(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    log = tmp_path / "=1+1.jsonl"
+    log.write_bytes(logs[0].read_bytes())
+    assert {row["log"] for row in csv.DictReader(write_csv(read_records([log])).splitlines())} == {"'=1+1"}
+
+
 def test_one_file_may_be_printed(logs: tuple[Path, Path], capfdbinary: pytest.CaptureFixture[bytes]) -> None:
     assert main(["report", str(logs[0]), "--csv", "-"]) == 0
     printed, told = capfdbinary.readouterr()

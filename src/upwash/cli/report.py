@@ -11,6 +11,8 @@ from pathlib import Path
 from upwash.cli.arguments import option
 from upwash.errors import UsageError
 from upwash.report.exports import write_csv, write_geojson, write_json
+from upwash.report.finding_files import FORMATS, findings_file
+from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, read_records
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
@@ -27,8 +29,9 @@ ARGUMENTS = {
     "-o --out FILE": "an HTML page about all of them, side by side",
     "--csv FILE": "a row for each call; - prints it",
     "--geojson FILE": "tracks, waypoints, ranges, calls and photos",
+    "--findings FILE": "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures",
     "--mcap FILE": "a recording that Foxglove opens",
-    "--photos DIR": "with -o or --mcap: the folder of the photos that the logs name",
+    "--photos DIR": "with -o, --mcap or --findings: the folder of the photos that the logs name",
     "--json": "print the results as one JSON array",
 }
 
@@ -39,15 +42,21 @@ def run(options: argparse.Namespace) -> None:
         (options.out, _in_utf8(functools.partial(write_page, options.logs, photos=options.photos))),
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
+        (options.findings, functools.partial(_findings, file=options.findings, photos=options.photos)),
         (options.mcap, functools.partial(_recording, photos=options.photos)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    if options.photos and not (options.mcap or options.out):
-        raise UsageError("--photos goes with -o or --mcap: nothing else has photos in it")
+    if options.photos and not (options.mcap or options.out or options.findings):
+        raise UsageError("--photos goes with -o, --mcap or --findings: nothing else has photos in it")
+    if options.findings and _suffix(options.findings) not in FORMATS:
+        endings = ", ".join(f".{name}" for name in FORMATS)
+        raise UsageError(
+            f"{options.findings} does not say which format the findings are to have: end it in one of {endings}"
+        )
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted:
         raise UsageError(
-            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --mcap FILE or --json"
+            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE or --json"
         )
     if [file for file, _ in wanted].count(_PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
@@ -63,6 +72,14 @@ def run(options: argparse.Namespace) -> None:
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:
     return lambda records: write(records).encode()
+
+
+def _findings(records: Sequence[Record], *, file: Path, photos: Path | None) -> bytes:
+    return findings_file(_suffix(file), [record.found for record in records], PhotoShelf(photos))
+
+
+def _suffix(file: Path) -> str:
+    return file.suffix.lower().removeprefix(".")
 
 
 def _recording(records: Sequence[Record], *, photos: Path | None) -> bytes:

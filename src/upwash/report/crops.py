@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from upwash.report.findings import Outline
+from upwash.report.findings import Finding, Outline
+from upwash.report.photos import PhotoShelf
 
 if TYPE_CHECKING:
     from cv2.typing import MatLike
@@ -24,6 +25,21 @@ class Crop:
     top_px: int
     width_px: int
     height_px: int
+
+
+def crop_of(finding: Finding, shelf: PhotoShelf) -> bytes | None:
+    """A JPEG of what was found, None where no picture of it is to be had; takes a while."""
+    found = cut_out(finding, shelf)
+    return found.jpeg if found else None
+
+
+def cut_out(finding: Finding, shelf: PhotoShelf) -> Crop | None:
+    """The same, with where in the photo that is."""
+    if finding.box is None or finding.photo is None:
+        return None
+    jpeg = shelf.find(finding.photo.shot)
+    pixels = None if jpeg is None else pixels_of(jpeg)
+    return None if pixels is None else crop_around(finding.box, pixels)
 
 
 def pixels_of(jpeg: bytes) -> MatLike | None:

@@ -16,9 +16,11 @@ from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.results import RunResult, as_json
 from upwash.report.palette import LIGHT
 from upwash.report.record import Record
+from upwash.support.text import escaped
 
 _SIDES = 64  # of the polygon that stands for a range
 _DIGITS = 7  # of a degree: about a centimetre
+_FORMULAS = ("=", "+", "-", "@")  # what formulas begin with
 
 
 class Exported(msgspec.Struct, frozen=True):
@@ -44,6 +46,13 @@ def _exported(record: Record) -> Exported:
     return Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s)
 
 
+def cell(value: object) -> object:
+    """A value as a cell of CSV: a text is on one line, and no spreadsheet program takes it for a formula."""
+    if not isinstance(value, str):
+        return value
+    return f"'{escaped(value)}" if value.startswith(_FORMULAS) else escaped(value)
+
+
 def write_csv(records: Sequence[Record]) -> str:
     """A row a call; numbers in full precision."""
     text = io.StringIO()
@@ -57,9 +66,9 @@ def write_csv(records: Sequence[Record]) -> str:
         for call in record.calls:
             result, place = call.result, call.position
             rows.writerow(
-                [record.name, result.waypoint, result.at_s, result.operation, result.place, result.delay_s,
+                map(cell, [record.name, result.waypoint, result.at_s, result.operation, result.place, result.delay_s,
                  result.waited_s, call.wait, int(call.fell_back), place.east_m if place else None,
-                 place.north_m if place else None, result.decision, *(getattr(result, each) for each in hidden)]
+                 place.north_m if place else None, result.decision, *(getattr(result, each) for each in hidden)])
             )  # fmt: skip
     return text.getvalue()
 

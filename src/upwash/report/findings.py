@@ -1,4 +1,4 @@
-"""What the user of a drone was told, and the photo that it is about."""
+"""What the user of a drone was told, object by object, and the photo and the place that each is about."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import msgspec
 
-from upwash.core.geo import Position
+from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.eventlog import schema
 from upwash.eventlog.narration import in_one_line
 from upwash.eventlog.schema import Event
 from upwash.report.photos import Shot
 from upwash.support.text import printable
 
-MOST_PICTURED = 60  # findings; of later ones no boxes are kept, however long the log is
+MOST_PICTURED = 60  # findings on a report's page
+OF_DRONE = "the drone's place when the photo was taken"
+OF_MISSION = "the place that the mission named"
+OF_OBJECT = "the object's own place"
 _LONGEST_WORDS = 300  # characters
 
 
@@ -44,11 +47,22 @@ def outlines(message: object) -> list[Outline] | None:
 
 @dataclass(frozen=True, slots=True)
 class TakenPhoto:
-    """The `number`th photo of a run, counted from 0, and the waypoint where it was taken, None before the first."""
+    """The `number`th photo of a run, counted from 0, and the waypoint where it was taken, None before the first.
+
+    `earth` is the latitude and longitude of the drone then, None where the log has none.
+    """
 
     number: int
     shot: Shot
     waypoint: int | None
+    earth: tuple[float, float] | None = None
+
+
+def _on_earth(latitude_deg: float | None, longitude_deg: float | None) -> tuple[float, float] | None:
+    """The place, None where that is none: a log may be anybody's."""
+    if latitude_deg is None or longitude_deg is None or abs(latitude_deg) > 90 or abs(longitude_deg) > 360:
+        return None
+    return latitude_deg, longitude_deg
 
 
 class Pairing:
@@ -60,7 +74,7 @@ class Pairing:
     def __init__(self) -> None:
         self.last: TakenPhoto | None = None
         self.told_of: TakenPhoto | None = None
-        self._here: int | None = None
+        self.here: int | None = None  # the last waypoint
         self._of_call: dict[int | None, TakenPhoto] = {}  # by the waypoint of calls that are not taken yet
         self._untaken = 0
         self._since_start = 0
@@ -69,10 +83,13 @@ class Pairing:
         """Takes in the next event."""
         match event:
             case schema.Arrived(waypoint=waypoint):
-                self._here = waypoint
+                self.here = waypoint
             case schema.PhotoTaken(source=source, position=position):
                 number = 0 if self.last is None else self.last.number + 1
-                self.last = TakenPhoto(number, Shot(source, position, self._since_start), self._here)
+                shot = Shot(source, position, self._since_start)
+                self.last = TakenPhoto(
+                    number, shot, self.here, _on_earth(event.latitude_deg, event.longitude_deg)
+                )
                 self.told_of = self.last
                 self._since_start += 1
             case schema.CallStarted(waypoint=waypoint):
@@ -85,48 +102,101 @@ class Pairing:
                 if not self._untaken:
                     self._of_call.clear()
             case schema.MissionStarted():
-                self._here = None
+                self.here = None
             case schema.LogResumed():
                 self._since_start = self._untaken = 0
                 self._of_call.clear()
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """What the user was told at a second of the mission, and of which place; `boxes` are on the photo of the shot.
+class OwnPlace:
+    """Where an object itself lies, and how far from there it may be."""
 
-    Those are of the first MOST_PICTURED findings alone.
+    position: Position
+    error_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One object that the user was told of at a second of the log, with its box; or a message that has no boxes.
+
+    `named` is the place that the mission gave with the message, `photo` what the message is about, None before the
+    first photo. `own` is where the object itself lies, where that is known.
     """
 
     at_s: float
-    words: str
+    what: str
+    score: float | None
     waypoint: int | None
-    place: Position
-    boxes: Sequence[Outline]
-    shot: Shot | None
+    named: Position
+    box: Outline | None
+    photo: TakenPhoto | None
+    own: OwnPlace | None = None
+
+    @property
+    def words(self) -> str:
+        """What was found, and how sure that is."""
+        return self.what if self.score is None else f"{self.what} {100 * self.score:.0f} %"
+
+    @property
+    def place(self) -> Position:
+        """The best place that is known; `place_is` says what that place is."""
+        return self._place[0]
+
+    @property
+    def place_is(self) -> str:
+        """Of what `place` is the place."""
+        return self._place[1]
+
+    @property
+    def error_m(self) -> float | None:
+        """How far from `place` the object may lie, None where that is not known."""
+        return self.own.error_m if self.own else None
+
+    @property
+    def _place(self) -> tuple[Position, str]:
+        if self.own is not None:
+            return self.own.position, OF_OBJECT
+        taken_at = self.photo.shot.position if self.box is not None and self.photo is not None else None
+        return (self.named, OF_MISSION) if taken_at is None else (taken_at, OF_DRONE)
+
+    def earth(self, home: GeoPosition | None) -> tuple[float, float] | None:
+        """Latitude and longitude of `place` in degrees; None where home is not known."""
+        if self.place_is == OF_DRONE and self.photo is not None and self.photo.earth is not None:
+            return self.photo.earth
+        if home is None:
+            return None
+        geo = LocalFrame(home).geo(self.place)
+        return _on_earth(geo.latitude_deg, geo.longitude_deg)
 
 
-class Findings:
-    """Gathers them event by event; an empty message tells nothing."""
+class Finder:
+    """Finds them event by event, `pairing` the messages with their photos; an empty message tells nothing."""
 
-    def __init__(self, began_s: float) -> None:
+    def __init__(self) -> None:
         self.found: list[Finding] = []
-        self._began_s = began_s
-        self._pairing = Pairing()
+        self.pairing = Pairing()
 
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
-        self._pairing.take(event)
-        if isinstance(event, schema.Notified) and event.message:
-            photo, boxes = self._pairing.told_of, outlines(event.message) or ()
-            words = ", ".join(box.words for box in boxes) or in_one_line(event.message)
-            self.found.append(
-                Finding(
-                    at_s=event.t - self._began_s,
-                    words=printable(words, _LONGEST_WORDS),
-                    waypoint=photo.waypoint if photo else None,
-                    place=event.at,
-                    boxes=boxes if len(self.found) < MOST_PICTURED else (),
-                    shot=photo.shot if photo else None,
-                )
+    def take(self, event: Event) -> Sequence[Finding]:
+        """What the next event tells of."""
+        self.pairing.take(event)
+        if not isinstance(event, schema.Notified) or not event.message:
+            return ()
+        photo = self.pairing.told_of
+        boxes = outlines(event.message)
+        told = [
+            Finding(
+                at_s=event.t,
+                what=printable(what, _LONGEST_WORDS),
+                score=box.score if box else None,
+                waypoint=photo.waypoint if photo else self.pairing.here,
+                named=event.at,
+                box=box,
+                photo=photo,
             )
+            for box, what in (
+                [(None, in_one_line(event.message))] if boxes is None else [(box, box.label) for box in boxes]
+            )
+        ]
+        self.found += told
+        return told

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import base64
-import importlib.util
-from collections.abc import Iterator
 
 from upwash.report import tables
-from upwash.report.crops import Crop, crop_around, pixels_of
-from upwash.report.findings import MOST_PICTURED, Finding, Outline
+from upwash.report.crops import Crop, cut_out
+from upwash.report.findings import MOST_PICTURED, Outline
 from upwash.report.markup import Markup, element, joined
+from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record
+from upwash.report.record import Record, findings_of
 from upwash.support.text import printable
 
 _WITHOUT = (
@@ -25,10 +24,11 @@ def draw_findings(record: Record, shelf: PhotoShelf, most: int) -> Markup:
     """The findings of the run: a picture of each box, up to so many, and all of them as a table."""
     pictures: list[Markup] = []
     lacking = False
-    for number, finding in enumerate(record.findings[:MOST_PICTURED], start=1):
-        found = list(_pictures(number, finding, record, shelf)) if len(pictures) < most else []
-        lacking |= len(found) < len(finding.boxes)
-        pictures += found
+    for found in findings_of([record])[:MOST_PICTURED]:
+        if found.finding.box is not None and len(pictures) < most:
+            crop = cut_out(found.finding, shelf)
+            lacking |= crop is None
+            pictures += [] if crop is None else [_picture(found, found.finding.box, crop, record)]
     notes = []
     if len(pictures) >= most:
         notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
@@ -45,27 +45,16 @@ def _note(text: str) -> Markup:
     return element("p", text, class_="note")
 
 
-def _pictures(number: int, finding: Finding, record: Record, shelf: PhotoShelf) -> Iterator[Markup]:
-    if finding.shot is None or not finding.boxes or importlib.util.find_spec("cv2") is None:
-        return
-    jpeg = shelf.find(finding.shot)
-    pixels = None if jpeg is None else pixels_of(jpeg)
-    if pixels is None:
-        return
-    for box in finding.boxes:
-        if (crop := crop_around(box, pixels)) is not None:
-            yield _picture(number, finding, box, crop, record)
-
-
-def _picture(number: int, finding: Finding, box: Outline, crop: Crop, record: Record) -> Markup:
+def _picture(found: PlacedFinding, box: Outline, crop: Crop, record: Record) -> Markup:
+    finding = found.finding
     where = "" if finding.waypoint is None else f"waypoint {finding.waypoint}, "
     caption = element(
         "figcaption",
-        element("strong", f"{number}: {_words(box)}"),
+        element("strong", f"{found.number}: {_words(box)}"),
         element("br"),
-        f"{where}at {finding.at_s:.1f} s",
+        f"{where}at {found.mission_s:.1f} s",
         element("br"),
-        tables.coordinates(finding.place, record.plan.home),
+        tables.coordinates(found, record.plan.home),
     )
     return element("li", element("figure", _outlined(box, crop), caption))
 

@@ -18,9 +18,10 @@ from upwash.eventlog.progress import MissionTime
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, answer_text, call_lines
 from upwash.eventlog.results import CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Finding, Findings
+from upwash.report.findings import Finder, Finding
 from upwash.report.going import OpenAnswer, OpenAnswers
 from upwash.report.notices import Notices, NoticesTaken
+from upwash.report.numbering import FlightFindings, PlacedFinding, placed
 from upwash.report.outcome import UNPLANNED, Outcome
 
 _WORST = 5
@@ -151,6 +152,11 @@ class Record:
         return self.outcome.saved_s
 
     @property
+    def found(self) -> FlightFindings:
+        """What was found on the flight."""
+        return FlightFindings(self.name, self.drone, self.opened, self.began_s, self.plan.home, self.findings)
+
+    @property
     def outcome(self) -> Outcome:
         """What the run came to."""
         return Outcome(self.name, self.plan, self.result)
@@ -160,6 +166,11 @@ def read_records(logs: Sequence[Path]) -> list[Record]:
     """The last run of each log, named after its file; raises UsageError for what is no log of a mission."""
     names = names_of(logs)
     return [_record_of_log(EventLog(log), log, name) for log, name in zip(logs, names, strict=True)]
+
+
+def findings_of(records: Sequence[Record]) -> list[PlacedFinding]:
+    """What was found on these flights, each under its number."""
+    return placed([record.found for record in records])
 
 
 def record_of(events: Sequence[Event], log: Path) -> Record:
@@ -184,7 +195,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
     try:
         plan = events.planned
         tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
-        answers, findings = OpenAnswers(events.began_s), Findings(events.began_s)
+        answers, finder = OpenAnswers(events.began_s), Finder()
         notices = NoticesTaken(events.began_s)
         measured = {
             (server, each.east_m, each.north_m): each
@@ -197,7 +208,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
             calls.take(event)
             states.take(event)
             answers.take(event)
-            findings.take(event)
+            finder.take(event)
             notices.take(event)
             if isinstance(event, schema.PlaceMeasured):
                 measured[event.server, event.place.east_m, event.place.north_m] = event.place
@@ -217,7 +228,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
             worst=calls.worst(reported),
             stretches=states.stretches(),
             notices=notices.notices(result),
-            findings=findings.found,
+            findings=finder.found,
             measured=[(server, place) for (server, _, _), place in measured.items()],
             answers=answers.found,
         )

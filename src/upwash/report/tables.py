@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
-from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.geo import GeoPosition
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.results import CallResult, mean_local_delay_s
-from upwash.report.findings import Finding
 from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
-from upwash.report.record import Record, ReportedCall, Stretch
+from upwash.report.numbering import PlacedFinding
+from upwash.report.record import Record, ReportedCall, Stretch, findings_of
 
 _MOST_ROWS = 300  # of a table with a row each of what a long flight has many of
 _AT_EITHER_END = 100
@@ -254,31 +254,30 @@ def findings(record: Record) -> Markup:
     """What the user was told, and of which place."""
     home = record.plan.home
 
-    def row(finding: tuple[int, Finding]) -> list[str]:
-        number, found = finding
+    def row(found: PlacedFinding) -> list[str]:
         return [
-            str(number),
-            f"{found.at_s:.1f} s",
-            _at(found.waypoint),
-            coordinates(found.place, home),
-            found.words,
+            str(found.number),
+            f"{found.mission_s:.1f} s",
+            _at(found.finding.waypoint),
+            coordinates(found, home),
+            found.finding.words,
         ]
 
     return _long(
         "Findings",
         ["finding", "at", "waypoint", "place", "what the user was told"],
-        list(enumerate(record.findings, start=1)),
+        findings_of([record]),
         row,
-        rest=f"{_IN_THE_LOG}, as notified",
+        rest="--findings FILE writes every finding",
     )
 
 
-def coordinates(place: Position, home: GeoPosition | None) -> str:
+def coordinates(found: PlacedFinding, home: GeoPosition | None) -> str:
     """The place in degrees where it is known where home is, else in metres from there."""
-    if home is None:
+    if found.earth is None or home is None:
+        place = found.finding.place
         return f"{place.east_m:.1f} m east, {place.north_m:.1f} m north of home"
-    geo = LocalFrame(home).geo(place)
-    return f"{geo.latitude_deg:.6f}°, {geo.longitude_deg:.6f}°"
+    return "{:.6f}°, {:.6f}°".format(*found.earth)
 
 
 def answers(record: Record) -> Markup:

@@ -1,0 +1,149 @@
+"""Findings as files for other tools: CSV, GeoJSON, KML, and a zip file of the three with pictures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+
+from upwash.report.crops import crop_of
+from upwash.report.exports import cell
+from upwash.report.numbering import FlightFindings, PlacedFinding, placed
+from upwash.report.photos import PhotoShelf
+from upwash.support.text import escaped
+
+Pictures = Mapping[int, str]  # by the findings' places in the list, counted from 0: the name of the file
+
+_DIGITS = 7  # of a degree: about a centimetre
+_MOST_CROPS = 1000
+_KML = "http://www.opengis.net/kml/2.2"
+_WRITTEN = (1980, 1, 1, 0, 0, 0)  # the same findings make the same file
+_COLUMNS = (
+    "number", "log", "drone", "what", "score", "waypoint", "mission_s", "time", "latitude_deg", "longitude_deg",
+    "east_m", "north_m", "error_m", "place_is", "photo", "left_px", "top_px", "width_px", "height_px", "picture",
+)  # fmt: skip
+
+
+def as_csv(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) -> str:
+    """A row a finding; a cell is empty where a value is not known."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(_COLUMNS)
+    for facts in _facts(findings, pictures):
+        rows.writerow([cell(facts[name]) for name in _COLUMNS])
+    return text.getvalue()
+
+
+def as_geojson(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) -> str:
+    """A feature a finding (RFC 7946), without a geometry where its coordinates are not known."""
+    features = []
+    for facts in _facts(findings, pictures):
+        place = [facts.pop("longitude_deg"), facts.pop("latitude_deg")]
+        known = {name: value for name, value in facts.items() if value is not None}
+        point = None if None in place else {"type": "Point", "coordinates": place}
+        features.append({"type": "Feature", "geometry": point, "properties": known})
+    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
+
+
+def as_kml(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) -> str:
+    """A placemark a finding (KML 2.2), without a point where its coordinates are not known."""
+    root = ElementTree.Element("kml", xmlns=_KML)
+    document = ElementTree.SubElement(root, "Document")
+    _say(document, "name", "Findings")
+    for facts in _facts(findings, pictures):
+        placemark = ElementTree.SubElement(document, "Placemark")
+        _say(placemark, "name", f"{facts['number']}: {facts['what']}")
+        if facts["time"] is not None:
+            _say(ElementTree.SubElement(placemark, "TimeStamp"), "when", facts["time"])
+        data = ElementTree.SubElement(placemark, "ExtendedData")
+        for name, value in facts.items():
+            if value is not None:
+                _say(ElementTree.SubElement(data, "Data", name=name), "value", str(value))
+        if facts["latitude_deg"] is not None:
+            place = f"{facts['longitude_deg']},{facts['latitude_deg']}"
+            _say(ElementTree.SubElement(placemark, "Point"), "coordinates", place)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def as_zip(findings: Sequence[PlacedFinding], shelf: PhotoShelf) -> bytes:
+    """All three, and a picture of each finding that has one, of the first 1,000 at most."""
+    pictures, file = dict[int, str](), io.BytesIO()
+    lists = list(dict.fromkeys(finding.flight.log for finding in findings))
+    are_one_list = len({finding.number for finding in findings}) == len(findings)
+    with zipfile.ZipFile(file, "w") as archive:
+
+        def add(name: str, content: str | bytes, compression: int) -> None:
+            about = zipfile.ZipInfo(name, _WRITTEN)
+            about.external_attr = 0o644 << 16
+            archive.writestr(about, content, compression)
+
+        for index, finding in enumerate(findings):
+            if len(pictures) < _MOST_CROPS and (jpeg := crop_of(finding.finding, shelf)) is not None:
+                prefix = "" if are_one_list else f"{lists.index(finding.flight.log) + 1}-"
+                pictures[index] = f"pictures/{prefix}{finding.number}.jpg"
+                add(pictures[index], jpeg, zipfile.ZIP_STORED)
+        for name, write in _TEXTS.items():
+            add(f"findings.{name}", write(findings, pictures), zipfile.ZIP_DEFLATED)
+    return file.getvalue()
+
+
+_TEXTS: dict[str, Callable[[Sequence[PlacedFinding], Pictures | None], str]] = {
+    "csv": as_csv,
+    "geojson": as_geojson,
+    "kml": as_kml,
+}
+FORMATS = {
+    "csv": "text/csv; charset=utf-8",
+    "geojson": "application/geo+json",
+    "kml": "application/vnd.google-earth.kml+xml",
+    "zip": "application/zip",
+}
+
+
+def findings_file(name: str, flights: Sequence[FlightFindings], shelf: PhotoShelf) -> bytes:
+    """The findings of these flights in that one of the FORMATS."""
+    findings = placed(flights)
+    return as_zip(findings, shelf) if name == "zip" else _TEXTS[name](findings, None).encode()
+
+
+def _facts(findings: Sequence[PlacedFinding], pictures: Pictures | None) -> Iterator[dict[str, Any]]:
+    """What is told of each, by column; None where a value is not known."""
+    for index, each in enumerate(findings):
+        finding, box = each.finding, each.finding.box
+        latitude_deg, longitude_deg = each.earth or (None, None)
+        yield {
+            "number": each.number,
+            "log": each.flight.log,
+            "drone": each.flight.drone or None,
+            "what": finding.what,
+            "score": finding.score,
+            "waypoint": finding.waypoint,
+            "mission_s": round(each.mission_s, 3),
+            "time": each.time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+            if each.time
+            else None,
+            "latitude_deg": None if latitude_deg is None else round(latitude_deg, _DIGITS),
+            "longitude_deg": None if longitude_deg is None else round(longitude_deg, _DIGITS),
+            "east_m": finding.place.east_m,
+            "north_m": finding.place.north_m,
+            "error_m": finding.error_m,
+            "place_is": finding.place_is,
+            "photo": finding.photo.shot.source if finding.photo else None,
+            "left_px": box.left_px if box else None,
+            "top_px": box.top_px if box else None,
+            "width_px": box.width_px if box else None,
+            "height_px": box.height_px if box else None,
+            "picture": (pictures or {}).get(index),
+        }
+
+
+def _say(parent: ElementTree.Element, name: str, words: str) -> None:
+    """Words without angle brackets: programs that show a placemark read what these enclose as HTML."""
+    shown = escaped(words).replace("<", "\u2039").replace(">", "\u203a")
+    ElementTree.SubElement(parent, name).text = shown

@@ -1,0 +1,91 @@
+"""One number for each finding of a flight or a fleet, and a sentence about all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from upwash.core.geo import Position
+from upwash.report.findings import Finding, Outline
+from upwash.report.numbering import FlightFindings, placed, what_was_found
+
+NEW_YEAR = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def finding(label: str, at_s: float = 0.0) -> Finding:
+    """A box of that label, a message where there is none."""
+    box = Outline(1.0, 2.0, 3.0, 4.0, label) if label else None
+    return Finding(at_s, label or "words", None, None, Position(0.0, 0.0), box, None)
+
+
+def flight(drone: str | None, *at_s: float, opened: datetime | None = None) -> FlightFindings:
+    return FlightFindings(
+        f"log of {drone}", drone, opened, 0.0, None, [finding("car", each) for each in at_s]
+    )
+
+
+def numbers(*flights: FlightFindings) -> list[tuple[int, str | None, float]]:
+    return [(each.number, each.flight.drone, each.finding.at_s) for each in placed(flights)]
+
+
+def test_the_findings_of_a_fleet_are_one_list_in_the_order_of_time() -> None:
+    late = NEW_YEAR + timedelta(seconds=10)
+    fleet = flight("d1", 1.0, 12.0, 12.0, opened=NEW_YEAR), flight("d2", 1.0, 3.0, opened=late)
+    assert numbers(*fleet) == [
+        (1, "d1", 1.0),
+        (2, "d2", 1.0),
+        (3, "d1", 12.0),
+        (4, "d1", 12.0),
+        (5, "d2", 3.0),
+    ]
+    world = flight("d1", 5.0), flight("d2", 4.0)
+    assert numbers(*world) == [(1, "d2", 4.0), (2, "d1", 5.0)]
+
+
+def test_what_is_found_later_changes_no_number() -> None:
+    fleet = flight("d1", 1.0, 4.0), flight("d2", 2.0)
+    later = flight("d1", 1.0, 4.0, 9.0), flight("d2", 2.0, 7.0)
+    assert numbers(*later)[:3] == numbers(*fleet)
+
+
+def test_a_log_whose_clock_was_set_back_keeps_its_order() -> None:
+    assert numbers(flight("d1", 9.0, 1.0, 10.0), flight("d2", 9.5)) == [
+        (1, "d1", 9.0), (2, "d1", 1.0), (3, "d2", 9.5), (4, "d1", 10.0)
+    ]  # fmt: skip
+
+
+def test_flights_of_one_drone_are_numbered_from_one_each() -> None:
+    assert numbers(flight("d", 1.0, 2.0), flight("d", 1.5)) == [(1, "d", 1.0), (2, "d", 2.0), (1, "d", 1.5)]
+
+
+@pytest.mark.parametrize(
+    ("labels", "words"),
+    [
+        ([], ""),
+        ([""], "1 finding"),
+        (["", ""], "2 findings"),
+        (["hot-spot"], "1 hot-spot"),
+        (["broken-module"] * 2, "2 broken modules"),
+        (["broken-module"] * 5 + ["hot-spot"] * 7, "12 faults: 7 hot-spots, 5 broken modules"),
+        (["hot-spot", "broken-module"], "2 faults: 1 hot-spot, 1 broken module"),
+        (["hot-spot", "car"], "2 findings: 1 hot-spot, 1 car"),
+        (["", "car", "car"], "3 findings: 2 cars, 1 message"),
+        (["person"] * 3 + ["bus"] * 2, "5 findings: 3 people, 2 buses"),
+        (["wine glass"] * 2, "2 wine glasses"),
+        (["tennis_racket"] * 2, "2 tennis rackets"),
+        (["skis"] * 2, "2 skis"),
+        (["puppy"] * 2, "2 puppies"),
+        (["donkey"] * 2, "2 donkeys"),
+        (["class 3"] * 2, "2 x class 3"),
+        (["a\nb"], "1 a\\nb"),
+        (list("aabcdefghi"), "10 findings: 2 as, 1 b, 1 c, 1 d, 1 e, 1 f, 3 of other kinds"),
+    ],
+)  # fmt: skip
+def test_what_was_found_is_said_in_a_sentence(labels: Sequence[str], words: str) -> None:
+    assert what_was_found(map(finding, labels)) == words
+
+
+def test_a_sentence_is_no_longer_for_a_long_label() -> None:
+    assert len(what_was_found([finding("x" * 10_000)])) < 60
