@@ -9,6 +9,7 @@ import { Labels } from "./labels.js";
 import { FlightLayer } from "./layer.js";
 import { Marks, STILL, paintCross } from "./marks.js";
 
+const PAPER_PX = 660; // the width of what is printed on A4
 const DRONE_PX = 36; // nothing may cover that much
 const IN_USE = { weight: 2.5, opacity: 1, fillOpacity: 0.1 };
 const ASIDE = { weight: 1.2, opacity: 0.45, fillOpacity: 0.03 };
@@ -58,6 +59,14 @@ export class FlightMap {
       this.frame.addEventListener(touch, () => (this.#moved = true), { passive: true });
     }
     new ResizeObserver(() => this.#resize() && !this.#moved && this.fit()).observe(this.frame);
+    addEventListener("beforeprint", () => this.#keepSize());
+  }
+
+  // Paper gets the map as it is now, at another scale: once the paper's size is known nothing is drawn anew.
+  #keepSize() {
+    const { clientWidth, clientHeight } = this.element;
+    const sizes = { width: `${clientWidth}px`, height: `${clientHeight}px`, scale: Math.min(1, PAPER_PX / clientWidth) };
+    for (const [name, size] of Object.entries(sizes)) this.element.style.setProperty(`--${name}`, size);
   }
 
   #addFit() {
