@@ -140,6 +140,17 @@ def test_the_buttons_go_from_call_to_call(page: Browser, one: str, logs: tuple[P
     page.wait_for_moment(round(ends[1], 1))
 
 
+def test_the_lanes_tell_of_a_moment_and_a_click_goes_there(page: Browser, one: str) -> None:
+    opened(page, one)
+    lanes = page.find(".lanes .over")
+    page.run("arguments[0].scrollIntoView({block: 'center'})", lanes)
+    from_the_top = 27 - lanes.size["height"] // 2  # in the middle of the second lane
+    ActionChains(page.driver).move_to_element_with_offset(lanes, 0, from_the_top).click().perform()
+    page.wait_until(lambda: re.fullmatch(r"\d+:\d\d s1.*: .+", page.text(".lanes .tip")))
+    minutes, seconds = page.text(".lanes .tip").split(" ")[0].split(":")
+    page.wait_until(lambda: abs(page.moment() - 60 * int(minutes) - int(seconds)) < 1.5)
+
+
 def test_the_estimates_and_the_decision_are_told_in_words(
     page: Browser, one: str, logs: tuple[Path, Path]
 ) -> None:

@@ -204,13 +204,13 @@ function inWords(count, delays) {
   return `${count} calls${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
 }
 
-function inShort(call) {
+export function inShort(call) {
   const where = call.waypoint === null ? "before the first waypoint" : `waypoint ${call.waypoint}`;
   const waited = call.wait ? `, ${call.waited_s.toFixed(2)} s of it waited` : "";
   return `${where}: ${call.operation} on ${theNameOf(call.place)}, ${call.delay_s.toFixed(2)} s${waited}`;
 }
 
-function line(context, fromX, fromY, toX, toY) {
+export function line(context, fromX, fromY, toX, toY) {
   context.beginPath();
   context.moveTo(fromX, fromY);
   context.lineTo(toX, toY);

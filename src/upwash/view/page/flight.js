@@ -6,6 +6,7 @@ import { card, drawn, element, write } from "./element.js";
 import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
+import { Lanes } from "./lanes.js";
 import { PhotoCard } from "./photo.js";
 import { STAR } from "./marks.js";
 import { FILL_WORDS, nameOf, theNameOf } from "./places.js";
@@ -33,6 +34,7 @@ export class Flight {
     this.reasons = element("ul", { class: "reasons" });
     this.legend = element("p", { class: "legend" });
     this.chart = new DelayChart(name, places, (call) => picked(story, call));
+    this.lanes = new Lanes(name, places, (clockS) => picked(story, { at_s: clockS + story.zeroS }));
     this.servers = new ServerList(places);
     this.photo = new PhotoCard(log);
     this.findings = new Findings(name, (told) => picked(story, told));
@@ -49,6 +51,7 @@ export class Flight {
       ...(map ? [map.element] : []),
       this.photo.element,
       element("div", { class: "side" }, now, this.servers.element),
+      this.lanes.element,
       delays,
       this.findings.element,
       this.journal.element,
@@ -78,11 +81,13 @@ export class Flight {
     this.journal.show(moment);
     this.map?.show([moment]);
     this.chart.show(moment, limits);
+    this.lanes.show(moment);
   }
 
   #begin() {
     this.#run = this.story.run;
     this.chart.clear();
+    this.lanes.clear();
     this.calls.clear();
     this.findings.clear();
     this.journal.clear();
@@ -92,6 +97,7 @@ export class Flight {
   restyle() {
     this.map?.restyle();
     this.chart.clear();
+    this.lanes.clear();
   }
 
   summarize(summaries) {
