@@ -12,6 +12,7 @@ from typing import Literal, Protocol, TypeAlias
 
 from upwash.core.admission.limits import NO_LIMITS, Limits
 from upwash.core.geo import Circle, EarthPosition, Position, Velocity
+from upwash.core.lens import Lens
 from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.geofence import Fence
@@ -243,13 +244,14 @@ class Photo:
     """One photo as a JPEG.
 
     `captured_s` is its time by the event loop's clock, `source` names its origin. For a rendered photo `truth` lists
-    what it shows, for a log.
+    what it shows, for a log; `lens` is None if it is unknown.
     """
 
     jpeg: bytes
     captured_s: float
     source: str
     truth: Sequence[object] | None = None
+    lens: Lens | None = None
 
 
 class Camera(Protocol):

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.services.photo import MAX_SCANNED_PIXELS, Letterbox, NotAPhoto, read_photo
-from upwash.support.jpeg import EOI, MOST_SEGMENTS, SOS, segments_of
+from upwash.support.jpeg import EOI, MOST_SEGMENTS, SOS, segments_of, size_of
 
 sides = st.sampled_from([32, 320, 608, 1024])
 lengths = st.integers(1, 20_000)
@@ -195,6 +195,13 @@ def test_a_true_photo_of_100_megapixels_is_refused_before_it_is_decoded() -> Non
     with pytest.raises(NotAPhoto, match="10000 x 10000 pixels"):
         read_photo(giant, 608)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 1000
+
+
+def test_the_size_is_read_without_decoding_and_of_no_photo_there_is_none() -> None:
+    _, encoded = cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))
+    photo = encoded.tobytes()
+    assert size_of(photo) == (64, 48)
+    assert size_of(photo[:20]) is size_of(b"") is size_of(b"\x89PNG") is None
 
 
 def test_every_cut_is_noticed() -> None:

@@ -12,6 +12,7 @@ from upwash.core.geo import GeoPosition
 from upwash.core.policies.names import PolicyName
 
 Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
+FieldOfView = Annotated[float, Meta(ge=1, le=170, description="a number from 1 to 170, in degrees")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
@@ -159,6 +160,8 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """A video device's number or path, a stream's URL, or GStreamer's pipeline."""
     latency_s: values.NotNegative = 0.0
     """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
+    fov_deg: FieldOfView | None = None
+    """The horizontal field of view of a camera that looks straight down, in degrees: maps draw photos by it."""
     park_seed: values.CountFromZero | None = None
     """Photos are rendered: the solar park of this seed, below the drone."""
 

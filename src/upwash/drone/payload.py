@@ -20,6 +20,7 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Camera, Journal
 from upwash.support.exif import PhotoPlace, with_place
+from upwash.support.jpeg import size_of
 
 _DIGITS = 7  # of a degree: about a centimetre
 
@@ -46,6 +47,8 @@ class Photographer:
         vehicle = self._autopilot
         at, earth, heading_deg = vehicle.position, vehicle.earth_position, vehicle.telemetry.heading_deg
         photo = await self._camera.take_photo(at)
+        size_px = size_of(photo.jpeg) if photo.lens else None
+        footprint_m = photo.lens.footprint_m(at, size_px, heading_deg) if photo.lens and size_px else None
         jpeg = photo.jpeg if earth is None else with_place(photo.jpeg, _shot(earth, heading_deg))
         self._journal.record(
             schema.PhotoTaken(
@@ -56,6 +59,8 @@ class Photographer:
                 latitude_deg=None if earth is None else round(earth.latitude_deg, _DIGITS),
                 longitude_deg=None if earth is None else round(earth.longitude_deg, _DIGITS),
                 above_sea_m=None if earth is None else _to_the_centimetre(earth.above_sea_m),
+                footprint_m=footprint_m
+                and [(round(east, 2), round(north, 2)) for east, north in footprint_m],
                 truth=msgspec.to_builtins(photo.truth),
             )
         )

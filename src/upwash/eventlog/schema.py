@@ -276,7 +276,8 @@ class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
 class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="photo"):
     """A photo: its source, size in bytes, age on delivery, place, and for a rendered photo the true objects in it.
 
-    The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown.
+    The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown. `footprint_m` has the
+    corners of the photo on level ground, east and north of home, clockwise from its upper left; absent if unknown.
     """
 
     source: Text
@@ -286,6 +287,7 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     latitude_deg: Number | None = None
     longitude_deg: Number | None = None
     above_sea_m: Number | None = None
+    footprint_m: _Few[tuple[Number, Number]] | None = None
     truth: _Few[Branch] | None = None
 
 

@@ -15,6 +15,7 @@ from types import ModuleType
 
 from upwash.config import CameraConfig, DroneConfig
 from upwash.core.geo import Position
+from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.missions.bundled import load_mission
 from upwash.ports import Camera, Photo
@@ -73,7 +74,7 @@ def _source(module: ModuleType) -> str:
 def camera_without_device(config: CameraConfig) -> Camera | None:
     """The configured camera, or None for a device, which is not opened; raises UsageError."""
     if config.folder is not None:
-        return FolderCamera(config.folder, photo_s=config.photo_s)
+        return FolderCamera(config.folder, photo_s=config.photo_s, lens=_lens(config))
     if config.park_seed is not None:
         return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
     if config.device is None:
@@ -83,13 +84,19 @@ def camera_without_device(config: CameraConfig) -> Camera | None:
     return None
 
 
+def _lens(config: CameraConfig) -> Lens | None:
+    return None if config.fov_deg is None else Lens(config.fov_deg)
+
+
 async def opened_camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Camera:
     """The configured camera, until the stack is closed; raises UsageError, or CameraError for a silent device."""
     camera = camera_without_device(config)
     if camera is None:
         assert config.device is not None  # noqa: S101
         camera = stack.enter_context(
-            contextlib.closing(await VideoCamera.open(config.device, latency_s=config.latency_s))
+            contextlib.closing(
+                await VideoCamera.open(config.device, latency_s=config.latency_s, lens=_lens(config))
+            )
         )
     return camera
 

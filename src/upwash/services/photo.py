@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from upwash.services.detection import Box
-from upwash.support.jpeg import EOI, MOST_SEGMENTS, SOI, SOS, Segment, segments_of
+from upwash.support.jpeg import EOI, FRAMES, MOST_SEGMENTS, SOI, SOS, Segment, segments_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -121,7 +121,6 @@ def decode_photo(photo: bytes) -> MatLike:
 # --- from bytes to pixels --------------------------------------------------------------------------
 
 _DECODED_FRAMES = (0xC0, 0xC1, 0xC2)  # Huffman codes, sequential or progressive, as all cameras write
-_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _OTHER_FORMATS = {
     b"\x89PNG": "a PNG",
     b"GIF8": "a GIF",
@@ -163,7 +162,7 @@ def _read_header(photo: bytes) -> _Header:
     markers = [segment.marker for segment in segments]
     if EOI not in markers:
         raise _without_end(photo, segments)
-    frames = [segment for segment in segments if segment.marker in _FRAMES]
+    frames = [segment for segment in segments if segment.marker in FRAMES]
     if len(frames) != 1 or SOS not in markers or markers.index(SOS) < segments.index(frames[0]):
         raise NotAPhoto("the JPEG is damaged: it never says its size, or twice; take or copy the photo again")
     _, start, _ = frames[0]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from upwash.config import EventConfig
 from upwash.core.geo import Position, Waypoint, ground_distance_m
+from upwash.core.lens import Lens
 from upwash.ports import Photo
 from upwash.sim.chance import Chance
 from upwash.sim.runtime import EVENT
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from upwash.services.solar_park import RenderedPhoto
 
 
+_LENS = Lens(62.2, up_deg=0.0)  # of the photos of the solar park
 _JPEG = b"\xff\xd8\xff"
 _SAME_PLACE_M = 1.0
 
@@ -61,7 +63,7 @@ class RenderedCamera:
         """The rendered photo of the park from that position, with its truth."""
         captured_s = asyncio.get_running_loop().time()
         rendered, _ = await asyncio.gather(self._rendered(at), asyncio.sleep(self._photo_s))
-        return Photo(rendered.jpeg, captured_s, self._source, rendered.truth)
+        return Photo(rendered.jpeg, captured_s, self._source, rendered.truth, _LENS)
 
     async def _rendered(self, at: Position) -> RenderedPhoto:
         photo = (self._park_seed, at.east_m, at.north_m, at.altitude_m, next(self._shots))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 SOI = b"\xff\xd8"
 SOS, EOI = 0xDA, 0xD9
+FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # which say the size
 MOST_SEGMENTS = 1000  # a camera writes 10 to 30, and one for each 65 kB that it adds
 
 # Padding and markers without content may stand before a segment; within compressed data they are no markers.
@@ -44,3 +45,11 @@ def segments_of(jpeg: bytes) -> Iterator[Segment]:
         yield Segment(marker, start, at)
         if marker == SOS:
             find = _NEXT_IN_DATA.search
+
+
+def size_of(jpeg: bytes) -> tuple[int, int] | None:
+    """The width and the height that the first frame states, in pixels; None if none does."""
+    for marker, start, end in segments_of(jpeg):
+        if marker in FRAMES and end - start >= 9:
+            return int.from_bytes(jpeg[start + 7 : start + 9]), int.from_bytes(jpeg[start + 5 : start + 7])
+    return None

@@ -159,13 +159,17 @@ class Answer(Fact, frozen=True):
 
 
 class Shot(Fact, frozen=True):
-    """A photo was taken; `kept` says whether it can be had, by its `number`. `truth` is what a rendered one shows."""
+    """A photo was taken; `kept` says whether it can be had, by its `number`. `truth` is what a rendered one shows.
+
+    `footprint_m` has the photo's corners on the ground, east and north, clockwise from the upper left.
+    """
 
     number: int
     waypoint: int | None
     source: str
     kept: bool
     truth: Sequence[Outline] | None
+    footprint_m: Sequence[tuple[float, float]] | None = None
 
 
 class Told(Fact, frozen=True):

@@ -18,6 +18,7 @@ from upwash.report.record import place_of
 from upwash.view import facts
 from upwash.view.facts import Fact
 
+_CORNERS = 4
 _STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
 
 
@@ -230,7 +231,9 @@ class Story:
     def _photos(self, event: Event) -> Iterator[Fact]:
         self._pairing.take(event)
         match event:
-            case schema.PhotoTaken(truth=truth) if (photo := self._pairing.last) is not None:
+            case schema.PhotoTaken(truth=truth, footprint_m=footprint_m) if (
+                photo := self._pairing.last
+            ) is not None:
                 self.shots.append(photo.shot)
                 yield facts.Shot(
                     at_s=self._now_s,
@@ -239,6 +242,7 @@ class Story:
                     source=photo.shot.source,
                     kept=self._keeps(photo.shot.source),
                     truth=outlines(truth),
+                    footprint_m=footprint_m if footprint_m and len(footprint_m) == _CORNERS else None,
                 )
             case schema.Notified(message=message, at=place):
                 told_of = self._pairing.told_of

@@ -15,6 +15,7 @@ import pytest
 from tests.events import event, written
 
 from upwash.core.geo import Position
+from upwash.core.lens import Lens
 from upwash.ports import Camera, Journal, Notifier
 from upwash.real.camera.camera import FolderCamera
 from upwash.real.camera.video import VideoCamera
@@ -24,6 +25,7 @@ from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
 
 JPEG = b"\xff\xd8\xff"
+LENS = Lens(70.0)
 
 
 @contextlib.asynccontextmanager
@@ -35,9 +37,11 @@ async def a_camera(kind: str, folder: Path) -> AsyncIterator[Camera]:
             yield RenderedCamera(1, photo_s=0.1, in_thread=False)
         case "folder":
             (folder / "photo.jpg").write_bytes(JPEG + b" and so on")
-            yield FolderCamera(folder, photo_s=0.1)
+            yield FolderCamera(folder, photo_s=0.1, lens=LENS)
         case "video":
-            with contextlib.closing(await VideoCamera.open(str(write_video(folder / "video.avi")))) as camera:
+            with contextlib.closing(
+                await VideoCamera.open(str(write_video(folder / "video.avi")), lens=LENS)
+            ) as camera:
                 yield camera
 
 
@@ -59,6 +63,8 @@ def test_a_photo_is_a_jpeg_of_a_known_time(kind: str, tmp_path: Path) -> None:
             assert photo.jpeg.startswith(JPEG)
             assert asked_s <= photo.captured_s <= clock()
             assert photo.source
+            if kind in {"folder", "video"}:
+                assert photo.lens == LENS
 
     (run_virtually if kind in {"model", "rendered"} else asyncio.run)(shoot())
 

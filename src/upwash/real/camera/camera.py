@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 
 from upwash.core.geo import Position
+from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 
@@ -22,8 +23,9 @@ class FolderCamera:
     The folder is listed once, at the start. Raises UsageError for a folder that is missing or has no JPEG file.
     """
 
-    def __init__(self, folder: Path, *, photo_s: float) -> None:
+    def __init__(self, folder: Path, *, photo_s: float, lens: Lens | None = None) -> None:
         self._photo_s = photo_s
+        self._lens = lens
         self._paths = itertools.cycle(photo_files(folder))
 
     async def take_photo(self, at: Position) -> Photo:
@@ -31,7 +33,7 @@ class FolderCamera:
         await asyncio.sleep(self._photo_s)
         path = next(self._paths)
         jpeg = await asyncio.to_thread(read_photo_file, path)
-        return Photo(jpeg, asyncio.get_running_loop().time(), source=path.name)
+        return Photo(jpeg, asyncio.get_running_loop().time(), source=path.name, lens=self._lens)
 
 
 def read_photos(folder: Path, most: int) -> dict[str, bytes]:

@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 
 from upwash.core.geo import Position
+from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 from upwash.support.background import thread
@@ -31,9 +32,10 @@ class VideoCamera:
     again, once a second.
     """
 
-    def __init__(self, source: int | str, *, latency_s: float = 0.0) -> None:
+    def __init__(self, source: int | str, *, latency_s: float = 0.0, lens: Lens | None = None) -> None:
         self._source = source
         self._latency_s = latency_s
+        self._lens = lens
         self._name = shown_source(source)
         self._loop = asyncio.get_running_loop()
         self._trouble = "it has not been opened yet"
@@ -43,7 +45,9 @@ class VideoCamera:
         self._thread = thread(self._read, name=f"camera {self._name}", failed=self._lose)
 
     @classmethod
-    async def open(cls, source: int | str, *, latency_s: float = 0.0) -> VideoCamera:
+    async def open(
+        cls, source: int | str, *, latency_s: float = 0.0, lens: Lens | None = None
+    ) -> VideoCamera:
         """The camera, after its first frame; raises CameraError if none comes, UsageError without OpenCV."""
         with extra("detector"):
             await asyncio.to_thread(_silence_opencv)
@@ -52,7 +56,7 @@ class VideoCamera:
                 "camera.device is a pipeline, and this OpenCV was built without GStreamer: use Debian's "
                 "python3-opencv (a virtual environment with --system-site-packages), or the URL of a stream"
             )
-        camera = cls(source, latency_s=latency_s)
+        camera = cls(source, latency_s=latency_s, lens=lens)
         camera._thread.start()
         try:
             await camera._frame(_FIRST_FRAME_S + latency_s)
@@ -109,7 +113,7 @@ class VideoCamera:
             jpeg = capture.jpeg() if self._requests else None
             self._trouble = capture.trouble or self._trouble
             if jpeg is not None:
-                photo = Photo(jpeg, captured_s, source=self._name)
+                photo = Photo(jpeg, captured_s, source=self._name, lens=self._lens)
                 with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
                     self._loop.call_soon_threadsafe(self._hand_out, photo)
 

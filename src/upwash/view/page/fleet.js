@@ -14,7 +14,7 @@ export class Fleet {
     this.changed = changed;
     const chosen = (index) => this.focus(index);
     this.list = new DroneList(stories, chosen);
-    this.map = new FlightMap("all drones", { places, tiles, drones: stories.length, chosen });
+    this.map = new FlightMap("all drones", { places, tiles, logs: [...stories.keys()], chosen });
     this.flights = stories.map((story, log) => new Flight(story, log, { places, picked, sign: [badge(log + 1), " "] }));
     const flights = this.flights.map((flight) => flight.element);
     this.element = element("div", { class: "fleet" }, this.list.element, this.map.element, ...flights);

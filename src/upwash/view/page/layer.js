@@ -3,6 +3,7 @@
 import * as L from "./leaflet/leaflet-src.esm.js";
 import { styleOf } from "./badge.js";
 import { droneIcon, turn } from "./icons.js";
+import { Mosaic } from "./mosaic.js";
 import { Marks, STILL, paintMeasured, paintStar, paintTurn } from "./marks.js";
 import { Track } from "./track.js";
 import { Waypoints } from "./waypoints.js";
@@ -19,7 +20,7 @@ export class FlightLayer {
   #aside = []; // by call: how many stand before it at the same place
 
   // Of the drone of that `number`; the only one there is has none.
-  constructor(map, ground, places, { number = null, chosen = null } = {}) {
+  constructor(map, ground, places, { log, number = null, chosen = null }) {
     this.map = map;
     this.ground = ground;
     this.places = places;
@@ -28,6 +29,7 @@ export class FlightLayer {
     this.waypoints = new Waypoints(map);
     const latLng = (east, north) => this.latLng(east, north);
     this.track = new Track(map, { latLng }, () => this.#line(0.35), () => this.#line(1));
+    this.mosaic = new Mosaic(map, places, log, { latLng, scale: () => this.#scale });
     this.marks = L.layerGroup().addTo(map);
     const still = chosen ? { keyboard: false } : STILL;
     this.drone = L.marker([0, 0], { ...still, icon: droneIcon(number), zIndexOffset: ABOVE });
@@ -43,6 +45,7 @@ export class FlightLayer {
   begin(plan) {
     this.plan = plan;
     this.track.clear();
+    this.mosaic.clear();
     this.marks.clearLayers();
     this.#marks = {};
     this.#aside = [];
@@ -72,6 +75,7 @@ export class FlightLayer {
 
   show(moment) {
     const { position } = moment;
+    this.mosaic.show(moment);
     this.track.show(moment.story.fix, moment.count("fix"), position, moment.atS);
     const paper = this.places.colours.of("paper");
     this.#showMarks(moment, "measured", ({ server, answered }, _, context, x, y) => {

@@ -75,7 +75,7 @@ function fleetOf(stories, tiles) {
 }
 
 function flightOf(story, log, tiles) {
-  return new Flight(story, log, { places, picked, map: new FlightMap(story.name, { places, tiles }) });
+  return new Flight(story, log, { places, picked, map: new FlightMap(story.name, { places, tiles, logs: [log] }) });
 }
 
 function picked(story, call) {

@@ -18,12 +18,13 @@ export class FlightMap {
   #plans = []; // as they are drawn
   #stale = false; // in colours that are no longer so
   #homes = []; // likewise
+  #painted = null; // what the first photo shows of the ground
   #moved = false; // by a person, so that nothing else moves it
   #servers = new Map(); // as they are drawn: each with its range, its label and what is said there beside its name
   #labels = new Labels();
 
-  // A map of so many drones; `chosen` is told the index of one that is clicked.
-  constructor(name, { places, tiles, drones = 1, chosen = null }) {
+  // A map of the drones of these logs; `chosen` is told the index of one that is clicked.
+  constructor(name, { places, tiles, logs, chosen = null }) {
     this.places = places;
     this.ground = new Ground(tiles);
     this.frame = element("div", { class: "map" });
@@ -40,11 +41,11 @@ export class FlightMap {
     L.control.zoom({ position: "topleft" }).addTo(this.map);
     L.control.scale({ imperial: false, position: "bottomright" }).addTo(this.map);
     this.#addFit();
-    this.map.createPane("marks");
+    for (const pane of ["mosaic", "marks"]) this.map.createPane(pane);
     this.areas = L.layerGroup().addTo(this.map);
-    this.layers = Array.from({ length: drones }, (_, index) => {
-      const many = drones > 1 ? { number: index + 1, chosen: () => chosen(index) } : {};
-      return new FlightLayer(this.map, this.ground, places, many);
+    this.layers = logs.map((log, index) => {
+      const many = logs.length > 1 ? { number: index + 1, chosen: () => chosen(index) } : {};
+      return new FlightLayer(this.map, this.ground, places, { log, ...many });
     });
     this.map.setView([0, 0], this.ground.options.minZoom);
     this.map.on("mousemove", (event) => this.#readOut("pointer", event.latlng));
@@ -92,7 +93,7 @@ export class FlightMap {
       const ranges = Object.values(plan.ranges).flatMap(([east, north, radius]) => {
         return [[east - radius, north - radius], [east + radius, north + radius]];
       });
-      return [[0, 0], ...plan.waypoints_m, ...ranges].map(([east, north]) => this.ground.latLng(east, north, plan));
+      return [[0, 0], ...plan.waypoints_m, ...ranges, ...(this.#painted ? around(plan.waypoints_m, this.#painted) : [])].map(([east, north]) => this.ground.latLng(east, north, plan));
     });
     if (corners.length) this.map.fitBounds(L.latLngBounds(corners), { padding: [18, 18], animate: false });
   }
@@ -114,13 +115,15 @@ export class FlightMap {
     const plans = moments.map((moment) => moment.story.plan);
     const homes = moments.map((moment) => moment.story.home);
     const others = plans.some((plan, index) => plan !== this.#plans[index] || homes[index] !== this.#homes[index]);
+    const painted = this.#painted;
+    this.#painted = moments.map((moment) => moment.story.painted[0]).find(Boolean) ?? null;
     if (others || this.#stale) {
       [this.#plans, this.#homes, this.#stale] = [plans, homes, false];
       this.ground.settle(plans);
       this.#resize();
       this.#begin();
       if (others || !this.#moved) this.fit();
-    }
+    } else if (!painted && this.#painted && !this.#moved) this.fit();
     moments.forEach((moment, index) => this.layers[index].show(moment));
     if (moments.length > 1) this.#showUsers(moments);
     else this.#showStates(moments[0]);
@@ -209,4 +212,10 @@ function showUse(drawn, inUse) {
   drawn.inUse = inUse;
   drawn.chip.classList.toggle("aside", !inUse);
   drawn.range.setStyle(inUse ? IN_USE : ASIDE);
+}
+
+// The corners of photos that are taken at the waypoints, by those of another one.
+function around(waypoints, painted) {
+  const [east, north] = [0, 1].map((axis) => (painted[0][axis] + painted[2][axis]) / 2);
+  return waypoints.flatMap(([right, up]) => painted.map((corner) => [corner[0] - east + right, corner[1] - north + up]));
 }

@@ -12,7 +12,8 @@ export const Marks = L.Path.extend({
 
   initialize({ place, paint, reach, ...options }) {
     L.setOptions(this, options);
-    Object.assign(this, { place, paint, reach, count: 0, places: [], points: [] });
+    const reachOf = typeof reach === "function" ? reach : () => reach; // which may change with the map's scale
+    Object.assign(this, { place, paint, reachOf, count: 0, places: [], points: [] });
   },
 
   show(count) {
@@ -31,7 +32,8 @@ export const Marks = L.Path.extend({
 
   _around(points) {
     const bounds = L.bounds(points);
-    const margin = L.point(this.reach, this.reach);
+    const reach = this.reachOf();
+    const margin = L.point(reach, reach);
     return L.bounds(bounds.min.subtract(margin), bounds.max.add(margin));
   },
 
@@ -45,8 +47,9 @@ export const Marks = L.Path.extend({
   },
 
   _updatePath() {
-    const { _renderer: renderer, reach } = this;
+    const renderer = this._renderer;
     if (!renderer._drawing) return;
+    const reach = this.reachOf();
     const { min, max } = renderer._redrawBounds ?? renderer._bounds;
     for (let index = 0; index < this.count; index += 1) {
       const { x, y } = this.points[index];

@@ -31,6 +31,7 @@ export class Story {
     this.known = new Set(); // servers
     this.operations = new Set();
     this.keepsPhotos = false;
+    this.painted = []; // what photos show of the ground, by its corners
     this.courses = []; // which way, in degrees from north, the drone came to each fix; null before it moved
     this.moved = null; // the fix at which it had last moved
     this.delays = { place: new Totals(), operation: new Totals(), local: new Totals() }; // of the calls
@@ -94,6 +95,7 @@ export class Story {
         break;
       case "shot":
         this.keepsPhotos ||= fact.kept;
+        if (fact.footprint_m) this.painted.push(fact.footprint_m);
         this.shot.push(fact);
         break;
       default:
