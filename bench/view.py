@@ -4,7 +4,9 @@ A headless Chromium on this machine shows a log with ten positions a second. Fir
 two pages: a mission of 2,000 waypoints near its end, and a finished mission with a log of 100 MB. Each is opened
 while the log is still being read, and again afterwards. Then the program prints, for the first mission, the delay
 from the write of a position or a call to the frame that shows it, and the time for which the page was busy.
-`--against DIR` has another checkout serve in the same rounds.
+`--against DIR` has another checkout serve in the same rounds. At last the program prints the time to open the page as
+a file, of that mission and of 30 flights, and the time of a frame while a flight with a photo at each waypoint plays,
+beside that of an empty page.
 """
 
 from __future__ import annotations
@@ -16,18 +18,39 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
+from statistics import median, quantiles
 from typing import Any
 
 from bench.program import command_line, machine
 from tests.system.browser import Browser, browser, why_not
 
 from upwash.launch.processes import ready_program
+from upwash.report.record import read_records
+from upwash.view.file import write_page
 
 COLUMNS, SPACING_M = 50, 20.0
 PERIOD_S = 0.1
 FIXES_A_WAYPOINT = 60
 LIMIT_S = 0.5
+FRAME_MS = 33.0
+FOOTPRINT_M = ((-12.0, 9.0), (12.0, 9.0), (12.0, -9.0), (-12.0, -9.0))
+PLAY = """
+const speed = document.getElementById("speed");
+speed.value = "100";
+speed.dispatchEvent(new Event("change"));
+document.getElementById("play").click();
+"""
+FRAMES = """
+return new Promise((done) => {
+  const times = [];
+  const frame = (at) => {
+    times.push(at);
+    if (at - times[0] < arguments[0]) requestAnimationFrame(frame);
+    else done(times);
+  };
+  requestAnimationFrame(frame);
+});
+"""
 ROOT = Path(__file__).parents[1]
 PATIENCE_S = 300.0
 DRAWN = "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
@@ -56,10 +79,15 @@ class Extent:
     done: int  # calls done before the page opens
     watched_s: float
     finished: int  # waypoints of a flight that is over
+    flights: int  # in a file
+    played_s: float
 
 
-FULL = Extent(waypoints=2_000, done=1_950, watched_s=30.0, finished=14_000)
-QUICK = Extent(waypoints=12, done=10, watched_s=7.0, finished=20)  # long enough for a waypoint's call
+FULL = Extent(waypoints=2_000, done=1_950, watched_s=30.0, finished=14_000, flights=30, played_s=10.0)
+QUICK = Extent(
+    waypoints=12, done=10, watched_s=7.0, finished=20, flights=4, played_s=1.0
+)  # a waypoint's call
+EACH_FLIGHT = 60  # waypoints
 
 
 def main() -> None:
@@ -90,6 +118,41 @@ def main() -> None:
         print(machine())
         with ready_program("view", log.parent, "view", str(log), "--port", "0") as address:
             watch(page, address, log, events, extent, began_s=before[-1]["t"])
+        print(machine())
+        open_files(page, Path(folder), extent, rounds=rounds)
+
+
+def open_files(page: Browser, folder: Path, extent: Extent, *, rounds: int) -> None:
+    """Opens the page as a file, of a long flight and of many, and plays the long one; prints how long that took."""
+    for flights, waypoints, limit_s in (1, extent.waypoints, 1.0), (extent.flights, EACH_FLIGHT, 3.0):
+        logs = [folder / f"flight-{flights}-{number}.jsonl" for number in range(flights)]
+        for log in logs:
+            over = {"t": waypoints * FIXES_A_WAYPOINT * PERIOD_S, "event": "mission_completed"}
+            log.write_text("".join(map(line, [*mission(waypoints), over])))
+        file = folder / f"flights-{flights}.html"
+        file.write_text(write_page(logs, read_records(logs)))
+        took_s = [opened_s(page, file.as_uri(), waypoints) for _ in range(rounds)]
+        print(
+            f"a file of {flights} flights of {waypoints} waypoints, {file.stat().st_size / 1e6:.1f} MB: opened in "
+            f"{median(took_s):.2f} s (median), {max(took_s):.2f} s (longest), limit {limit_s} s"
+            f"{' MISS' * (median(took_s) > limit_s)}"
+        )
+    page.open((folder / "flights-1.html").as_uri())
+    page.run(PLAY)
+    playing = frame_ms(page, extent.played_s)
+    page.open("about:blank")
+    empty = frame_ms(page, extent.played_s)
+    print(
+        f"a frame while {extent.waypoints} photos play at 100 times: {median(playing):.1f} ms (median), "
+        f"{quantiles(playing, n=20)[-1]:.1f} ms (95 %), {median(playing) / median(empty):.2f} of an empty page's "
+        f"{median(empty):.1f} ms{' MISS' * (quantiles(playing, n=20)[-1] > FRAME_MS)}"
+    )
+
+
+def frame_ms(page: Browser, for_s: float) -> list[float]:
+    """The times between the frames that the page draws for so long."""
+    times = page.run(FRAMES, for_s * 1000)
+    return [later - earlier for earlier, later in itertools.pairwise(times)]
 
 
 def open_in_turns(
@@ -228,7 +291,9 @@ def mission(waypoints: int) -> Iterator[dict[str, Any]]:
         place = ("local", "s0", "s1", "s2")[waypoint % 4]
         here = {"east_m": east_m, "north_m": north_m, "altitude_m": float(fix)}
         yield {"t": at_s, "event": "arrived", "waypoint": waypoint, "east_m": east_m, "north_m": north_m}
-        yield {"t": at_s, "event": "photo", "source": "camera", "bytes": 1, "age_s": 0.0, "position": here}
+        corners = [[east_m + east, north_m + north] for east, north in FOOTPRINT_M]
+        photo = {"source": "camera", "bytes": 1, "age_s": 0.0, "position": here, "footprint_m": corners}
+        yield {"t": at_s, "event": "photo", **photo}
         yield {
             "t": at_s, "event": "decided", "operation": "detector.process_photo[heavy]", "decision": "local",
             "why": "no server selected", "local_s": 10.0, "selected": None, "state": None, "remote_s": None,

@@ -24,9 +24,14 @@ export const Marks = L.Path.extend({
       this.places.push(this.place(index));
       this.points.push(this._map.latLngToLayerPoint(this.places[index]));
     }
+    this.redrawSome(first, last);
+  },
+
+  // Those of the indices from `first` to before `last`, and no others.
+  redrawSome(first, last) {
     const all = this._pxBounds;
     this._pxBounds = this._around(this.points.slice(first, last));
-    this._renderer._requestRedraw(this); // no more than these
+    this._renderer._requestRedraw(this);
     if (all) this._pxBounds.extend(all.min).extend(all.max);
   },
 
