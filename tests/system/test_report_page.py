@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import re
 from pathlib import Path
 
 import pytest
@@ -104,3 +106,26 @@ def test_what_is_folded_is_not_printed_and_no_figure_is_cut_from_its_heading(
         assert set(page.run(kept)) == {"avoid"}
     finally:
         page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_without_scripts_it_has_words_and_tables_and_no_dead_controls(page: Browser, few: str) -> None:
+    page.driver.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        page.open(few, width=1400)
+        shown = page.find("body").text
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+    assert "Without scripts" in shown
+    assert "A person had to act" in shown
+    assert "Play" not in shown
+    assert "Loading" not in shown
+
+
+def test_it_prints_on_a4_with_its_map(page: Browser, few: str) -> None:
+    page.open(few, width=1400)
+    page.drawn()
+    paper = {"paperWidth": 8.27, "paperHeight": 11.69}
+    printed = base64.b64decode(page.driver.execute_cdp_cmd("Page.printToPDF", paper)["data"])
+    assert 1 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 6
+    scale = page.run("return Number(document.querySelector('.map-frame').style.getPropertyValue('--scale'))")
+    assert 0 < scale <= 1, "as wide as the paper"

@@ -196,6 +196,8 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
   way();
 });
+on("controls").hidden = false; // which do nothing without scripts
+write(on("connection"), "Loading the flight.");
 feed.start();
 setInterval(() => {
   showMode();
