@@ -1,4 +1,4 @@
-"""What a person has to act on or should know, from the event that begins it to the one that ends it."""
+"""What a person has to act on or should know, how urgent it is, and what begins and ends it."""
 
 from __future__ import annotations
 
@@ -19,6 +19,15 @@ def held(*events: Event) -> dict[str, Notice]:
             else:
                 assert now.pop(notice.key, None) is not None, "only what was told is over"
     return now
+
+
+def ranked(*events: Event) -> list[str]:
+    """What holds after these events, the most urgent first."""
+    return [notice.about for notice in sorted(held(*events).values(), key=lambda notice: notice.rank)]
+
+
+def said(t: float, text: str, severity: int = 4) -> Event:
+    return event("vehicle_said", t, severity=severity, text=text)
 
 
 def test_a_version_that_is_not_known_is_a_caution() -> None:
@@ -46,6 +55,7 @@ def test_a_vehicle_that_nobody_flies_is_an_alarm_until_somebody_does() -> None:
         "ended": Level.ALARM,
     }
     assert "nobody flies it" in now["hovering"].cause
+    assert ranked(*hovering) == ["hovering", "ended"]
     assert now["hovering"].action == "Take over with the remote control."
     taken = held(*hovering, event("control", 9.0, owner="pilot", why="mode LOITER"))
     assert set(taken) == {"ended", "control"}
@@ -63,20 +73,84 @@ def test_a_vehicle_that_nobody_flies_is_an_alarm_until_somebody_does() -> None:
         (event("arming_delayed", reasons=["PreArm: GPS"]), event("armed"), "arming", Level.CAUTION),
         (event("call_failed_in_range", server="s1", after="BLACKLISTED", why="no answer"),
          event("blacklist_expired", server="s1", after="AVL"), "server s1", Level.CAUTION),
+        (event("call_failed_in_range", server="s1", after="BLACKLISTED"), event("mission_completed"), "server s1",
+         Level.CAUTION),
+        (event("control", owner="unknown", why="x"), event("stood"), "control", Level.ALARM),
+        (said(1.0, "PreArm: Compass", 2), event("armed", 2.0), "prearm PreArm: Compass", Level.CAUTION),
+        (said(1.0, "EKF variance", 2), event("landed", 2.0), "critical EKF variance", Level.ALARM),
+        (said(1.0, "GPS glitch"), event("position", 62.0), "said GPS glitch", Level.CAUTION),
     ],
 )  # fmt: skip
 def test_what_begins_holds_until_it_is_over(begins: Event, ends: Event, key: str, level: Level) -> None:
     assert {each: notice.level for each, notice in held(begins).items()} == {key: level}
-    assert held(begins, ends) == {}
+    assert key not in held(begins, ends)
     assert held(ends) == {}, "what never began is not told to be over"
 
 
-def test_a_safe_end_that_failed_asks_for_the_remote_control() -> None:
+def test_a_safe_end_that_failed_asks_for_the_remote_control_before_all() -> None:
     events = [
+        event("link_lost", silent_s=3.0),
         event("safe_end", action="return", why="the link was lost"),
         event("safe_end_failed", action="return", why="refused"),
+        event("call_failed_in_range", server="s1", after="BLACKLISTED"),
     ]
-    assert held(*events)["safe end"].action == "Take over with the remote control."
+    assert ranked(*events) == ["disobeys", "link", "safe end", "server"]
+    assert held(*events)["disobeys"].action == "Take over with the remote control."
+
+
+@pytest.mark.parametrize("owner", ["pilot", "ground station"])
+def test_who_flies_is_not_asked_to_take_over(owner: str) -> None:
+    taken = event("control", 2.0, owner=owner, why="the vehicle is in mode LOITER")
+    before = [
+        event("link_lost", 1.0, silent_s=3.0),
+        event("left_hovering", 1.0),
+        event("safe_end_failed", 1.0, why="refused"),
+        event("call_failed_in_range", 1.0, server="s1", after="BLACKLISTED"),
+    ]
+    after = [
+        event("left_to_pilot", 3.0, why="the pilot has the vehicle"),
+        event("link_lost", 4.0, silent_s=3.0),
+    ]
+    for events in ([*before, taken], [taken, *after], [*before, taken, *after]):
+        now = held(*events)
+        assert set(now) == {"link", "control"} if len(events) > 1 else {"control"}
+        assert not [notice for notice in now.values() if "ake over" in notice.action]
+    assert held(*before)["link"].action == "Be ready to take over."
+
+
+def test_the_mode_that_a_pilot_has_left_is_not_told_any_more() -> None:
+    events = [
+        event("control", 1.0, owner="pilot", why="the vehicle is in mode LOITER"),
+        event(
+            "left_to_pilot",
+            1.0,
+            why="the pilot has the vehicle: the vehicle is in mode LOITER; the log continues",
+        ),
+        event("control", 9.0, owner="pilot", why="the vehicle is in mode LAND"),
+    ]
+    assert {notice.cause for notice in held(*events).values()} == {
+        "The pilot has the vehicle: the vehicle is in mode LAND"
+    }
+
+
+def test_a_mission_that_ended_early_alarms_until_the_vehicle_stands() -> None:
+    events = [event("armed"), event("mission_ended", why="x")]
+    assert held(*events)["ended"].level is Level.ALARM
+    assert held(*events, event("disarmed"))["ended"].level is Level.CAUTION
+    assert (
+        held(event("armed"), event("landed"), event("mission_ended", why="x"))["ended"].level is Level.CAUTION
+    )
+
+
+def test_what_repeats_is_counted_and_keeps_when_it_began() -> None:
+    now = held(
+        said(1.0, "GPS glitch"), said(2.0, "Bad compass"), said(40.0, "GPS glitch"), said(70.0, "GPS glitch")
+    )
+    (glitch,) = now.values()
+    assert (glitch.cause, glitch.times, glitch.since_s) == ("The vehicle says: GPS glitch (warning)", 3, 1.0)
+    fails = event("call_failed_in_range", server="s1", after="BLACKLISTED")
+    again = held(fails, fails, event("blacklist_expired", server="s1", after="AVL"), fails)
+    assert again["server s1"].times == 2, "it failed twice, however often that was told"
 
 
 def test_calls_that_fell_back_are_counted() -> None:
@@ -86,11 +160,19 @@ def test_calls_that_fell_back_are_counted() -> None:
 
 
 def test_the_newest_warnings_of_the_vehicle_are_told_and_nothing_milder() -> None:
-    said = [event("vehicle_said", severity=4, text=f"warning {number}") for number in range(5)]
-    now = held(event("vehicle_said", severity=5, text="a notice"), *said)
+    warnings = [said(number, f"warning {number}") for number in range(5)]
+    now = held(said(0.0, "a notice", 5), *warnings)
     assert sorted(notice.cause for notice in now.values()) == [
         f"The vehicle says: warning {number} (warning)" for number in (2, 3, 4)
     ]
+
+
+def test_a_reason_not_to_arm_is_told_once() -> None:
+    said_so, delayed = (
+        said(1.0, "PreArm: Compass", 2),
+        event("arming_delayed", 2.0, reasons=["PreArm: Compass"]),
+    )
+    assert set(held(said_so, delayed)) == set(held(delayed, said_so)) == {"arming"}
 
 
 def test_a_flight_that_is_taken_up_again_has_not_ended() -> None:

@@ -1,7 +1,17 @@
-"""What a person has to act on, or should know, of a flight: each notice from its event until its cause is over."""
+"""What a person has to act on, or should know, of a flight: each notice from its event until its cause is over.
+
+Laws:
+
+1. The most urgent notice has the lowest rank, by what it is about alone: a person who reads one at a time reads that.
+2. A notice ends with its cause: what forbids the arming when the vehicle is armed, what concerns a flight when the
+   vehicle stands, what concerns the program's work when that is over, a text of the vehicle when it is not repeated.
+3. Nobody is asked to take over a vehicle that a person flies.
+"""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -10,14 +20,26 @@ from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.eventlog.narration import SAFE_ENDS, WARNING, counted, known, who_has_it
+from upwash.eventlog.progress import as_clock
 from upwash.eventlog.schema import SEVERITIES, Event
 
 _TAKE_OVER = "Take over with the remote control."
-_SAID_AT_ONCE = 3  # of the vehicle's warnings, the newest
+_BE_READY = "Be ready to take over."
+_TAKES_OVER = frozenset({_TAKE_OVER, _BE_READY})
+_SAID_AT_ONCE = 3  # of the vehicle's texts, the newest
+_SAID_FOR_S = 60.0  # a text that is not repeated
+_CRITICAL = 2
+_TEXTS = ("critical", "said", "prearm")
+_PEOPLE = frozenset({Owner.PILOT, Owner.GROUND_STATION})  # who fly it themselves
+_COUNTED = ("link", "server", *_TEXTS)  # how often it began, in this flight
+_URGENT_FIRST = (
+    "hovering", "disobeys", "left", "link", "position", "control", "critical", "safe end", "stopping", "home",
+    "arming", "prearm", "waiting", "dead man", "battery", "said", "offloading", "server", "border", "trouble", "late",
+    "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "log", "shortened", "events",
+)  # fmt: skip
+_RANKS = {about: rank for rank, about in enumerate(_URGENT_FIRST)}
 # Most events of a long log are of few kinds: each case of a match takes time.
-_NEVER_NOTICED = frozenset(
-    {schema.PositionReport, schema.SetOff, schema.Arrived, schema.PhotoTaken, schema.Decided}
-)
+_NEVER_NOTICED = frozenset({schema.PositionReport, schema.Arrived, schema.PhotoTaken, schema.Decided})
 
 
 class Level(StrEnum):
@@ -31,63 +53,153 @@ class Level(StrEnum):
 class Notice:
     """What holds from now on under a key; without a `cause` what held under it is over.
 
-    `action` says what a person can do, empty where there is nothing.
+    `about` is the first part of the key, which ranks it. `action` says what a person can do, empty where there is
+    nothing. It began at `since_s`, and began `times` times.
     """
 
-    key: str
+    about: str
     cause: str = ""
     action: str = ""
     level: Level = Level.CAUTION
+    of: str = ""
+    since_s: float = 0.0
+    times: int = 1
+
+    @property
+    def key(self) -> str:
+        """What it is about, and of which server, setting and so on."""
+        return f"{self.about} {self.of}".rstrip()
+
+    @property
+    def rank(self) -> int:
+        """Its place in the order of urgency, the most urgent at 0."""
+        return _RANKS[self.about]
 
 
 class Notices:
     """Follows the events of one flight in their order."""
 
     def __init__(self) -> None:
-        self._held: set[str] = set()
+        self._held: dict[str, Notice] = {}
+        self._times = Counter[str]()
         self._fell_back = 0
-        self._said = 0
+        self._said_s: dict[str, float] = {}  # by the key of a text, the newest last
+        self._owner = Owner.NOBODY
+        self._stands: bool | None = None  # None: not known
+        self._works = True  # the program, on its mission
+
+    def is_stale(self, now_s: float) -> bool:
+        """Whether a text of the vehicle is too old by now, which `take` ends with any event."""
+        return now_s > next(iter(self._said_s.values()), math.inf) + _SAID_FOR_S
 
     def take(self, event: Event) -> Iterator[Notice]:
         """What the next event begins, changes or ends."""
+        while self.is_stale(event.t):
+            yield from self._put(_over(self._held[next(iter(self._said_s))]), event.t)
         if type(event) in _NEVER_NOTICED:
             return
         for notice in self._of(event):
-            if notice.cause:
-                self._held.add(notice.key)
+            yield from self._put(notice, event.t)
+
+    def _put(self, notice: Notice, now_s: float) -> Iterator[Notice]:
+        held = self._held.pop(notice.key, None)
+        if not notice.cause:
+            self._said_s.pop(notice.key, None)
+            if held is not None:
                 yield notice
-            elif notice.key in self._held:
-                self._held.discard(notice.key)
-                yield notice
+            return
+        if notice.about in _COUNTED and (held is None or notice.about in _TEXTS):
+            self._times[notice.key] += 1
+        since_s = held.since_s if held is not None and held.cause == notice.cause else now_s
+        action = "" if self._owner in _PEOPLE and notice.action in _TAKES_OVER else notice.action
+        notice = replace(notice, action=action, since_s=since_s, times=max(1, self._times[notice.key]))
+        self._held[notice.key] = notice
+        yield notice
+
+    def _about(self, *about: str) -> Sequence[Notice]:
+        return [notice for notice in self._held.values() if notice.about in about]
 
     def _of(self, event: Event) -> Iterator[Notice]:
-        for key in _OVER.get(type(event), ()):
-            yield Notice(key)
+        yield from map(_over, self._about(*_OVER.get(type(event), ())))
+        yield from self._follow(event)
         if (notice := _BEGUN.get(type(event))) is not None:
             yield _filled_in(notice, event)
         yield from _by_content(event)
         match event:
+            case schema.ServerStep(server=server, after=after, why=why):
+                failed = f"{server} is not used: {why or 'it failed'}"
+                is_news = after is State.BLACKLISTED and self._works
+                yield Notice("server", failed if is_news else "", of=server)
+            case schema.LeftToPilot(why=why) if self._owner in {
+                Owner.PROGRAM,
+                Owner.NOBODY,
+            }:  # or "control" tells it
+                yield _alarm("left", f"Nothing is sent to the vehicle any more: {why}", _TAKE_OVER)
+            case schema.MissionEnded(why=why):
+                level = Level.CAUTION if self._stands else Level.ALARM
+                yield Notice("ended", f"The mission ended early: {why}", level=level)
             case schema.Call(fell_back=True):
                 self._fell_back += 1
                 fell = counted(self._fell_back, "call")
                 yield Notice("fallbacks", f"{fell} fell back to the drone, as a server gave no usable answer")
-            case schema.VehicleSaid(severity=severity, text=text) if severity <= WARNING:
-                key = f"vehicle {self._said % _SAID_AT_ONCE}"
-                self._said += 1
-                yield Notice(key, f"The vehicle says: {text} ({SEVERITIES[severity]})")
+            case schema.VehicleSaid(severity=severity) if severity <= WARNING:
+                yield from self._say(event)
+
+    def _follow(self, event: Event) -> Iterator[Notice]:
+        """Take in who flies, whether the vehicle stands and whether the program works; end what is over by that."""
+        match event:
+            case schema.ControlChanged(owner=owner):
+                self._owner = owner
+                if owner is not Owner.PROGRAM:
+                    self._works = False
+                    yield from map(_over, self._about(*_OF_COMMANDS, *_OF_WORK, *_OF_ARMING))
+                yield from [notice for notice in self._held.values() if notice.action in _TAKES_OVER]
+            case schema.Landed() | schema.Disarmed() | schema.Stood():
+                self._stands = True
+                yield from [replace(ended, level=Level.CAUTION) for ended in self._about("ended")]
+            case schema.Armed() | schema.TakingOff() | schema.SetOff():
+                self._stands = False
+            case schema.MissionCompleted() | schema.MissionEnded():
+                self._works = False
+            case schema.LogResumed():
+                self._owner, self._stands, self._works = Owner.NOBODY, False, True
+
+    def _say(self, said: schema.VehicleSaid) -> Iterator[Notice]:
+        """A text of the vehicle; its reasons not to arm are left to `arming_delayed`."""
+        forbids = said.text.startswith(("PreArm: ", "Arm: "))
+        if forbids and (self._stands is False or "arming" in self._held):
+            return
+        is_critical = said.severity <= _CRITICAL and not forbids
+        about = "prearm" if forbids else "critical" if is_critical else "said"
+        words = f"The vehicle says: {said.text} ({SEVERITIES[said.severity]})"
+        notice = Notice(about, words, of=said.text, level=Level.ALARM if is_critical else Level.CAUTION)
+        self._said_s.pop(notice.key, None)
+        self._said_s[notice.key] = said.t
+        yield notice
+        if len(self._said_s) > _SAID_AT_ONCE:
+            yield _over(self._held[next(iter(self._said_s))])
 
 
-def _alarm(key: str, cause: str, action: str = "") -> Notice:
-    return Notice(key, cause, action, Level.ALARM)
+def _over(notice: Notice) -> Notice:
+    return Notice(notice.about, of=notice.of)
 
 
-_OF_FLIGHTS = ("hovering", "safe end", "left", "link", "position", "home")
-_OVER: Mapping[type[Event], Sequence[str]] = {  # the keys whose notices an event ends
-    schema.LeftHovering: ("safe end",),
-    schema.MissionEnded: ("stopping",),
-    schema.MissionCompleted: ("stopping",),
-    schema.LogResumed: ("ended", "safe end", "stopping", "hovering", "left"),
-    schema.Armed: ("arming",),
+def _alarm(about: str, cause: str, action: str = "") -> Notice:
+    return Notice(about, cause, action, Level.ALARM)
+
+
+_OF_ARMING = ("arming", "prearm")
+_OF_COMMANDS = ("hovering", "disobeys", "safe end", "left")
+_OF_WORK = ("server", "late", "waiting")  # of the program's
+_OF_FLIGHTS = (*_OF_COMMANDS, "link", "position", "home", "control", "trouble", *_TEXTS)
+_OVER: Mapping[type[Event], Sequence[str]] = {  # what the notices are about that an event ends
+    schema.LeftHovering: ("safe end", "disobeys"),
+    schema.MissionEnded: ("stopping", *_OF_WORK),
+    schema.MissionCompleted: ("stopping", *_OF_WORK),
+    schema.LogResumed: ("ended", "stopping", *_OF_FLIGHTS),
+    schema.ArmingDelayed: ("prearm",),
+    schema.Armed: _OF_ARMING,
+    schema.TakingOff: _OF_ARMING,
     schema.VehicleFound: ("waiting",),
     schema.LinkRestored: ("link",),
     schema.Landed: _OF_FLIGHTS,
@@ -99,22 +211,18 @@ _BEGUN: Mapping[type[Event], Notice] = {  # the notice that an event begins, wit
         "hovering", "The vehicle hovers where it is, and nobody flies it", _TAKE_OVER
     ),
     schema.SafeEndFailed: _alarm(
-        "safe end", "The vehicle did not do as told ({event.action}): {event.why}", _TAKE_OVER
+        "disobeys", "The vehicle did not do as told ({event.action}): {event.why}", _TAKE_OVER
     ),
     schema.Stopping: _alarm("stopping", "The mission is being ended: {event.why}"),
-    schema.MissionEnded: _alarm("ended", "The mission ended early: {event.why}"),
-    schema.LeftToPilot: _alarm("left", "Nothing is sent to the vehicle any more: {event.why}", _TAKE_OVER),
     schema.HomeMoved: Notice("home", "The vehicle's home was moved in flight: it returns to the new home"),
     schema.WaitingForVehicle: Notice("waiting", "The vehicle is waited for: {event.why}"),
-    schema.LinkLost: _alarm(
-        "link", "The vehicle has not been heard for {event.silent_s:.1f} s", "Be ready to take over."
-    ),
-    schema.LinkTrouble: Notice("link {event.about}", "{event.why}"),
+    schema.LinkLost: _alarm("link", "The vehicle is not heard any more", _BE_READY),
+    schema.LinkTrouble: Notice("trouble", "{event.why}", of="{event.about}"),
     schema.OffloadingFailed: Notice(
         "offloading", "Every call runs on the drone from now on, after a defect: {event.why}"
     ),
     schema.UnsignedPort: Notice("unsigned", "{event.why}"),
-    schema.SiteDoubt: Notice("site {event.why}", "{event.why}"),
+    schema.SiteDoubt: Notice("site", "{event.why}", of="{event.why}"),
     schema.DeadManFailed: Notice(
         "dead man", "The autopilot will not notice a silence of this program: {event.why}"
     ),
@@ -128,27 +236,25 @@ _BEGUN: Mapping[type[Event], Notice] = {  # the notice that an event begins, wit
 
 def _filled_in(notice: Notice, event: Event) -> Notice:
     cause = notice.cause.format(event=event)
-    return replace(notice, key=notice.key.format(event=event), cause=cause[:1].upper() + cause[1:])
+    return replace(notice, of=notice.of.format(event=event), cause=cause[:1].upper() + cause[1:])
 
 
 def _by_content(event: Event) -> Iterator[Notice]:
     """Notices whose words, or begin or end, depend on more than the kind of the event."""
     match event:
-        case schema.ServerStep(server=server, after=after, why=why):
-            failed = f"{server} is not used: {why or 'it failed'}" if after is State.BLACKLISTED else ""
-            yield Notice(f"server {server}", failed)
         case schema.SafeEnd(action=action, why=why):
             cause = f"The flight cannot go on, {SAFE_ENDS[action]}: {why}"
-            yield _alarm("safe end", cause, "Be ready to take over.")
+            yield _alarm("safe end", cause, _BE_READY)
         case schema.Foreseen(finish_by_s=float(finish_by_s), lightest_s=float(lightest_s)) if not event.fits:
-            late = f"The mission is expected to end after {lightest_s:.0f} s, later than {finish_by_s:g} s"
+            ends, wanted = as_clock(lightest_s), as_clock(finish_by_s)
+            late = f"The mission is expected to end at {ends}, later than the {wanted} of finish_by_s"
             yield Notice("late", late)
         case schema.ControlChanged(owner=Owner.PROGRAM):
             yield Notice("control")
         case schema.ControlChanged(owner=owner, why=why):
             cause = f"{who_has_it(owner)} has the vehicle: {why}"
-            yield Notice("hovering")
-            yield _alarm("control", cause[:1].upper() + cause[1:], "Nothing is sent to it any more.")
+            level = Level.CAUTION if owner is Owner.PILOT else Level.ALARM  # who has taken it over knows
+            yield Notice("control", cause[:1].upper() + cause[1:], "Nothing is sent to it any more.", level)
         case schema.PositionDoubted(jumped_m=jumped_m):
             doubt = f"The vehicle's reported position jumped {jumped_m:.0f} m, farther than it can fly"
             yield _alarm("position", doubt, "Look where it is.") if jumped_m else Notice("position")
@@ -156,7 +262,7 @@ def _by_content(event: Event) -> Iterator[Notice]:
             said = "; ".join(reasons) or "it does not say why"
             yield Notice("arming", f"The vehicle cannot be armed yet: {said}")
         case schema.VehicleSetting(name=name, value=value, advice=advice):
-            yield Notice(f"setting {name}", f"The vehicle's {name} is {known(value)}: {advice}")
+            yield Notice("setting", f"The vehicle's {name} is {known(value)}: {advice}", of=name)
         case schema.VehicleFound(firmware=firmware, version=version):
             unknown = "" if version else f"The vehicle does not tell the version of its {firmware}"
             yield Notice("version", unknown, "Check that the version is new enough." if unknown else "")

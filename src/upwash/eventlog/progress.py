@@ -59,6 +59,13 @@ class MissionTime:
         return f"{t - self.at_s:.1f} s"
 
 
+def as_clock(seconds: float) -> str:
+    """A second of the mission as the pages show it: "4:05", and from an hour on "1:04:05"."""
+    minutes, second = divmod(max(0, int(seconds)), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02}:{second:02}" if hours else f"{minute}:{second:02}"
+
+
 class CallPlaces:
     """The waypoints of a flight's calls: `here` is the last arrival, `of_call` the waypoint of the last call.
 

@@ -79,20 +79,55 @@ class Fix(Fact, frozen=True, gc=False):
 class Notice(Fact, frozen=True):
     """What a person has to act on (`level` alarm) or should know (caution) from now on, under a key.
 
-    Without a `cause` what held under the key is over. `action` is what a person can do.
+    Without a `cause` what held under the key is over. `action` is what a person can do. It began at `since_s`, for
+    the time that `times` says. Of several, that with the lowest `rank` is the most urgent.
     """
 
     key: str
     level: str
     cause: str
     action: str
+    rank: int
+    since_s: float
+    times: int = 1
 
 
 class Doing(Fact, frozen=True):
-    """What the drone does from now on, and how many waypoints it has reached."""
+    """What the drone does from now on, and how many waypoints it has reached.
+
+    `who` has the vehicle, in a word that people read at a distance, with a `tone` that has a colour.
+    """
 
     words: str
     reached: int
+    who: str
+    tone: str
+
+
+class Vehicle(Fact, frozen=True):
+    """The vehicle's own mode, whether its motors may run, and its receiver's fix, as far as they are told."""
+
+    mode: str = ""
+    armed: bool | None = None
+    gps: str | None = None
+    satellites: int | None = None
+
+
+class Stages(Fact, frozen=True):
+    """At how much of its battery the vehicle itself calls it low or critical."""
+
+    low_percent: float | None = None
+    critical_percent: float | None = None
+
+
+class Calling(Fact, frozen=True):
+    """A call is under way from `since_s` on, for `at most` or `about` so long; without `words` none is any more."""
+
+    words: str
+    since_s: float
+    bound: str = ""
+    limit_s: float | None = None
+    more: str = ""
 
 
 class Step(Fact, frozen=True):

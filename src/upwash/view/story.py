@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict
+
+import msgspec
 
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog import schema
 from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of
-from upwash.eventlog.notices import Level, Notices
+from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, call_lines, decision_lines
 from upwash.eventlog.schema import Event
@@ -17,6 +20,7 @@ from upwash.report.photos import Shot
 from upwash.report.record import place_of
 from upwash.view import facts
 from upwash.view.facts import Fact
+from upwash.view.state import CallUnderWay, Control
 
 _CORNERS = 4
 _STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
@@ -46,16 +50,23 @@ class Story:
         self._pairing = Pairing()
         self._place: Position | None = None
         self._placed_s = 0.0
-        self._doing = ("", 0)
+        self._control = Control()
+        self._call_under_way = CallUnderWay()
+        self._doing: tuple[str, int, str, str] | None = None
+        self._vehicle = facts.Vehicle(at_s=0.0)
+        self._calling = self._call_under_way.now
         self._servers: set[str] = set()
         self._left_out = ""
 
     def take(self, event: Event) -> Iterable[Fact]:
         """What the next event tells."""
         self._now_s = max(self._now_s, event.t)
-        if type(event) is schema.PositionReport and self._doing[0]:  # most events of a long log are these
+        # Most events of a long log are positions.
+        if type(event) is schema.PositionReport and self._doing and not self._notices.is_stale(event.t):
             here = Position(event.east_m, event.north_m, event.altitude_m)
-            return (self._fix(here, event),) if self._is_news(here) else ()
+            self._control.take(event)
+            fix = (self._fix(here, event),) if self._is_news(here) else ()
+            return (*fix, *self._state(event))
         return self._told(event)
 
     def lacks(self, left_out: str) -> Iterator[Fact]:
@@ -63,7 +74,7 @@ class Story:
         if left_out != self._left_out:
             self._left_out = left_out
             cause = left_out[:1].upper() + left_out[1:]
-            yield facts.Notice(at_s=self._now_s, key="log", level=Level.CAUTION, cause=cause, action="")
+            yield self._notice(Notice("log", cause, since_s=self._now_s))
 
     def _told(self, event: Event) -> Iterator[Fact]:
         said = self._narrator.tell(event)
@@ -82,18 +93,23 @@ class Story:
         if isinstance(explained, ExplainedCall):
             yield self._call(explained)
         yield from self._going(event, explained)
-        for notice in self._notices.take(event):
-            yield facts.Notice(
-                at_s=self._now_s,
-                key=notice.key,
-                level=notice.level,
-                cause=notice.cause,
-                action=notice.action,
-            )
+        yield from map(self._notice, self._notices.take(event))
         if isinstance(event, schema.ServerStep):
             yield self._step(event.server, event.after, event.why)
         if said is not None:
             yield facts.Said(at_s=self._now_s, words=said.text, tone=said.tone)
+
+    def _notice(self, notice: Notice) -> facts.Notice:
+        return facts.Notice(
+            at_s=self._now_s,
+            key=notice.key,
+            level=notice.level,
+            cause=notice.cause,
+            action=notice.action,
+            rank=notice.rank,
+            since_s=notice.since_s,
+            times=notice.times,
+        )
 
     # --- where the drone is, and what it does -----------------------------------------------------------------
 
@@ -105,6 +121,10 @@ class Story:
             yield self._fix(here, event if isinstance(event, schema.PositionReport) else None)
         if isinstance(event, schema.LimitsRead) and event.home is not None:
             yield facts.Home(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
+        if isinstance(event, schema.LimitsRead) and (event.low_percent or event.critical_percent):
+            yield facts.Stages(
+                at_s=self._now_s, low_percent=event.low_percent, critical_percent=event.critical_percent
+            )
 
     def _is_news(self, here: Position) -> bool:
         return here != self._place or self._now_s - self._placed_s > _STALE_S
@@ -163,10 +183,34 @@ class Story:
         self._beginning.take(event)
         if self._beginning.at_s != began_s:
             yield facts.Began(at_s=self._now_s, policy=self._policy)
-        doing = (self._narrator.doing, self._narrator.reached)
+        self._control.take(event)
+        self._call_under_way.take(event)
+        yield from self._state(event)
+
+    def _state(self, event: Event) -> Iterator[Fact]:
+        """What is new of the vehicle, of what it does and of the call under way."""
+        control, vehicle = self._control, self._vehicle
+        now = facts.Vehicle(
+            at_s=vehicle.at_s,
+            mode=control.mode,
+            armed=control.armed,
+            gps=vehicle.gps,
+            satellites=vehicle.satellites,
+        )
+        if isinstance(event, schema.PositionReport) and event.gps is not None:
+            now = msgspec.structs.replace(now, gps=event.gps, satellites=event.satellites)
+        if now != vehicle:
+            self._vehicle = msgspec.structs.replace(now, at_s=self._now_s)
+            yield self._vehicle
+        words = self._narrator.doing if control.is_doing else ""
+        doing = (words, self._narrator.reached, control.who, control.tone)
         if doing != self._doing:
-            yield facts.Doing(at_s=self._now_s, words=doing[0], reached=doing[1])
             self._doing = doing
+            words, reached, who, tone = doing
+            yield facts.Doing(at_s=self._now_s, words=words, reached=reached, who=who, tone=tone)
+        if (calling := self._call_under_way.now) != self._calling:
+            self._calling = calling
+            yield facts.Calling(at_s=self._now_s, **asdict(calling))
 
     def _measured(self, server: str, place: schema.MeasuredRecord) -> facts.Measured:
         return facts.Measured(
