@@ -137,7 +137,8 @@ class Notices:
                 yield _alarm("left", f"Nothing is sent to the vehicle any more: {why}", _TAKE_OVER)
             case schema.MissionEnded(why=why):
                 level = Level.CAUTION if self._stands else Level.ALARM
-                yield Notice("ended", f"The mission ended early: {why}", level=level)
+                said = why.removeprefix("mission: ")
+                yield Notice("ended", f"The mission ended early: {said}", level=level)
             case schema.Call(fell_back=True):
                 self._fell_back += 1
                 fell = counted(self._fell_back, "call")

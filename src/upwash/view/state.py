@@ -30,6 +30,7 @@ _PHASES: Mapping[type[Event], str] = {  # from the event on
     schema.Returning: "returning",
     schema.Landing: "landing",
     schema.LeftHovering: "hovering",
+    schema.SafeEndFailed: "disobeying",
     schema.Landed: "landed",
     schema.Stood: "landed",
     schema.Disarmed: "landed",
@@ -49,11 +50,13 @@ class Control:
         self._phase = "waiting"
         self._home = Position(0.0, 0.0)
         self._highest_m = 0.0
+        self._is_silent = False
 
-    @property
-    def is_doing(self) -> bool:
-        """Whether what the program does is what the vehicle does, and `who` does not say it."""
-        return self.who in {"PROGRAM", "WAITING", "NOBODY"}
+    def words(self, doing: str) -> str:
+        """What the vehicle does, where the program does this and `who` does not say it."""
+        if self.who == "NOBODY":
+            return "hovering" if self._phase == "hovering" else "does not obey"
+        return doing if self.who in {"PROGRAM", "WAITING"} else ""
 
     @property
     def who(self) -> str:
@@ -72,7 +75,9 @@ class Control:
         if self._owner in _OTHERS:
             return _OTHERS[self._owner]
         match self._phase:
-            case "hovering":
+            case _ if self._is_silent:
+                return "NOT HEARD", "alarm"
+            case "hovering" | "disobeying":
                 return "NOBODY", "alarm"
             case "returning" | "landing":
                 return self._phase.upper(), "landing"
@@ -94,6 +99,8 @@ class Control:
                 self._owner = Owner.NOBODY
             case schema.SafeEnd(action=action):
                 self._phase = {"return": "returning", "land": "landing"}.get(action, self._phase)
+            case schema.LinkLost() | schema.LinkRestored():
+                self._is_silent = isinstance(event, schema.LinkLost)
             case schema.Armed() | schema.Disarmed():
                 self.armed = isinstance(event, schema.Armed)
             case schema.LimitsRead(home=Position() as home):

@@ -202,7 +202,7 @@ class Story:
         if now != vehicle:
             self._vehicle = msgspec.structs.replace(now, at_s=self._now_s)
             yield self._vehicle
-        words = self._narrator.doing if control.is_doing else ""
+        words = control.words(self._narrator.doing)
         doing = (words, self._narrator.reached, control.who, control.tone)
         if doing != self._doing:
             self._doing = doing

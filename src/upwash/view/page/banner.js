@@ -1,49 +1,69 @@
-// What a person has to act on, above everything else, and what a person should know: from when it begins to when it is over.
+// What a person has to act on, or should know: the most urgent of it alone, above everything else, and the rest by a click.
 
 import { told } from "./clock.js";
-import { element } from "./element.js";
+import { element, write } from "./element.js";
+import { byUrgency } from "./story.js";
 
 const SILENT_S = 5; // a flight tells where it is every second
 
 export class Banner {
-  #shown = "";
-
   constructor(alarms, cautions) {
-    this.alarms = alarms; // the element that is read out at once
-    this.cautions = cautions;
+    this.alarms = new Notice(alarms); // the element that is read out at once
+    this.cautions = new Notice(cautions);
   }
 
   // Of each flight at its moment; `live` says whether more can come. Returns how many alarms there are.
   show(moments, live) {
     const many = moments.length > 1;
     const held = moments.flatMap((moment) => noticesOf(moment, live).map((notice) => ({ ...notice, moment })));
-    const lines = held.map((notice) => ({ ...notice, words: inWords(notice, many) }));
-    const alarms = lines.filter((line) => line.level === "alarm");
-    const key = JSON.stringify(lines.map((line) => [line.level, line.words]));
-    if (key !== this.#shown) {
-      this.#shown = key;
-      fill(this.alarms, alarms);
-      fill(this.cautions, lines.filter((line) => line.level !== "alarm"));
-    }
-    return alarms.length;
+    const lines = held.sort(byUrgency).map((notice) => inWords(notice, many));
+    const alarms = held.filter(({ level }) => level === "alarm").length;
+    this.alarms.show(alarms ? lines : []);
+    this.cautions.show(alarms ? [] : lines);
+    return alarms;
   }
 }
 
-// What holds at the moment, in the order in which it began.
+// One line, and the others behind "+2 more", which stays open or closed while they change.
+class Notice {
+  constructor(where) {
+    this.where = where;
+    this.first = element("p");
+    this.count = element("summary");
+    this.others = element("div");
+    this.rest = element("details", { class: "rest" }, this.count, this.others);
+    where.replaceChildren(this.first, this.rest);
+  }
+
+  show([first, ...others]) {
+    this.where.hidden = !first;
+    this.rest.hidden = !others.length;
+    fill(this.first, first ?? ["", ""]);
+    write(this.count, `+${others.length} more`);
+    while (this.others.children.length > others.length) this.others.lastElementChild.remove();
+    while (this.others.children.length < others.length) this.others.append(element("p"));
+    others.forEach((line, index) => fill(this.others.children[index], line));
+  }
+}
+
+// What holds at the moment.
 function noticesOf(moment, live) {
   const silentS = live && moment.story.goesOn && moment.isLatest ? moment.story.silentS(Date.now() / 1000) : 0;
   if (silentS <= SILENT_S) return moment.notices;
   const cause = `No news of the flight for ${told(silentS)}`;
-  return [...moment.notices, { level: "alarm", at_s: null, cause, action: "Look whether its program runs." }];
+  const action = "Look whether its program runs.";
+  return [{ level: "alarm", rank: -1, at_s: 0, since_s: null, cause, action }, ...moment.notices];
 }
 
-function inWords({ cause, action, at_s, moment }, many) {
-  const name = many ? `${moment.story.name}: ` : "";
-  const since = at_s === null ? "" : ` Since ${moment.story.timeOf(at_s)}.`;
-  return [`${name}${cause}.`, `${action}${since}`.trim()];
+function inWords({ cause, action, since_s, times = 1, moment: { story } }, many) {
+  const name = many ? `${story.name}: ` : "";
+  const day = since_s === null ? "" : story.timeOfDay(since_s);
+  const since = since_s === null ? "" : `Since ${story.timeOf(since_s)}${day ? ` (${day})` : ""}.`;
+  return [`${name}${cause}${times > 1 ? ` ×${times}` : ""}.`, [action, since].filter(Boolean).join(" ")];
 }
 
-function fill(where, lines) {
-  where.hidden = lines.length === 0;
-  where.replaceChildren(...lines.map(({ words: [cause, rest] }) => element("p", {}, element("strong", {}, cause), ` ${rest}`)));
+// Only where it changes, so that what is read out at once is read out once.
+function fill(where, [cause, rest]) {
+  if (where.textContent === `${cause} ${rest}`) return;
+  where.replaceChildren(element("strong", {}, cause), ` ${rest}`);
 }

@@ -22,7 +22,7 @@ export class CallTable {
     while (rows.length > count) rows[rows.length - 1].remove();
     if (rows.length < count) {
       const calls = moment.story.call.slice(rows.length, count);
-      this.body.append(...calls.map((call) => row(call, moment.story.missionS(call.at_s))));
+      this.body.append(...calls.map((call) => row(call, moment.story.timeOf(call.at_s))));
     }
   }
 
@@ -31,9 +31,9 @@ export class CallTable {
   }
 }
 
-function row(call, endedS) {
+function row(call, ended) {
   const cells = [
-    `${endedS.toFixed(1)} s`,
+    ended,
     call.operation,
     nameOf(call.place),
     `${call.delay_s.toFixed(2)} s`,

@@ -3,7 +3,7 @@
 import { badge } from "./badge.js";
 import { told } from "./clock.js";
 import { element, table, write } from "./element.js";
-import { inWords } from "./flight.js";
+import { inWords } from "./bar.js";
 
 const HEADS = ["drone", "doing", "waypoints", "server", "calls", "saved", "battery"];
 const WIDE = new Set(["doing", "calls", "battery"]); // left out on a phone
@@ -45,8 +45,8 @@ export class DroneList {
 
 function showRow(cells, moment) {
   const { story } = moment;
-  const alarm = moment.notices.findLast(({ level }) => level === "alarm");
-  write(cells.doing, story.trouble || (alarm ? alarm.cause : inWords(moment)));
+  const alarm = moment.notices.find(({ level }) => level === "alarm");
+  write(cells.doing, story.trouble || (alarm ? alarm.cause : doingOf(moment)));
   cells.doing.classList.toggle("trouble", Boolean(story.trouble || alarm));
   write(cells.waypoints, `${moment.reached} of ${story.waypoints}`);
   write(cells.server, moment.using.map((used) => `${used.server} ${used.state}`).join(", ") || "none");
@@ -56,6 +56,11 @@ function showRow(cells, moment) {
   write(cells.saved, saved === null || !count ? "" : `${(Math.round(10 * saved) / 10 + 0).toFixed(1)} s`); // no -0.0
   const battery = moment.last("battery");
   write(cells.battery, battery ? `${battery.battery_percent.toFixed(0)} %` : "");
+}
+
+function doingOf(moment) {
+  const who = moment.last("doing")?.who ?? "PROGRAM";
+  return [who === "PROGRAM" ? "" : who.toLowerCase(), inWords(moment)].filter(Boolean).join(", ");
 }
 
 // What the missions came to together, once all of them are over.

@@ -52,7 +52,7 @@ export class Findings {
   #row(told, number, story) {
     const button = element("button", { type: "button", title: "To the moment and the photo" }, String(number));
     button.setAttribute("aria-label", `Finding ${number}: to its moment and its photo`);
-    const cells = [told.waypoint ?? "", inWords(told), `${story.missionS(told.at_s).toFixed(1)} s`];
+    const cells = [told.waypoint ?? "", inWords(told), story.timeOf(told.at_s)];
     const row = element("tr", {}, element("th", { scope: "row" }, button));
     row.append(...cells.map((cell) => element("td", {}, String(cell))));
     row.addEventListener("click", () => this.picked(told));

@@ -9,9 +9,9 @@ import { Journal } from "./journal.js";
 import { Lanes } from "./lanes.js";
 import { PhotoCard } from "./photo.js";
 import { STAR } from "./marks.js";
+import { outlook } from "./outlook.js";
 import { FILL_WORDS, nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
-import { Strip } from "./strip.js";
 
 export class Flight {
   #run = 0;
@@ -24,10 +24,9 @@ export class Flight {
     this.map = map;
     const { name } = story;
     this.heading = element("h2", {}, ...sign, name);
-    this.doing = element("p", { class: "doing", role: "status" });
     this.totals = element("p", { class: "totals" });
     this.summary = element("p", { class: "summary", hidden: "" });
-    this.strip = new Strip();
+    this.outlook = element("p", { class: "outlook" });
     this.trouble = element("p", { class: "trouble", role: "alert", hidden: "" });
     this.where = element("p", { class: "where" });
     this.decision = element("h3");
@@ -47,7 +46,7 @@ export class Flight {
     this.element = element(
       "section",
       { class: "flight", "aria-label": `Flight ${name}` },
-      element("div", { class: "head" }, this.heading, this.doing, this.strip.element, ...words),
+      element("div", { class: "head" }, this.heading, this.outlook, ...words),
       ...(map ? [map.element] : []),
       this.photo.element,
       element("div", { class: "side" }, now, this.servers.element),
@@ -106,13 +105,10 @@ export class Flight {
 
   #showHead(moment) {
     const { story } = this;
-    const doing = moment.last("doing");
-    write(this.doing, inWords(moment));
+    write(this.outlook, outlook(moment).join(" · "));
     const policy = story.began ? `policy ${story.began.policy}` : "";
-    const reached = `${doing?.reached ?? 0} of ${story.waypoints} waypoints reached`;
-    write(this.totals, [reached, this.#calls(moment), policy].filter(Boolean).join(" · "));
+    write(this.totals, [this.#calls(moment), policy].filter(Boolean).join(" · "));
     write(this.where, this.#where(moment.position));
-    this.strip.show(moment);
     this.summary.hidden = !moment.isOver || !this.summary.textContent;
     this.trouble.hidden = !story.trouble;
     write(this.trouble, story.trouble);
@@ -183,10 +179,4 @@ function star() {
   const points = STAR.map(([x, y]) => `${x + 8},${y + 8}`).join(" ");
   const attributes = { viewBox: "0 0 16 16", width: 16, height: 16, class: "star", "aria-hidden": "true" };
   return drawn("svg", attributes, drawn("polygon", { points }));
-}
-
-// What the drone does.
-export function inWords(moment) {
-  if (moment.isOver) return moment.story.isCompleted ? "mission completed" : "mission ended early";
-  return moment.last("doing")?.words ?? "waiting for the log to begin";
 }

@@ -7,6 +7,7 @@ const MOST = 100; // lines
 export class Journal {
   #from = 0; // of the lines shown, the first and the one after the last
   #to = 0;
+  #began = null; // from which the times of the lines are counted
 
   constructor(name) {
     this.list = element("ol", { class: "journal", reversed: "" });
@@ -16,7 +17,8 @@ export class Journal {
   show(moment) {
     const to = moment.count("said");
     const from = Math.max(0, to - MOST);
-    if (to < this.#to || from > this.#to) {
+    if (to < this.#to || from > this.#to || this.#began !== moment.story.began) {
+      this.#began = moment.story.began;
       this.list.replaceChildren();
       this.#from = this.#to = from;
     }
@@ -31,6 +33,7 @@ export class Journal {
 }
 
 function line(said, story) {
-  const time = element("span", { class: "at" }, story.timeOf(said.at_s));
+  const day = story.timeOfDay(said.at_s);
+  const time = element("span", { class: "at" }, story.timeOf(said.at_s), ...(day ? [" ", element("time", {}, day)] : []));
   return element("li", { class: said.tone }, time, said.words);
 }

@@ -1,6 +1,7 @@
 // Puts the page together: stories come in, the clock says which moment is shown, views show it.
 
 import { Banner } from "./banner.js";
+import { Bar } from "./bar.js";
 import { Clock, told } from "./clock.js";
 import { element, write } from "./element.js";
 import { Feed } from "./feed.js";
@@ -24,6 +25,7 @@ const colours = new Colours(() => {
 const places = new Places(colours);
 const banner = new Banner(on("alarms"), on("cautions"));
 let views = []; // a flight each, or a fleet
+let bars = []; // one for each of them
 let summaries = {};
 let title = "upwash";
 let together = false;
@@ -55,6 +57,8 @@ const feed = new Feed({
 function setViews(shown) {
   views = shown;
   views.forEach((view) => view.summarize(summaries));
+  bars = views.map((view) => new Bar(together ? "the drone in focus" : view.watched.name));
+  on("bars").replaceChildren(...bars.map((bar) => bar.element));
   on("flights").replaceChildren(...views.map((view) => view.element));
   on("flights").classList.toggle("beside", views.length > 1);
 }
@@ -116,6 +120,8 @@ function show() {
     before: stories.some((story) => story.call[0]?.waypoint === null),
   };
   for (const view of views) view.show(clock.nowS, limits);
+  const many = shown().length > 1;
+  views.forEach(({ watched }, index) => bars[index].show(watched.at(clock.nowS), many ? watched.name : ""));
   showNotices();
   showControls();
 }
@@ -134,11 +140,17 @@ function showControls() {
   on("time").max = clock.endS.toFixed(1);
   on("time").value = clock.nowS.toFixed(1);
   on("time").setAttribute("aria-valuetext", `${told(clock.nowS)} of ${told(clock.endS)}`);
-  write(on("clock"), `${told(clock.nowS)} / ${told(clock.endS)}`);
+  write(on("clock"), [`${told(clock.nowS)} / ${told(clock.endS)}`, timeOfDay()].filter(Boolean).join(" · "));
   write(on("play"), clock.playing ? "Pause" : "Play");
   on("latest").hidden = !live;
   showMode();
   on("latest").setAttribute("aria-pressed", String(clock.following));
+}
+
+// Of the moment that is shown; empty where the flights have none, or none in common.
+function timeOfDay() {
+  const times = new Set(shown().map((story) => story.timeOfDay(clock.nowS + story.zeroS)));
+  return times.size === 1 ? [...times][0] : "";
 }
 
 // Whether a flight goes on; and where the logs have fallen silent, for how long.

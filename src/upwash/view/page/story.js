@@ -1,8 +1,9 @@
 // What a log has told so far. Any moment of it is found by a search in lists that only grow.
 
+import { told } from "./clock.js";
 import { Totals, countUntil } from "./totals.js";
 
-const SERIES = ["fix", "battery", "motion", "link", "down", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "calling", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
 const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
@@ -26,6 +27,7 @@ export class Story {
     this.lastS = 0;
     this.longestS = 0; // of the calls
     this.home = null;
+    this.stages = null; // of the battery, as the vehicle has them
     this.arrivals = []; // when the first, the second, ... waypoint was reached
     this.steps = new Map();
     this.known = new Set(); // servers
@@ -59,6 +61,7 @@ export class Story {
       case "began":
       case "forecast":
       case "home":
+      case "stages":
         this[fact.fact] = fact;
         if (fact.fact === "began") this.ended = null;
         break;
@@ -154,10 +157,17 @@ export class Story {
     return atS - (this.began?.at_s ?? 0);
   }
 
-  // A second of the log as people read it: of the mission, or in brackets of the log before the mission began.
+  // A second of the log as people read it: of the mission, below 0 before it began, in brackets while it has not begun.
   timeOf(atS) {
-    if (this.began && atS >= this.began.at_s) return `${this.missionS(atS).toFixed(1)} s`;
-    return `[${atS.toFixed(1)} s]`;
+    if (!this.began) return `[${told(atS)}]`;
+    const missionS = this.missionS(atS);
+    return missionS < 0 ? `−${told(Math.ceil(-missionS))}` : told(missionS);
+  }
+
+  // The time of day of a second of the log; empty where the log has none, as of a simulation.
+  timeOfDay(atS) {
+    if (!this.opened) return "";
+    return new Date(1000 * (this.opened.epoch_s + atS - this.opened.at_s)).toTimeString().slice(0, 8);
   }
 
   clockS(atS) {
@@ -231,14 +241,44 @@ export class Moment {
     return [...new Set(keys)].map((key) => key.slice("server ".length)).sort();
   }
 
-  // What a person has to act on or should know, in the order in which it began.
+  // What a person has to act on or should know, the most urgent first.
   get notices() {
     const held = new Map();
     for (const notice of this.story.notice.slice(0, this.count("notice"))) {
-      held.delete(notice.key);
       if (notice.cause) held.set(notice.key, notice);
+      else held.delete(notice.key);
     }
-    return [...held.values()];
+    return [...held.values()].sort(byUrgency);
+  }
+
+  // The call under way; null without one.
+  get calling() {
+    const calling = this.isOver ? null : this.last("calling");
+    return calling?.words ? calling : null;
+  }
+
+  // That the vehicle is not heard; undefined while it is, or where nobody listens.
+  get silence() {
+    return this.notices.find(({ key }) => key === "link");
+  }
+
+  // As the vehicle told before the moment; null where it did not.
+  get stages() {
+    const { stages } = this.story;
+    return stages && stages.at_s <= this.atS ? stages : null;
+  }
+
+  // Since when the one has the vehicle who has it.
+  get heldSince() {
+    const { doing } = this.story;
+    let index = this.count("doing") - 1;
+    while (index > 0 && doing[index - 1].who === doing[index].who) index -= 1;
+    return doing[index].at_s;
+  }
+
+  // Whether the program flies the mission: it has not broken it off, and nobody has taken the vehicle.
+  get isOnMission() {
+    return this.last("doing")?.tone === "program";
   }
 
   // Whether nothing later is known.
@@ -304,4 +344,10 @@ export class Moment {
     const told = this.story.fix[count - 1]?.heading_deg;
     return told ?? this.story.courses[count] ?? this.story.courses[count - 1] ?? null;
   }
+}
+
+// The order of notices: what a person has to act on first, then by rank, then the newest.
+export function byUrgency(one, other) {
+  if (one.level !== other.level) return one.level === "alarm" ? -1 : 1;
+  return one.rank - other.rank || other.at_s - one.at_s;
 }
