@@ -87,7 +87,7 @@ def test_the_picture_is_the_part_of_the_photo_around_the_box(tmp_path: Path, pho
         cv2.IMREAD_GRAYSCALE,
     )
     assert shown is not None
-    assert shown.shape == (HEIGHT_PX, WIDTH_PX)
+    assert shown.shape == (72, 96)
     left, top, width, height = (round(float(box.get(key, ""))) for key in ("x", "y", "width", "height"))
     inside = shown[top : top + height, left : left + width]
     assert inside.mean() > 240

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -79,7 +81,7 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def opened(page: Browser, address: str, at_s: float, *, width: int = 1400, **window: Any) -> None:
     """Opens the page at that second of the mission."""
     page.open(address, width=width, **window)
-    page.wait_until(lambda: page.text("#clock").endswith(" / 0:50"))
+    page.wait_until(lambda: " / 0:50" in page.text("#clock"))
     page.seek(at_s)
 
 
@@ -109,7 +111,7 @@ def test_the_map_and_the_photo_are_side_by_side_in_the_first_view(
 
 def test_on_a_phone_the_parts_follow_each_other(page: Browser, one: str) -> None:
     opened(page, one, 34.0, width=390)
-    parts = [".head", ".map-frame", ".photos", ".servers", ".delays", ".findings", ".journal"]
+    parts = [".head", ".map-frame", ".photos", ".findings", ".servers", ".delays", ".journal"]
     tops = [boxes(page, part)[0][1] for part in parts]
     assert tops == sorted(tops)
     assert page.width() <= 390
@@ -129,35 +131,92 @@ def test_the_labels_of_boxes_stay_within_the_photo_and_cover_no_other(
         assert photo[0] <= label[0] + 0.5 and label[2] <= photo[2] + 0.5, label
         assert photo[1] <= label[1] + 0.5 and label[3] <= photo[3] + 0.5, label
         assert not any(overlap(label, other) for other in labels[:number]), number
-    assert {element.text.split()[0] for element in page.all(".boxes text")} == {"2"}, "as in the list"
+    assert {element.text.split()[0] for element in page.all(".boxes text")} == set("23456"), "as in the list"
 
 
-def test_everything_that_the_user_was_told_is_listed_and_leads_to_its_moment(page: Browser, one: str) -> None:
+LABEL = "hot-spot with quite a long name"
+
+
+def current(page: Browser) -> str:
+    """The number of the finding that is looked at, as the list has it."""
+    return page.text(".finds [aria-current] .number")
+
+
+def test_everything_that_was_found_is_listed_and_leads_to_its_moment(page: Browser, one: str) -> None:
     opened(page, one, 0.0)
-    label = "hot-spot with quite a long name"
-    assert page.rows(".findings") == [
-        ["2", "3", f"{label} {', '.join(['87 %'] * len(AT_THE_BORDERS))}", "33.0 s"],
-        ["1", "1", f"{label} 87 %", "13.0 s"],
+    assert page.text(".sentence") == f"{1 + len(AT_THE_BORDERS)} {LABEL}s"
+    assert page.each(".finds li", "each.textContent")[-2:] == [
+        f"2 {LABEL} 87 %waypoint 3 · 0:33",
+        f"1 {LABEL} 87 %waypoint 1 · 0:13",
     ]
-    assert page.all(".findings tr[aria-current]") == [], "nothing was found by then"
-    second, first = page.all(".findings tbody button")
+    assert current(page) == "", "nothing was found by then"
+    assert len(page.all(".finds .later")) == 6
+    *_, third, second, first = page.all(".finds button")
     first.click()
     page.wait_until(lambda: page.text("#clock").startswith("0:13"))
     page.drawn()
     assert page.text(".photos p").startswith("Photo 2, at waypoint 1, ")
-    assert "Finding 1: 1 x hot-spot" in page.text(".photos p")
-    assert page.find(".findings tr[aria-current]").text.startswith("1 ")
+    assert f"Finding 1: {LABEL} 87 %." in page.text(".photos p")
+    assert current(page) == "1"
     second.send_keys("\n")
     page.wait_until(lambda: page.text("#clock").startswith("0:33"))
     page.drawn()
     assert page.text(".photos p").startswith("Photo 4, at waypoint 3, ")
+    assert current(page) == "2"
+    third.click()
+    page.wait_until(lambda: current(page) == "3")
+    page.seek(40.0)
+    assert current(page) == "3", "while its message is the last"
 
 
-def test_where_something_was_found_has_a_mark_on_the_map(page: Browser, one: str) -> None:
+def test_findings_have_pictures_of_96_pixels(page: Browser, one: str) -> None:
+    opened(page, one, 34.0)
+    page.wait_until(lambda: page.each(".thumb img", "each.naturalWidth > 0").count(True) >= 4)
+    assert set(page.each(".thumb", "each.getBoundingClientRect().width")) == {96}
+    assert page.errors() == []
+
+
+def test_a_click_on_the_photo_shows_a_finding_in_the_list(page: Browser, one: str) -> None:
+    opened(page, one, 34.0)
+    page.wait_until(lambda: len(page.all(".boxes .found")) == len(AT_THE_BORDERS))
+    assert current(page) == "6", "the last"
+    page.run("document.querySelector('.boxes .found').dispatchEvent(new MouseEvent('click'))")
+    page.wait_until(lambda: current(page) == "2")
+    page.wait_until(lambda: page.all(".boxes .found.current"))
+    assert page.each(".boxes .found", "each.classList.contains('current')") == [True, *[False] * 4]
+
+
+def test_a_click_on_a_number_on_the_map_shows_that_finding(page: Browser, one: str) -> None:
+    opened(page, one, 34.0)
+    page.drawn()
+    assert current(page) == "6", "the last"
+    page.run(
+        "const map = document.querySelector('.map'); const frame = map.getBoundingClientRect();"
+        "const act = (kind, clientX, clientY) => "
+        "map.dispatchEvent(new MouseEvent(kind, { clientX, clientY, bubbles: true }));"
+        "for (let x = frame.left; x < frame.right; x += 4) for (let y = frame.top; y < frame.bottom; y += 4) {"
+        "  act('mousemove', x, y); if (map.classList.contains('on-finding')) return act('click', x, y); }"
+    )  # the most western one
+    page.wait_until(lambda: current(page) == "1")
+    assert page.text("#clock").startswith("0:13")
+
+
+def test_where_something_was_found_has_its_number_on_the_map(page: Browser, one: str) -> None:
     opened(page, one, 12.9)
     before = inked(page)
     page.seek(13.1)
-    assert inked(page) > before + 30, "a star"
+    assert inked(page) > before + 30
+
+
+def test_findings_can_be_downloaded(page: Browser, one: str) -> None:
+    opened(page, one, 34.0)
+    page.click(".downloads summary")
+    names = ["findings.csv", "findings.geojson", "findings.kml", "findings.zip"]
+    assert [link.text for link in page.all(".downloads a")] == names
+    written = page.run(
+        "return fetch(document.querySelector('.downloads a').href).then((answer) => answer.text())"
+    )
+    assert [row["number"] for row in csv.DictReader(io.StringIO(written))] == list("123456")
 
 
 # --- the map --------------------------------------------------------------------------------------------------

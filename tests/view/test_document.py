@@ -14,9 +14,11 @@ from typing import Any
 
 import pytest
 from tests.events import line
+from tests.report.test_findings import BOX, flight
 
 from upwash.cli.main import main
-from upwash.report.record import read_records
+from upwash.report.finding_files import as_csv
+from upwash.report.record import findings_of, read_records
 from upwash.view.document import write_document
 from upwash.view.file import write_page
 
@@ -85,9 +87,21 @@ def test_a_file_refers_to_nothing_outside_itself_and_runs_its_own_scripts_alone(
     assert "@import" not in page.content["style"][0]
 
 
+def test_a_file_has_the_findings_with_their_pictures_and_as_files(tmp_path: Path) -> None:
+    log = flight(tmp_path / "f.jsonl", "look here", [BOX], source="park 2")
+    records = read_records([log])
+    document = write_page([log], records)
+    (told,) = [facts for kind, facts in Reading(document).told() if kind == "findings"]
+    assert told == [{"words": "2 findings: 1 hot-spot, 1 message", "numbers": None}]
+    assert re.findall(r'<image id="(\S+)" href="data:image/jpeg;base64,', document) == ["crop-0-1"]
+    (files,) = Reading(document).content["script#files"]
+    assert json.loads(files)["findings.csv"] == as_csv(findings_of(records))
+    assert set(json.loads(files)) == {"findings.csv", "findings.geojson", "findings.kml"}
+
+
 def test_a_file_has_every_fact_and_ends(logs: tuple[Path, Path]) -> None:
     messages = read(*logs).told()
-    assert [kind for kind, _ in messages if kind != "facts"] == ["page", "summaries", "end"]
+    assert [kind for kind, _ in messages if kind != "facts"] == ["page", "findings", "summaries", "end"]
     batches = [batch for kind, batch in messages if kind == "facts"]
     assert {batch["log"] for batch in batches} == {0, 1}
     assert all(batch["trouble"] == "" for batch in batches)

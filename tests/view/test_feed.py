@@ -41,6 +41,7 @@ class Page:
         self.received = 0
         self.more: list[bool] = []
         self.runs: dict[int, int] = {}
+        self.found: list[dict[str, Any]] = []
         self.messages: AsyncIterator[str] = feed.messages(after)
 
     async def hear(self, until: Callable[[Page], bool]) -> None:
@@ -54,6 +55,8 @@ class Page:
         self.id = fields.get("id", self.id)
         if fields["event"] == "page":
             self.together = json.loads(fields["data"])["together"]
+        if fields["event"] == "findings":
+            self.found = json.loads(fields["data"])
         if fields["event"] == "facts":
             batch = json.loads(fields["data"])
             facts = self.facts.setdefault(batch["log"], [])
@@ -108,6 +111,38 @@ def test_logs_of_several_drones_are_shown_together(
             assert page.together == together
 
     asyncio.run(run())
+
+
+def found(at_s: float, *labels: str) -> dict[str, Any]:
+    box = {"left_px": 1.0, "top_px": 2.0, "width_px": 3.0, "height_px": 4.0, "score": 0.9}
+    message = [{**box, "label": label} for label in labels]
+    return {"t": at_s, "event": "notified", "message": message, "at": {"east_m": 0.0, "north_m": 0.0}}
+
+
+async def test_the_findings_of_a_fleet_have_one_number_each_which_stays(tmp_path: Path) -> None:
+    logs = [tmp_path / "1.jsonl", tmp_path / "2.jsonl"]
+    for log, drone in zip(logs, ("heron", "stork"), strict=True):
+        append(log, OPENED, {**STARTED, "drone": drone})
+    append(logs[0], found(2.0, "hot-spot", "hot-spot"), found(4.0, "broken-module"))
+    append(logs[1], found(3.0, "hot-spot"))
+    words = "4 faults: 3 hot-spots, 1 broken module"
+    async with following(*logs) as feed:
+        page = Page(feed)
+        await page.hear(lambda page: bool(page.found))
+        assert page.found == [{"words": words, "numbers": [1, 2, 4]}, {"words": words, "numbers": [3]}]
+        append(logs[1], found(5.0, "hot-spot"))
+        await page.hear(lambda page: len(page.found[1]["numbers"]) > 1)
+        assert [each["numbers"] for each in page.found] == [[1, 2, 4], [3, 5]]
+        assert len([fact for fact in page.facts[1] if fact["fact"] == "told"]) == 2
+
+
+async def test_the_findings_of_flights_of_one_drone_are_said_of_each(log: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.jsonl"
+    append(other, OPENED, STARTED, found(2.0, "hot-spot"), found(3.0))
+    async with following(log, other) as feed:
+        page = Page(feed)
+        await page.hear(lambda page: bool(page.found))
+        assert page.found == [{"words": "", "numbers": None}, {"words": "1 hot-spot", "numbers": None}]
 
 
 async def test_a_page_is_sent_what_is_new_and_only_that(log: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from tests.report.test_findings import BOX, flight
 
 from upwash.cli.main import main
 from upwash.errors import UsageError
@@ -21,6 +22,9 @@ from upwash.view.tiles import Tiles
 pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
+
+
+PATHS = ["/", "/events", "/photos/0/1/0.jpg", "/crops/0/1/0.jpg", "/findings.csv", "/findings.zip"]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +52,7 @@ def ask(
         connection.close()
 
 
-@pytest.mark.parametrize("path", ["/", "/events", "/nothing", "/photos/0/1/0.jpg"])
+@pytest.mark.parametrize("path", [*PATHS, "/nothing"])
 def test_a_browser_is_told_to_load_and_run_nothing_else(address: str, path: str) -> None:
     response, _ = ask(address, path)
     policy = response.headers["Content-Security-Policy"]
@@ -61,7 +65,7 @@ def test_a_browser_is_told_to_load_and_run_nothing_else(address: str, path: str)
 
 
 @pytest.mark.parametrize("host", ["upwash.example", "127.0.0.1.example:80", "", "192.0.2.7"])
-@pytest.mark.parametrize("path", ["/", "/events", "/photos/0/1/0.jpg"])
+@pytest.mark.parametrize("path", PATHS)
 def test_a_name_of_elsewhere_is_turned_away(address: str, host: str, path: str) -> None:
     response, body = ask(address, path, Host=host)
     assert response.status == 421
@@ -79,7 +83,7 @@ ELSEWHERE = [
 
 
 @pytest.mark.parametrize("headers", ELSEWHERE, ids=range(len(ELSEWHERE)))
-@pytest.mark.parametrize("path", ["/", "/events", "/photos/0/1/0.jpg"])
+@pytest.mark.parametrize("path", PATHS)
 def test_a_page_from_elsewhere_is_answered_nothing(address: str, headers: dict[str, str], path: str) -> None:
     response, body = ask(address, path, **headers)
     assert response.status == 403
@@ -128,7 +132,7 @@ def _end_of(response: http.client.HTTPResponse) -> str:
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
-@pytest.mark.parametrize("path", ["/", "/events", "/photos/0/1/0.jpg"])
+@pytest.mark.parametrize("path", PATHS)
 def test_nothing_can_be_written(address: str, method: str, path: str) -> None:
     assert ask(address, path, method)[0].status == 405
 
@@ -172,6 +176,40 @@ def test_it_says_goodbye_and_ends_while_a_page_is_open(log: Path, number: signal
         assert process.wait(timeout=60) == 0
         assert process.stderr is not None
         assert process.stderr.read() == ""
+
+
+@pytest.fixture(scope="module")
+def finds(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
+    """A log with findings on a photo that can be had, and the address of the page about it."""
+    log = flight(tmp_path_factory.mktemp("logs") / "finds.jsonl", "look here", [BOX], source="park 2")
+    with ready_program("view", log.parent, "view", str(log), "--port", "0") as address:
+        yield log, address
+
+
+@pytest.mark.parametrize("name", ["csv", "geojson", "kml", "zip"])
+def test_the_findings_are_served_as_the_report_writes_them(
+    finds: tuple[Path, str], tmp_path: Path, name: str
+) -> None:
+    log, address = finds
+    assert main(["report", str(log), "--findings", str(tmp_path / f"f.{name}")]) == 0
+    response, body = ask(address, f"/findings.{name}")
+    assert body == (tmp_path / f"f.{name}").read_bytes()
+    assert response.headers["Content-Disposition"] == f'attachment; filename="findings.{name}"'
+
+
+def test_a_finding_with_a_box_has_a_picture(finds: tuple[Path, str]) -> None:
+    _, address = finds
+    response, body = ask(address, "/crops/0/1/1.jpg")
+    assert (response.status, response.headers["Content-Type"]) == (200, "image/jpeg")
+    assert body.startswith(b"\xff\xd8\xff")
+    for path in (
+        "/crops/0/1/0.jpg",
+        "/crops/0/1/2.jpg",
+        "/crops/0/2/1.jpg",
+        "/crops/1/1/0.jpg",
+        "/findings.xlsx",
+    ):
+        assert ask(address, path)[0].status == 404, path
 
 
 def test_a_port_in_use_is_told(address: str, log: Path) -> None:

@@ -159,8 +159,8 @@ def test_photos_are_numbered_and_their_boxes_told() -> None:
         (1, False, 1),
     ]
     assert b"score" not in msgspec.json.encode(shots[0]), "the truth has none"
-    assert [(box.label, box.score) for box in boxes.boxes] == [("hot-spot", 0.9)]
-    assert (words.words, list(words.boxes)) == ("the battery is low", [])
+    assert (boxes.what, boxes.score, boxes.photo, boxes.pictured) == ("hot-spot", 0.9, 0, True)
+    assert (words.what, words.box, words.pictured) == ("the battery is low", None, False)
 
 
 def test_reasons_are_told_in_seconds_of_the_mission() -> None:
@@ -198,7 +198,7 @@ def test_the_way_back_is_told_and_that_answers_were_open(going: list[Fact]) -> N
 
 
 def test_what_the_user_is_told_late_is_of_the_photo_of_that_waypoint(going: list[Fact]) -> None:
-    numbers = [told.number for told in those(facts.Told, going)]
+    numbers = [told.photo for told in those(facts.Told, going)]
     waypoints = [those(facts.Shot, going)[number].waypoint for number in numbers if number is not None]
     assert waypoints == [2, 8, 14]
     assert [told.waypoint for told in those(facts.Told, going)] == [2, 8, 14]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 WIDTH_PX, HEIGHT_PX = 240, 180  # of a crop, at most
 _AROUND = 3.0  # times the box
+_LEAST = 0.4  # of the width and the height, in pixels of the photo
 _QUALITY = 80  # of the JPEG, in percent
 
 
@@ -64,12 +65,14 @@ def shrunk(jpeg: bytes, width_px: int) -> tuple[bytes, int, int] | None:
 
 
 def crop_around(box: Outline, pixels: MatLike) -> Crop | None:
-    """The part of the photo around the box, None where the box lies beside the photo."""
+    """The part of the photo around the box, None where the box lies beside the photo or is larger."""
     photo_height, photo_width = pixels.shape[:2]
     across, down = box.left_px + box.width_px / 2, box.top_px + box.height_px / 2
-    if not (0 <= across <= photo_width and 0 <= down <= photo_height):
+    is_across = abs(across - photo_width / 2) <= (photo_width + box.width_px) / 2
+    is_down = abs(down - photo_height / 2) <= (photo_height + box.height_px) / 2
+    if not (is_across and is_down and box.width_px <= photo_width and box.height_px <= photo_height):
         return None
-    scale = max(1.0, _AROUND * box.width_px / WIDTH_PX, _AROUND * box.height_px / HEIGHT_PX)
+    scale = max(_LEAST, _AROUND * box.width_px / WIDTH_PX, _AROUND * box.height_px / HEIGHT_PX)
     width = round(min(photo_width, scale * WIDTH_PX))
     height = round(min(photo_height, scale * HEIGHT_PX))
     left = round(min(max(0.0, across - width / 2), photo_width - width))

@@ -171,16 +171,21 @@ class Finding:
 
 
 class Finder:
-    """Finds them event by event, `pairing` the messages with their photos; an empty message tells nothing."""
+    """Finds them event by event, `pairing` the messages with their photos; an empty message tells nothing.
+
+    Nothing is found after the mission was completed.
+    """
 
     def __init__(self) -> None:
         self.found: list[Finding] = []
         self.pairing = Pairing()
+        self._is_over = False
 
     def take(self, event: Event) -> Sequence[Finding]:
         """What the next event tells of."""
         self.pairing.take(event)
-        if not isinstance(event, schema.Notified) or not event.message:
+        self._is_over |= isinstance(event, schema.MissionCompleted)
+        if not isinstance(event, schema.Notified) or not event.message or self._is_over:
             return ()
         photo = self.pairing.told_of
         boxes = outlines(event.message)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 
 from upwash.report import tables
 from upwash.report.crops import Crop, cut_out
@@ -10,7 +11,7 @@ from upwash.report.findings import MOST_PICTURED, Outline
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record, findings_of
+from upwash.report.record import Record
 from upwash.support.text import printable
 
 _WITHOUT = (
@@ -20,21 +21,24 @@ _WITHOUT = (
 _LONGEST_LABEL = 60  # characters
 
 
-def draw_findings(record: Record, shelf: PhotoShelf, most: int) -> Markup:
-    """The findings of the run: a picture of each box, up to so many, and all of them as a table."""
+def draw_findings(
+    record: Record, found: Sequence[PlacedFinding], shelf: PhotoShelf, *, log: int, most: int
+) -> Markup:
+    """The findings of the `log`th record: a picture of each box, up to so many, and all of them as a table."""
     pictures: list[Markup] = []
     lacking = False
-    for found in findings_of([record])[:MOST_PICTURED]:
-        if found.finding.box is not None and len(pictures) < most:
-            crop = cut_out(found.finding, shelf)
+    for index, each in enumerate(found[:MOST_PICTURED]):
+        if each.finding.box is not None and len(pictures) < most:
+            crop = cut_out(each.finding, shelf)
             lacking |= crop is None
-            pictures += [] if crop is None else [_picture(found, found.finding.box, crop, record)]
+            outlined = None if crop is None else _outlined(each.finding.box, crop, f"crop-{log}-{index}")
+            pictures += [] if outlined is None else [_picture(each, outlined, record)]
     notes = []
     if len(pictures) >= most:
         notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
     elif lacking:
         notes.append(_note(_WITHOUT))
-    table = tables.findings(record)
+    table = tables.findings(record, found)
     if not pictures:
         return joined(*notes, table)
     gallery = element("ul", *pictures[:most], class_="gallery")
@@ -45,33 +49,29 @@ def _note(text: str) -> Markup:
     return element("p", text, class_="note")
 
 
-def _picture(found: PlacedFinding, box: Outline, crop: Crop, record: Record) -> Markup:
+def _picture(found: PlacedFinding, outlined: Markup, record: Record) -> Markup:
     finding = found.finding
     where = "" if finding.waypoint is None else f"waypoint {finding.waypoint}, "
     caption = element(
         "figcaption",
-        element("strong", f"{found.number}: {_words(box)}"),
+        element("strong", f"{found.number}: {printable(finding.words, _LONGEST_LABEL)}"),
         element("br"),
         f"{where}at {found.mission_s:.1f} s",
         element("br"),
         tables.coordinates(found, record.plan.home),
     )
-    return element("li", element("figure", _outlined(box, crop), caption))
+    return element("li", element("figure", outlined, caption))
 
 
-def _words(box: Outline) -> str:
-    return printable(box.words, _LONGEST_LABEL)
-
-
-def _outlined(box: Outline, crop: Crop) -> Markup:
-    """The crop with the box drawn on it."""
+def _outlined(box: Outline, crop: Crop, name: str) -> Markup:
+    """The crop, which the page's scripts find by that name, with the box drawn on it."""
     corner = {"x": box.left_px - crop.left_px, "y": box.top_px - crop.top_px}
     size = {"width": box.width_px, "height": box.height_px}
     return element(
         "svg",
-        element("title", f"{_words(box)}, on the photo"),
+        element("title", f"{printable(box.words, _LONGEST_LABEL)}, on the photo"),
         element(
-            "image", href=f"data:image/jpeg;base64,{base64.b64encode(crop.jpeg).decode()}",
+            "image", id=name, href=f"data:image/jpeg;base64,{base64.b64encode(crop.jpeg).decode()}",
             width=crop.width_px, height=crop.height_px,
         ),
         element("rect", **corner, **size, class_="around"),

@@ -11,7 +11,7 @@ from upwash.report.gallery import draw_findings
 from upwash.report.markup import Markup, element, joined
 from upwash.report.outcome import what_it_came_to
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record, ReportedCall, WorstCall
+from upwash.report.record import Record, ReportedCall, WorstCall, findings_of
 from upwash.report.summary import draw_summary
 
 _SIDE_BY_SIDE = 3  # flights; more are summed up first, and folded each
@@ -46,16 +46,18 @@ def _flights(
 ) -> list[Markup]:
     """The flights that are shown, of the records that the page is about; so many pictures each."""
     told = [record for record in shown if record.findings]
+    found = findings_of(records)
+
+    def findings(record: Record) -> Markup:
+        own = [each for each in found if each.flight.log == record.name]
+        return draw_findings(record, own, shelf, log=records.index(record), most=pictures)
+
     outcomes = [record.outcome for record in records]
     return [
         draw_endings(shown),
         *(element("p", what_it_came_to(record.outcome, outcomes), class_="lead") for record in shown),
         tables.totals(shown),
-        *(
-            [_section(told, "Findings", lambda record: draw_findings(record, shelf, pictures))]
-            if told
-            else []
-        ),
+        *([_section(told, "Findings", findings)] if told else []),
         _section(shown, "Worst calls", _worst_calls),
         _section(shown, "Calls", _calls),
         _section(shown, "Servers and places", _places),

@@ -12,7 +12,7 @@ from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
 from upwash.report.numbering import PlacedFinding
-from upwash.report.record import Record, ReportedCall, Stretch, findings_of
+from upwash.report.record import Record, ReportedCall, Stretch
 
 _MOST_ROWS = 300  # of a table with a row each of what a long flight has many of
 _AT_EITHER_END = 100
@@ -250,23 +250,23 @@ def waypoints(record: Record) -> Markup:
     )
 
 
-def findings(record: Record) -> Markup:
+def findings(record: Record, found: Sequence[PlacedFinding]) -> Markup:
     """What the user was told, and of which place."""
     home = record.plan.home
 
-    def row(found: PlacedFinding) -> list[str]:
+    def row(each: PlacedFinding) -> list[str]:
         return [
-            str(found.number),
-            f"{found.mission_s:.1f} s",
-            _at(found.finding.waypoint),
-            coordinates(found, home),
-            found.finding.words,
+            str(each.number),
+            f"{each.mission_s:.1f} s",
+            _at(each.finding.waypoint),
+            coordinates(each, home),
+            each.finding.words,
         ]
 
     return _long(
         "Findings",
         ["finding", "at", "waypoint", "place", "what the user was told"],
-        findings_of([record]),
+        found,
         row,
         rest="--findings FILE writes every finding",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 from collections.abc import Sequence
 
 from starlette.applications import Starlette
@@ -13,6 +14,8 @@ from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from upwash.report.crops import crop_of
+from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
 from upwash.support.addresses import names_this_machine
 from upwash.view.document import sources, write_document
@@ -23,6 +26,7 @@ _POLICY = (
     "default-src 'none'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
     f"{sources()}; img-src 'self' data:"
 )
+_KEPT_CROPS = 256
 _HANGS_UP = {"Connection": "close"}
 _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -38,6 +42,8 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
     `images` are the sources, in a policy's words, that browsers may load images from besides.
     """
     rendering = asyncio.Semaphore(1)
+    packing = asyncio.Semaphore(1)
+    crop_for = functools.lru_cache(_KEPT_CROPS)(lambda finding: crop_of(finding, photos))
 
     async def page(request: Request) -> Response:
         return HTMLResponse(write_document("upwash: flight"))
@@ -59,11 +65,36 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
             return Response("this photo is not to be had", status_code=404)
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
+    async def crop(request: Request) -> Response:
+        log, run, number = (request.path_params[name] for name in ("log", "run", "number"))
+        recording = feed.recordings[log] if log < len(feed.recordings) else None
+        if recording is None or recording.run != run or number >= len(recording.story.found):
+            return Response("no such finding", status_code=404)
+        async with rendering:
+            jpeg = await asyncio.to_thread(crop_for, recording.story.found[number])
+        if jpeg is None:
+            return Response("no picture of this finding can be made", status_code=404)
+        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    async def findings(request: Request) -> Response:
+        name = request.path_params["format"]
+        if name not in FORMATS:
+            return Response("no such format", status_code=404)
+        async with packing:
+            content = await asyncio.to_thread(findings_file, name, feed.flights, photos)
+        saved = {
+            "Content-Disposition": f'attachment; filename="findings.{name}"',
+            "Cache-Control": "no-store",
+        }
+        return Response(content, media_type=FORMATS[name], headers=saved)
+
     return Starlette(
         routes=[
             Route("/", page),
             Route("/events", events),
             Route("/photos/{log:int}/{run:int}/{number:int}.jpg", photo),
+            Route("/crops/{log:int}/{run:int}/{number:int}.jpg", crop),
+            Route("/findings.{format}", findings),
         ],
         middleware=[
             Middleware(_Guarded, policy=" ".join((_POLICY, *images))),

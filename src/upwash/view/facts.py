@@ -37,6 +37,15 @@ class Began(Fact, frozen=True):
     """The mission began, from which its time is counted."""
 
     policy: str
+    drone: str = ""
+
+
+class Firmware(Fact, frozen=True):
+    """Which vehicle the program flies: the firmware's name and version, and the vehicle's type."""
+
+    name: str
+    type: str
+    version: str | None = None
 
 
 class Forecast(Fact, frozen=True):
@@ -208,17 +217,22 @@ class Shot(Fact, frozen=True):
 
 
 class Told(Fact, frozen=True):
-    """The drone's user was told something of a place; its boxes, if any, are on the photo of that `number`.
+    """One object that the drone's user was told of, with its box on the photo of that number; or a message without.
 
-    `waypoint` is the one that it is about, None before the first.
+    `place_is` says what `east_m`, `north_m` is the place of, and `error_m` how far from there the object may lie.
+    `pictured` says whether the box can be had as a picture. `waypoint` is None before the first.
     """
 
-    words: str
-    boxes: Sequence[Outline]
-    number: int | None
+    what: str
     waypoint: int | None
     east_m: float
     north_m: float
+    place_is: str
+    score: float | None = None
+    error_m: float | None = None
+    box: Outline | None = None
+    photo: int | None = None
+    pictured: bool = False
 
 
 class Said(Fact, frozen=True):

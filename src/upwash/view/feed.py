@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from upwash.report.numbering import FlightFindings, are_a_fleet, numbers_of, what_was_found
 from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of
 from upwash.view.recording import Piece, Recording, as_one
@@ -41,6 +42,16 @@ class Batch(msgspec.Struct, frozen=True):
     facts: msgspec.Raw
 
 
+class Found(msgspec.Struct, frozen=True):
+    """What was found on the flight of a log, or on all of a fleet, in a sentence; and the numbers of the log's own.
+
+    Without `numbers` these are 1, 2, 3 and so on.
+    """
+
+    words: str
+    numbers: Sequence[int] | None
+
+
 @dataclass(frozen=True, slots=True)
 class _Seen:
     """What a page has of a log."""
@@ -61,17 +72,22 @@ class Feed:
         self._identity = secrets.token_hex(4)  # so that no page takes this feed for one before it
         self._summaries: dict[int, str] = {}
         self._summarized: dict[int, int] = {}
+        self._found = list[Found]()
+        self._numbered: list[tuple[int, int]] = []
         self._closing = self._closed = False
         self._news = asyncio.Event()
 
     async def follow(self) -> None:
         """Looks at the logs several times a second, until the feed is closed; then says goodbye to all pages."""
         self._summarize()  # of short logs, which are read already
+        self._number()
+        self._tell()
         while True:
             last_look = self._closing
             news = [recording.advance() for recording in self.recordings]
             if any(news):
                 self._summarize()
+                self._number()
                 self._tell()
             elif last_look:
                 break
@@ -106,18 +122,44 @@ class Feed:
             log: what_it_came_to(outcome, list(outcomes.values())) for log, outcome in outcomes.items()
         }
 
+    @property
+    def flights(self) -> list[FlightFindings]:
+        """What was found on each flight so far."""
+        return [each.story.flight(name) for each, name in zip(self.recordings, self._names, strict=True)]
+
+    def _number(self) -> None:
+        """Numbers what was found, once everything that the logs have is read."""
+        if any(recording.is_behind for recording in self.recordings):
+            return
+        count = [(recording.run, len(recording.story.found)) for recording in self.recordings]
+        if count == self._numbered:
+            return
+        self._numbered, flights = count, self.flights
+        if _are_of_several_drones(self.recordings):
+            words = what_was_found(each for flight in flights for each in flight.found)
+            self._found = [Found(words, numbers) for numbers in numbers_of(flights)]
+        else:
+            self._found = [Found(what_was_found(flight.found), None) for flight in flights]
+
     def everything(self) -> list[tuple[str, object]]:
         """The kind and the data of each message of logs that nobody writes any more."""
         for recording in self.recordings:
             while recording.is_behind:
                 recording.advance()
         self._summarize()
+        self._number()
         batches = [
             ("facts", batch)
             for log, recording in enumerate(self.recordings)
             for batch, _ in _batches(log, recording, _Seen())
         ]
-        return [("page", self._page()), *batches, ("summaries", self._summaries), ("end", None)]
+        return [
+            ("page", self._page()),
+            *batches,
+            ("findings", self._found),
+            ("summaries", self._summaries),
+            ("end", None),
+        ]
 
     def _page(self) -> Page:
         return Page(self._names, _are_of_several_drones(self.recordings), self._tiles)
@@ -125,13 +167,16 @@ class Feed:
     async def messages(self, after: str = "") -> AsyncIterator[str]:
         """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""
         yield f"retry: {_RETRY_MS}\n{_message('page', self._page())}"
-        seen, summaries = self._seen(after), None
+        seen, summaries, found = self._seen(after), None, list[Found]()
         while True:
             news, closed = self._news, self._closed
             for log, recording in enumerate(self.recordings):
                 for batch, has in _batches(log, recording, seen[log]):
                     seen[log] = has
                     yield self._identified(batch, seen)
+            if found != self._found:
+                found = self._found
+                yield _message("findings", found)
             if summaries != self._summaries:
                 summaries = self._summaries
                 yield _message("summaries", summaries)
@@ -157,8 +202,7 @@ class Feed:
 
 def _are_of_several_drones(recordings: Sequence[Recording]) -> bool:
     """Whether they are; flights that have yet to begin at once are taken for those of several."""
-    drones = {recording.story.drone for recording in recordings}
-    return len(recordings) > 1 and (len(drones) > 1 or None in drones)
+    return are_a_fleet([recording.story.drone for recording in recordings])
 
 
 def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[tuple[Batch, _Seen]]:

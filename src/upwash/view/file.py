@@ -11,9 +11,10 @@ import msgspec
 
 from upwash.eventlog.narration import counted
 from upwash.report.crops import shrunk
+from upwash.report.finding_files import as_csv, as_geojson, as_kml
 from upwash.report.markup import Markup, element
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record
+from upwash.report.record import Record, findings_of
 from upwash.report.sheet import draw_sheet
 from upwash.view.document import write_document
 from upwash.view.feed import Feed
@@ -22,6 +23,7 @@ from upwash.view.recording import Recording, reading
 _POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:"
 _SIDE_BY_SIDE = 3  # flights, which the title names
 _PHOTOS, _PHOTO_PX = 60, 640  # in a file, and how wide they are at most
+_FILED = 1000  # findings; of more, the page has no files for other tools
 
 
 class _Photo(msgspec.Struct, frozen=True):
@@ -44,8 +46,22 @@ def write_page(logs: Sequence[Path], records: Sequence[Record], *, photos: Path 
     names = ", ".join(record.name for record in records)
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"
     return write_document(
-        title, draw_sheet(records, shelf), _data("told", told), _data("photos", shown), policy=_POLICY
+        title,
+        draw_sheet(records, shelf),
+        _data("told", told),
+        _data("photos", shown),
+        _data("files", _files(records)),
+        policy=_POLICY,
     )
+
+
+def _files(records: Sequence[Record]) -> dict[str, str]:
+    """The files that the page has of what was found, by name."""
+    found = findings_of(records)
+    if len(found) > _FILED:
+        return {}
+    files = {"csv": as_csv(found), "geojson": as_geojson(found), "kml": as_kml(found)}
+    return {f"findings.{format_}": text for format_, text in files.items()}
 
 
 def _photos(recordings: Sequence[Recording], shelf: PhotoShelf) -> Iterator[tuple[str, _Photo]]:

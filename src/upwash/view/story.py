@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
+from datetime import datetime
 
 import msgspec
 
-from upwash.core.geo import LocalFrame, Position
+from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog import schema
-from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of
+from upwash.eventlog.narration import MEANINGS, Narrator, tone_of
 from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, call_lines, decision_lines
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Pairing, outlines
+from upwash.report.findings import Finder, Finding, outlines
+from upwash.report.numbering import FlightFindings
 from upwash.report.photos import Shot
 from upwash.report.record import place_of
 from upwash.view import facts
@@ -47,7 +49,9 @@ class Story:
         self._beginning = MissionTime()
         self._policy = ""
         self._calls_at = CallPlaces()
-        self._pairing = Pairing()
+        self._finder = Finder()
+        self._opened: datetime | None = None
+        self._home: GeoPosition | None = None
         self._place: Position | None = None
         self._placed_s = 0.0
         self._control = Control()
@@ -68,6 +72,17 @@ class Story:
             fix = (self._fix(here, event),) if self._is_news(here) else ()
             return (*fix, *self._state(event))
         return self._told(event)
+
+    @property
+    def found(self) -> Sequence[Finding]:
+        """What was found so far."""
+        return self._finder.found
+
+    def flight(self, log: str) -> FlightFindings:
+        """The same, with the flight of that log."""
+        return FlightFindings(
+            log, self.drone, self._opened, self._beginning.at_s or 0.0, self._home, list(self.found)
+        )
 
     def lacks(self, left_out: str) -> Iterator[Fact]:
         """What is told of the lines that are no events, where that is news."""
@@ -155,8 +170,12 @@ class Story:
     def _progress(self, event: Event) -> Iterator[Fact]:
         match event:
             case schema.LogOpened(time=time):
+                self._opened = time
                 yield facts.Opened(at_s=self._now_s, epoch_s=time.timestamp())
+            case schema.VehicleFound(firmware=firmware, type=kind, version=version):
+                yield facts.Firmware(at_s=self._now_s, name=firmware, type=kind, version=version)
             case schema.Planned():
+                self._home = self._home or event.home
                 yield self._plan(event)
                 for server, known in event.measured.items():
                     yield from (self._measured(server, place) for place in known)
@@ -182,7 +201,7 @@ class Story:
         began_s = self._beginning.at_s
         self._beginning.take(event)
         if self._beginning.at_s != began_s:
-            yield facts.Began(at_s=self._now_s, policy=self._policy)
+            yield facts.Began(at_s=self._now_s, policy=self._policy, drone=self.drone or "")
         self._control.take(event)
         self._call_under_way.take(event)
         yield from self._state(event)
@@ -273,31 +292,38 @@ class Story:
     # --- photos -----------------------------------------------------------------------------------------------
 
     def _photos(self, event: Event) -> Iterator[Fact]:
-        self._pairing.take(event)
-        match event:
-            case schema.PhotoTaken(truth=truth, footprint_m=footprint_m) if (
-                photo := self._pairing.last
-            ) is not None:
-                self.shots.append(photo.shot)
-                yield facts.Shot(
-                    at_s=self._now_s,
-                    number=photo.number,
-                    waypoint=photo.waypoint,
-                    source=photo.shot.source,
-                    kept=self._keeps(photo.shot.source),
-                    truth=outlines(truth),
-                    footprint_m=footprint_m if footprint_m and len(footprint_m) == _CORNERS else None,
-                )
-            case schema.Notified(message=message, at=place):
-                told_of = self._pairing.told_of
-                if told_of is not None and message:
-                    self.outlined.add(told_of.number)
-                yield facts.Told(
-                    at_s=self._now_s,
-                    words=in_one_line(message),
-                    boxes=outlines(message) or (),
-                    number=told_of.number if told_of else None,
-                    waypoint=told_of.waypoint if told_of else self._calls_at.here,
-                    east_m=place.east_m,
-                    north_m=place.north_m,
-                )
+        found = self._finder.take(event)
+        photo = self._finder.pairing.last
+        if isinstance(event, schema.PhotoTaken) and photo is not None:
+            self.shots.append(photo.shot)
+            corners = event.footprint_m
+            yield facts.Shot(
+                at_s=self._now_s,
+                number=photo.number,
+                waypoint=photo.waypoint,
+                source=photo.shot.source,
+                kept=self._keeps(photo.shot.source),
+                truth=outlines(event.truth),
+                footprint_m=corners if corners and len(corners) == _CORNERS else None,
+            )
+        for each in found:
+            if each.photo is not None:
+                self.outlined.add(each.photo.number)
+            yield self._told_of(each)
+
+    def _told_of(self, found: Finding) -> facts.Told:
+        return facts.Told(
+            at_s=self._now_s,
+            what=found.what,
+            waypoint=found.waypoint,
+            east_m=found.place.east_m,
+            north_m=found.place.north_m,
+            place_is=found.place_is,
+            score=found.score,
+            error_m=found.error_m,
+            box=found.box,
+            photo=found.photo.number if found.photo else None,
+            pictured=found.box is not None
+            and found.photo is not None
+            and self._keeps(found.photo.shot.source),
+        )

@@ -24,6 +24,10 @@ export class Feed {
         this.stories[batch.log].take(batch);
         grown();
       },
+      findings: (found) => {
+        found.forEach((each, log) => this.stories[log].number(each));
+        grown();
+      },
       summaries: summarized,
       end: () => {
         this.open = false;

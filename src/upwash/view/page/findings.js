@@ -1,73 +1,141 @@
-// Everything that the user was told, newest first: a click goes to its moment, and to its photo.
+// Everything that was found, newest first, with pictures: a click shows its moment, its photo and its place.
 
-import { card, element, scrolled, table } from "./element.js";
+import { badge } from "./badge.js";
+import { card, element, scrolled, write } from "./element.js";
+import { cropOf, filesOfFindings } from "./pictures.js";
 
-const HEADS = ["no.", "waypoint", "what", "at"];
+const [WIDE_PX, HIGH_PX] = [96, 72]; // of a picture
 
 export class Findings {
-  #rows = [];
-  #last = -1; // the index of the last one until the moment
+  #items = new Map(); // by finding: its element in the list
+  #listed = []; // the findings as they are listed
+  #numbered = []; // by story: with which numbers
+  #counts = new Map(); // by story: how many lie before the moment
+  #selected = null; // the one that was clicked
+  #current = null;
 
-  // `picked` is told the one that is clicked.
-  constructor(name, picked) {
+  // Of so many logs of one drone or of a fleet; `picked` is told which one is clicked, and of which story it is.
+  constructor(stories, name, { log = 0, picked }) {
+    this.stories = stories;
+    this.log = log; // of the first story
     this.picked = picked;
-    this.body = element("tbody");
-    this.scroller = scrolled(table(HEADS, this.body), `Findings, ${name}`);
-    this.element = card("Findings", this.scroller);
+    this.words = element("p", { class: "sentence" });
+    this.list = element("ol", { class: "finds", reversed: "" });
+    this.scroller = scrolled(this.list, `Findings, ${name}`);
+    this.element = card("Findings", this.words, this.scroller);
     this.element.classList.add("findings");
+    this.element.querySelector("h3").after(downloads());
   }
 
-  show(moment) {
+  // Each flight at its moment; returns the one finding that is looked at, of the flight of that index.
+  show(moments, focus = 0) {
+    this.element.hidden = !this.stories.some((story) => story.told.length);
+    this.#list();
+    for (const moment of moments) this.#fade(moment);
+    this.#point(this.#currentAt(moments[focus]));
+    return this.#current;
+  }
+
+  select(story, finding) {
+    this.#selected = finding;
+    this.picked(story, finding);
+  }
+
+  // Lists what is new, or everything anew where numbers have changed.
+  #list() {
+    const { stories } = this;
+    if (stories.every(({ found }, index) => found === this.#numbered[index])) return;
+    this.#numbered = stories.map(({ found }) => found);
+    write(this.words, stories[0].found.words);
+    const all = stories.flatMap((story, index) => story.numbered.map((finding) => ({ story, index, finding })));
+    all.sort((one, other) => other.finding.no - one.finding.no);
+    const findings = all.map(({ finding }) => finding);
+    const fresh = findings.length - this.#listed.length;
+    const grew = fresh >= 0 && this.#listed.every((finding, index) => finding === findings[fresh + index]);
+    if (!grew) this.#forget();
+    this.list.prepend(...all.slice(0, grew ? fresh : all.length).map((each) => this.#item(each)));
+    this.list.classList.toggle("pictureless", !findings.some(({ pictured }) => pictured));
+    this.#listed = findings;
+  }
+
+  #forget() {
+    this.#items.clear();
+    this.#current = null;
+    this.list.replaceChildren();
+  }
+
+  #item({ story, index, finding }) {
+    const where = finding.waypoint === null ? "" : `waypoint ${finding.waypoint} · `;
+    const place = `${where}${story.timeOf(finding.at_s)}`;
+    const whose = this.stories.length > 1 ? [badge(index + 1), " "] : [];
+    const words = element(
+      "span",
+      { class: "words" },
+      element("span", { class: "number" }, String(finding.no)),
+      ` ${wordsOf(finding)}`,
+      element("span", { class: "when" }, ...whose, place),
+    );
+    const button = element("button", { type: "button", title: "Show its moment, its photo and its place" });
+    button.append(picture(cropOf(this.log + index, story.run, finding)), words);
+    button.addEventListener("click", () => this.select(story, finding));
+    const item = element("li", {}, button);
+    item.classList.toggle("later", finding.index >= (this.#counts.get(story) ?? 0));
+    this.#items.set(finding, item);
+    return item;
+  }
+
+  // Those after the moment are pale.
+  #fade(moment) {
     const { story } = moment;
-    this.element.hidden = story.told.length === 0;
-    for (const told of story.told.slice(this.#rows.length)) {
-      const row = this.#row(told, this.#rows.length + 1, story);
-      row.classList.add("later");
-      this.#rows.push(row);
-      this.body.prepend(row);
+    const [before, count] = [this.#counts.get(story) ?? 0, moment.count("told")];
+    for (let index = Math.min(before, count); index < Math.max(before, count); index += 1) {
+      this.#items.get(story.told[index])?.classList.toggle("later", index >= count);
     }
-    this.#point(moment.count("told") - 1);
+    this.#counts.set(story, count);
   }
 
-  clear() {
-    this.#rows = [];
-    this.#last = -1;
-    this.body.replaceChildren();
+  // The one that was clicked, while its message is the last; else the last.
+  #currentAt(moment) {
+    const last = moment.last("told");
+    const isSelected = last && last.at_s === this.#selected?.at_s && moment.story.told[this.#selected.index] === this.#selected;
+    return isSelected ? this.#selected : last;
   }
 
-  // Those after the moment are pale; the last until then is marked, and to be seen.
-  #point(last) {
-    if (last === this.#last) return;
-    const [from, to] = [Math.min(last, this.#last), Math.max(last, this.#last)];
-    for (let index = from + 1; index <= to; index += 1) this.#rows[index].classList.toggle("later", index > last);
-    this.#rows[this.#last]?.removeAttribute("aria-current");
-    this.#rows[last]?.setAttribute("aria-current", "true");
-    this.#last = last;
-    const row = this.#rows[Math.max(0, last)];
-    const [top, bottom] = [row.offsetTop, row.offsetTop + row.offsetHeight];
+  #point(current) {
+    if (current === this.#current) return;
+    this.#items.get(this.#current)?.removeAttribute("aria-current");
+    this.#current = current;
+    const item = this.#items.get(current);
+    if (!item) return;
+    item.setAttribute("aria-current", "true");
+    const [top, bottom] = [item.offsetTop, item.offsetTop + item.offsetHeight];
     const { scrollTop, clientHeight } = this.scroller;
     if (top < scrollTop || bottom > scrollTop + clientHeight) this.scroller.scrollTop = top - clientHeight / 2;
   }
-
-  #row(told, number, story) {
-    const button = element("button", { type: "button", title: "To the moment and the photo" }, String(number));
-    button.setAttribute("aria-label", `Finding ${number}: to its moment and its photo`);
-    const cells = [told.waypoint ?? "", inWords(told), story.timeOf(told.at_s)];
-    const row = element("tr", {}, element("th", { scope: "row" }, button));
-    row.append(...cells.map((cell) => element("td", {}, String(cell))));
-    row.addEventListener("click", () => this.picked(told));
-    return row;
-  }
 }
 
-// What was found, with how sure that is; or what else the user was told.
-function inWords({ boxes, words }) {
-  if (!boxes.length || boxes.some((box) => box.score === undefined)) return words;
-  const scores = new Map();
-  for (const { label, score } of boxes) scores.set(label, [...(scores.get(label) ?? []), percent(score)]);
-  return [...scores].map(([label, all]) => `${label} ${all.join(", ")}`).join("; ");
+function picture(source) {
+  const frame = element("span", { class: "thumb" });
+  if (!source) return frame;
+  const image = element("img", { src: source, alt: "", width: WIDE_PX, height: HIGH_PX, loading: "lazy" });
+  image.addEventListener("error", () => image.remove());
+  frame.append(image);
+  return frame;
 }
 
-export function percent(score) {
+function downloads() {
+  const files = filesOfFindings();
+  const links = files.map(([name, address]) => element("li", {}, element("a", { href: address, download: name }, name)));
+  const menu = element("details", { class: "downloads" }, element("summary", {}, "Download"), element("ul", {}, ...links));
+  menu.hidden = !files.length;
+  return menu;
+}
+
+// What was found, and how sure that is.
+export function wordsOf({ what, score }) {
+  return score === undefined ? what : `${what} ${percent(score)}`;
+}
+
+function percent(score) {
   return `${(100 * score).toFixed(0)} %`;
 }

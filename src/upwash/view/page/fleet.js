@@ -3,6 +3,7 @@
 import { badge } from "./badge.js";
 import { DroneList } from "./drones.js";
 import { element } from "./element.js";
+import { Findings } from "./findings.js";
 import { Flight } from "./flight.js";
 import { FlightMap } from "./map.js";
 
@@ -15,9 +16,16 @@ export class Fleet {
     const chosen = (index) => this.focus(index);
     this.list = new DroneList(stories, chosen);
     this.map = new FlightMap("all drones", { places, tiles, logs: [...stories.keys()], chosen });
-    this.flights = stories.map((story, log) => new Flight(story, log, { places, picked, sign: [badge(log + 1), " "] }));
+    const found = (story, finding) => {
+      this.focus(stories.indexOf(story));
+      picked(story, finding);
+    };
+    this.findings = new Findings(stories, "all drones", { picked: found });
+    this.map.found = (story, finding) => this.findings.select(story, finding);
+    const shared = { places, picked, findings: this.findings };
+    this.flights = stories.map((story, log) => new Flight(story, log, { ...shared, sign: [badge(log + 1), " "] }));
     const flights = this.flights.map((flight) => flight.element);
-    this.element = element("div", { class: "fleet" }, this.list.element, this.map.element, ...flights);
+    this.element = element("div", { class: "fleet" }, this.list.element, this.map.element, ...flights, this.findings.element);
     this.#showFocus();
   }
 
@@ -42,8 +50,9 @@ export class Fleet {
   show(clockS, limits) {
     const moments = this.stories.map((story) => story.at(clockS));
     this.list.show(moments);
-    this.flights[this.#focus].show(clockS, limits);
-    this.map.show(moments);
+    const current = this.findings.show(moments, this.#focus);
+    this.flights[this.#focus].show(clockS, limits, current);
+    this.map.show(moments, current);
   }
 
   restyle() {

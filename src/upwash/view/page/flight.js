@@ -1,14 +1,14 @@
 // One flight on the page: all the parts that show it, with a map of its own where it shares none.
 
+import { aboutFlight } from "./about.js";
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
-import { card, drawn, element, write } from "./element.js";
+import { card, element, write } from "./element.js";
 import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
 import { Lanes } from "./lanes.js";
 import { PhotoCard } from "./photo.js";
-import { STAR } from "./marks.js";
 import { outlook } from "./outlook.js";
 import { FILL_WORDS, nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
@@ -17,13 +17,14 @@ export class Flight {
   #run = 0;
   #legend = "";
 
-  constructor(story, log, { places, picked, map = null, sign = [] }) {
+  constructor(story, log, { places, picked, map = null, findings = null, sign = [] }) {
     this.story = story;
     this.log = log;
     this.places = places;
     this.map = map;
     const { name } = story;
     this.heading = element("h2", {}, ...sign, name);
+    this.about = element("p", { class: "about" });
     this.totals = element("p", { class: "totals" });
     this.summary = element("p", { class: "summary", hidden: "" });
     this.outlook = element("p", { class: "outlook" });
@@ -35,8 +36,11 @@ export class Flight {
     this.chart = new DelayChart(name, places, (call) => picked(story, call));
     this.lanes = new Lanes(name, places, (clockS) => picked(story, { at_s: clockS + story.zeroS }));
     this.servers = new ServerList(places);
-    this.photo = new PhotoCard(log);
-    this.findings = new Findings(name, (told) => picked(story, told));
+    this.own = findings ? null : new Findings([story], name, { log, picked });
+    this.findings = findings ?? this.own;
+    const select = (each, finding) => this.findings.select(each, finding);
+    this.photo = new PhotoCard(log, (finding) => select(story, finding));
+    if (map) map.found = select;
     this.calls = new CallTable(name);
     this.journal = new Journal(name);
     const now = element("section", { class: "card now" }, this.decision, this.reasons);
@@ -46,13 +50,13 @@ export class Flight {
     this.element = element(
       "section",
       { class: "flight", "aria-label": `Flight ${name}` },
-      element("div", { class: "head" }, this.heading, this.outlook, ...words),
+      element("div", { class: "head" }, this.heading, this.about, this.outlook, ...words),
       ...(map ? [map.element] : []),
       this.photo.element,
       element("div", { class: "side" }, now, this.servers.element),
       this.lanes.element,
       delays,
-      this.findings.element,
+      ...(this.own ? [this.own.element] : []),
       this.journal.element,
     );
   }
@@ -67,18 +71,18 @@ export class Flight {
   }
 
   // What has a size of its own comes first, and what is drawn into the rest of the page last.
-  show(clockS, limits) {
+  show(clockS, limits, current = null) {
     if (this.story.run !== this.#run) this.#begin();
     const moment = this.story.at(clockS);
     this.#showHead(moment);
     this.#showDecision(moment);
     this.#showLegend();
     this.servers.show(moment);
-    this.photo.show(moment);
-    this.findings.show(moment);
+    const finding = this.own ? this.own.show([moment]) : current;
+    this.photo.show(moment, finding);
     this.calls.show(moment);
     this.journal.show(moment);
-    this.map?.show([moment]);
+    this.map?.show([moment], finding);
     this.chart.show(moment, limits);
     this.lanes.show(moment);
   }
@@ -88,7 +92,6 @@ export class Flight {
     this.chart.clear();
     this.lanes.clear();
     this.calls.clear();
-    this.findings.clear();
     this.journal.clear();
   }
 
@@ -105,9 +108,9 @@ export class Flight {
 
   #showHead(moment) {
     const { story } = this;
+    write(this.about, aboutFlight(moment));
     write(this.outlook, outlook(moment).join(" · "));
-    const policy = story.began ? `policy ${story.began.policy}` : "";
-    write(this.totals, [this.#calls(moment), policy].filter(Boolean).join(" · "));
+    write(this.totals, this.#calls(moment));
     write(this.where, this.#where(moment.position));
     this.summary.hidden = !moment.isOver || !this.summary.textContent;
     this.trouble.hidden = !story.trouble;
@@ -165,7 +168,7 @@ export class Flight {
       ...operations.map((operation) => [places.icon("local", operation), fillOf(places, operation)]),
       [sign("wait"), "waited for a server"],
       [sign("mean"), "mean on the drone"],
-      ...(found ? [[star(), "something was found, on the map"]] : []),
+      ...(found ? [[pill(), "what was found, by its number"]] : []),
     ];
     this.legend.replaceChildren(...entries.map((entry) => element("span", { class: "entry" }, ...entry)));
   }
@@ -175,8 +178,6 @@ function fillOf(places, operation) {
   return `${FILL_WORDS[places.fill(operation)]}: ${operation}`;
 }
 
-function star() {
-  const points = STAR.map(([x, y]) => `${x + 8},${y + 8}`).join(" ");
-  const attributes = { viewBox: "0 0 16 16", width: 16, height: 16, class: "star", "aria-hidden": "true" };
-  return drawn("svg", attributes, drawn("polygon", { points }));
+function pill() {
+  return element("span", { class: "pill", "aria-hidden": "true" }, "1");
 }

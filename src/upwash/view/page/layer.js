@@ -4,14 +4,15 @@ import * as L from "./leaflet/leaflet-src.esm.js";
 import { styleOf } from "./badge.js";
 import { droneIcon, turn } from "./icons.js";
 import { Mosaic } from "./mosaic.js";
-import { Marks, STILL, paintMeasured, paintStar, paintTurn } from "./marks.js";
+import { Marks, STILL, paintFinding, paintMeasured, paintTurn } from "./marks.js";
+import { ABOVE } from "./pills.js";
 import { Track } from "./track.js";
 import { Waypoints } from "./waypoints.js";
 
 const [STACKED, IN_A_ROW] = [1.8, 5]; // several calls at one place stand beside each other, so many radii apart
-const ABOVE = 1000; // of the drone's mark; that of the drone in focus is above the others'
+const ABOVE_ALL = 1000; // of the drone's mark; that of the drone in focus is above the others'
 const [LEAST_PX, MOST_PX, RIM_PX] = [2.5, 5, 1]; // of a mark's radius; and around it
-const REACH_PX = 60; // of a mark from its place, beside others
+const REACH_PX = 110; // of a mark from its place, beside others
 
 export class FlightLayer {
   #marks = {}; // by kind of fact
@@ -20,10 +21,12 @@ export class FlightLayer {
   #aside = []; // by call: how many stand before it at the same place
 
   // Of the drone of that `number`; the only one there is has none.
-  constructor(map, ground, places, { log, number = null, chosen = null }) {
+  constructor(map, ground, places, pills, { log, number = null, chosen = null }) {
     this.map = map;
     this.ground = ground;
     this.places = places;
+    this.pills = pills;
+    this.current = null; // the finding that is looked at
     this.number = number;
     this.plan = null;
     this.waypoints = new Waypoints(map);
@@ -32,7 +35,7 @@ export class FlightLayer {
     this.mosaic = new Mosaic(map, places, log, { latLng, scale: () => this.#scale });
     this.marks = L.layerGroup().addTo(map);
     const still = chosen ? { keyboard: false } : STILL;
-    this.drone = L.marker([0, 0], { ...still, icon: droneIcon(number), zIndexOffset: ABOVE });
+    this.drone = L.marker([0, 0], { ...still, icon: droneIcon(number), zIndexOffset: ABOVE_ALL });
     if (chosen) this.drone.on("click", chosen);
     this.link = null;
   }
@@ -66,7 +69,7 @@ export class FlightLayer {
   }
 
   focus(isFocus) {
-    this.drone.setZIndexOffset(isFocus ? 2 * ABOVE : ABOVE);
+    this.drone.setZIndexOffset(isFocus ? 2 * ABOVE_ALL : ABOVE_ALL);
     this.drone.getElement()?.classList.toggle("focus", isFocus);
     if (this.isFocus === isFocus) return;
     this.isFocus = isFocus;
@@ -87,7 +90,7 @@ export class FlightLayer {
       this.places.paint(context, call, x + step * right, y + step * down, this.#radius, RIM_PX);
     });
     this.#showMarks(moment, "turn", (_, __, context, x, y) => paintTurn(context, this.#colour, x, y));
-    this.#showMarks(moment, "told", (_, __, context, x, y) => paintStar(context, this.#starColours, x, y));
+    this.#showMarks(moment, "told", (finding, _, context, x, y) => this.#paintFinding(finding, context, x, y));
     this.#showLink(moment, position);
     if (!position) {
       this.drone.remove();
@@ -119,8 +122,36 @@ export class FlightLayer {
     return this.places.colours.of(this.number === null ? "ink" : styleOf(this.number));
   }
 
-  get #starColours() {
-    return [this.places.colours.of("ink"), this.places.colours.of("paper")];
+  #paintFinding(finding, context, x, y) {
+    const spot = this.pills.of(finding);
+    if (spot === undefined) return;
+    const [right, down] = spot ?? ABOVE;
+    const colours = [this.places.colours.of("ink"), this.places.colours.of("paper")];
+    paintFinding(context, colours, spot && finding.no, finding === this.current, x + right, y + down);
+  }
+
+  // Draws the numbers of what was found anew.
+  refreshFindings(current) {
+    this.current = current;
+    const { told } = this.#marks;
+    if (told?.count) told.redrawSome(0, told.count);
+  }
+
+  // The finding that is drawn at that point of the map's layers, if any.
+  findingAt(point) {
+    const { told } = this.#marks;
+    if (!told) return null;
+    const at = (finding) => this.pills.isAt(finding, this.map.latLngToLayerPoint(this.#placeOf(finding)), point);
+    return told.facts.slice(0, told.count).findLast(at) ?? null;
+  }
+
+  // [finding, point] pairs of what was found.
+  placed(findings) {
+    return findings.map((finding) => [finding, this.map.latLngToLayerPoint(this.#placeOf(finding))]);
+  }
+
+  #placeOf({ east_m, north_m }) {
+    return this.latLng(east_m, north_m);
   }
 
   #line(opacity) {
@@ -157,6 +188,7 @@ export class FlightLayer {
       },
       paint: (context, index, x, y) => painted(facts[index], index, context, x, y),
       reach: REACH_PX,
+      facts,
     }).addTo(this.marks);
     this.#marks[kind].show(count);
   }

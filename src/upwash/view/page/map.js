@@ -8,6 +8,7 @@ import { homeIcon } from "./icons.js";
 import { Labels } from "./labels.js";
 import { FlightLayer } from "./layer.js";
 import { Marks, STILL, paintCross } from "./marks.js";
+import { Pills } from "./pills.js";
 
 const PAPER_PX = 660; // the width of what is printed on A4
 const DRONE_PX = 36; // nothing may cover that much
@@ -22,10 +23,15 @@ export class FlightMap {
   #moved = false; // by a person, so that nothing else moves it
   #servers = new Map(); // as they are drawn: each with its range, its label and what is said there beside its name
   #labels = new Labels();
+  #pills = new Pills();
+  #stories = [];
+  #found = []; // by story: what was found, as its numbers are drawn
+  #current = null; // the finding that is looked at
 
   // A map of the drones of these logs; `chosen` is told the index of one that is clicked.
   constructor(name, { places, tiles, logs, chosen = null }) {
     this.places = places;
+    this.found = () => {}; // is told which finding is clicked, and of which story it is
     this.ground = new Ground(tiles);
     this.frame = element("div", { class: "map" });
     this.readout = element("p", { class: "readout" });
@@ -45,14 +51,22 @@ export class FlightMap {
     this.areas = L.layerGroup().addTo(this.map);
     this.layers = logs.map((log, index) => {
       const many = logs.length > 1 ? { number: index + 1, chosen: () => chosen(index) } : {};
-      return new FlightLayer(this.map, this.ground, places, { log, ...many });
+      return new FlightLayer(this.map, this.ground, places, this.#pills, { log, ...many });
     });
     this.map.setView([0, 0], this.ground.options.minZoom);
-    this.map.on("mousemove", (event) => this.#readOut("pointer", event.latlng));
+    this.map.on("mousemove", (event) => {
+      this.#readOut("pointer", event.latlng);
+      this.frame.classList.toggle("on-finding", Boolean(this.#findingAt(event.layerPoint)));
+    });
+    this.map.on("click", (event) => {
+      const found = this.#findingAt(event.layerPoint);
+      if (found) this.found(found.story, found.finding);
+    });
     this.map.on("move", () => this.#readOutCentre());
     this.map.on("zoomend", () => {
       this.layers.forEach((layer) => layer.zoomed());
       this.#arrange();
+      this.#number();
     });
     this.#readOut();
     for (const away of ["pointerleave", "blur"]) this.frame.addEventListener(away, () => this.#readOut());
@@ -110,8 +124,20 @@ export class FlightMap {
     if (this.frame.matches(":focus-visible")) this.#readOut("centre of the map", this.map.getCenter());
   }
 
-  // Each flight at its moment.
-  show(moments) {
+  #findingAt(point) {
+    const found = this.layers.map((layer, index) => ({ story: this.#stories[index], finding: layer.findingAt(point) }));
+    return found.findLast(({ finding }) => finding) ?? null;
+  }
+
+  // Says where the number of each finding stands.
+  #number() {
+    const placed = this.layers.flatMap((layer, index) => layer.placed(this.#stories[index]?.numbered ?? []));
+    this.#pills.arrange(placed.sort(([one], [other]) => one.no - other.no));
+    this.layers.forEach((layer) => layer.refreshFindings(this.#current));
+  }
+
+  // Each flight at its moment, and the finding that is looked at.
+  show(moments, current) {
     const plans = moments.map((moment) => moment.story.plan);
     const homes = moments.map((moment) => moment.story.home);
     const others = plans.some((plan, index) => plan !== this.#plans[index] || homes[index] !== this.#homes[index]);
@@ -125,9 +151,20 @@ export class FlightMap {
       if (others || !this.#moved) this.fit();
     } else if (!painted && this.#painted && !this.#moved) this.fit();
     moments.forEach((moment, index) => this.layers[index].show(moment));
+    this.#showFindings(moments, current);
     if (moments.length > 1) this.#showUsers(moments);
     else this.#showStates(moments[0]);
     this.#arrange();
+  }
+
+  #showFindings(moments, current) {
+    this.#stories = moments.map(({ story }) => story);
+    const found = this.#stories.map((story) => story.found);
+    const isNew = found.some((each, index) => each !== this.#found[index]);
+    const isOther = current !== this.#current;
+    [this.#found, this.#current] = [found, current];
+    if (isNew) this.#number();
+    else if (isOther) this.layers.forEach((layer) => layer.refreshFindings(current));
   }
 
   // Moves the servers' labels out of each other's way, and out of the drones'.
@@ -165,6 +202,7 @@ export class FlightMap {
       if (home) homes.set(home.join(), home);
     }
     this.layers.forEach((layer, index) => layer.begin(this.#plans[index]));
+    this.#found = []; // their places may be others
     for (const home of homes.values()) L.marker(home, { ...STILL, icon: homeIcon() }).addTo(this.areas);
   }
 

@@ -10,10 +10,10 @@ export const STILL = { interactive: false, keyboard: false };
 export const Marks = L.Path.extend({
   options: { ...STILL, weight: 0, pane: "marks" },
 
-  initialize({ place, paint, reach, ...options }) {
+  initialize({ place, paint, reach, facts = null, ...options }) {
     L.setOptions(this, options);
     const reachOf = typeof reach === "function" ? reach : () => reach; // which may change with the map's scale
-    Object.assign(this, { place, paint, reachOf, count: 0, places: [], points: [] });
+    Object.assign(this, { place, paint, reachOf, facts, count: 0, places: [], points: [] });
   },
 
   show(count) {
@@ -112,21 +112,32 @@ export function paintTurn(context, colour, x, y) {
   draw(context, colour, 1.6);
 }
 
-// Where something was found: a star above the place.
-export function paintStar(context, [colour, ground], x, y) {
+// The number of what was found there, in a pill with its middle there; a dot where there is no room for it.
+export function paintFinding(context, [ink, paper], number, isCurrent, x, y) {
+  const width = number === null ? DOT_PX : pillWidth(number);
+  const height = number === null ? DOT_PX : PILL_PX;
+  context.globalAlpha = 1;
+  context.setLineDash([]);
   context.beginPath();
-  for (const [right, down] of STAR) context.lineTo(x + right, y - 13 + down);
-  context.closePath();
-  draw(context, ground, 3);
-  context.fillStyle = colour;
+  context.roundRect(x - width / 2, y - height / 2, width, height, height / 2);
+  context.fillStyle = isCurrent ? ink : paper;
   context.fill();
+  context.strokeStyle = ink;
+  context.lineWidth = 1.4;
+  context.stroke();
+  if (number === null) return;
+  context.font = "700 10.5px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.fillStyle = isCurrent ? paper : ink;
+  context.fillText(number, x, y + 3.8);
 }
 
-// Five points.
-export const STAR = Array.from({ length: 10 }, (_, corner) => {
-  const [radius, turn] = [corner % 2 ? 3.2 : 7.5, (corner * Math.PI) / 5];
-  return [radius * Math.sin(turn), -radius * Math.cos(turn)];
-});
+export const PILL_PX = 16; // its height
+const DOT_PX = 7;
+
+export function pillWidth(number) {
+  return Math.max(PILL_PX, 8 + 6.5 * String(number).length);
+}
 
 // The number of a waypoint, beneath it.
 export function paintNumber(context, [colour, ground], words, x, y) {

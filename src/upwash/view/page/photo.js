@@ -1,7 +1,7 @@
 // The last photo, or an earlier one that the user was told of since, with what was found on it in boxes; and, where it was rendered, what is truly there.
 
 import { card, drawn, element, write } from "./element.js";
-import { percent } from "./findings.js";
+import { wordsOf } from "./findings.js";
 import { firstFree, within } from "./labels.js";
 import { pictureOf } from "./pictures.js";
 
@@ -11,13 +11,16 @@ const PATIENCE_MS = 150; // photos that fly past faster are not asked for
 export class PhotoCard {
   #shot = null;
   #picture = null;
-  #found = []; // what the user was told of it: each with its number in the list
+  #found = []; // what the user was told of it
+  #current = null; // the one of these that is looked at
   #boxes = "";
   #timer = null;
   #lost = null; // the shot that could not be had
 
-  constructor(log) {
+  // `picked` is told which of the findings on it is clicked.
+  constructor(log, picked) {
     this.log = log;
+    this.picked = picked;
     this.image = element("img", { alt: "", hidden: "" });
     this.boxes = drawn("svg", { class: "boxes", "aria-hidden": "true" });
     this.caption = element("p");
@@ -29,13 +32,14 @@ export class PhotoCard {
     this.image.addEventListener("error", () => this.#lose());
   }
 
-  show(moment) {
+  show(moment, current) {
     const { story } = moment;
+    this.#current = current;
     this.element.hidden = !(story.keepsPhotos || (story.shot.length && story.told.length));
     const last = moment.last("shot");
     const told = moment.last("told");
     const late = told && (!last || told.at_s >= last.at_s); // the drone may have taken one since
-    const shot = late ? (story.shot[told.number] ?? last) : last;
+    const shot = late ? (story.shot[told.photo] ?? last) : last;
     this.#found = late ? toldOfOne(story.told, moment.count("told")) : [];
     if (shot !== this.#shot) this.#ask(shot, story.run);
     this.frame.hidden = !story.keepsPhotos || (shot && (!this.#picture || shot === this.#lost));
@@ -66,7 +70,7 @@ export class PhotoCard {
 
   #words(shot) {
     const where = shot.waypoint === null ? "before the first waypoint" : `at waypoint ${shot.waypoint}`;
-    const said = this.#found.map(({ number, words }) => ` Finding ${number}: ${words}.`).join("");
+    const said = this.#found.map((finding) => ` Finding ${finding.no}: ${wordsOf(finding)}.`).join("");
     const missing = this.#picture && shot !== this.#lost ? "" : " It was not kept where this page can find it.";
     return `Photo ${shot.number + 1}, ${where}, from ${shot.source}.${said}${missing}`;
   }
@@ -76,35 +80,41 @@ export class PhotoCard {
     const { width = naturalWidth, height = naturalHeight } = this.#picture ?? {};
     const shown = this.#shot && complete && !hidden && naturalWidth > 0;
     const truth = shown ? (this.#shot.truth ?? []) : [];
-    const found = shown ? this.#found.flatMap(({ number, boxes }) => boxes.map((box) => ({ number, box }))) : [];
-    const key = JSON.stringify([width, height, truth, found]);
+    const found = shown ? this.#found.filter(({ box }) => box) : [];
+    const key = JSON.stringify([width, height, truth, found, found.indexOf(this.#current)]);
     if (key === this.#boxes) return;
     this.#boxes = key;
     this.boxes.setAttribute("viewBox", `0 0 ${width || 1} ${height || 1}`);
-    const labels = found.map(({ number, box }) => label(number, box, width));
+    const labels = found.map((finding) => label(finding, width));
     this.boxes.replaceChildren(
       ...truth.map((box) => rectangle(box, "truth")),
-      ...found.map(({ box }) => rectangle(box, "found")),
+      ...found.map((finding) => this.#around(finding)),
       ...labels,
     );
     spread(labels, found.map(({ box }) => box), width, height);
   }
+
+  // The box of a finding, which can be clicked.
+  #around(finding) {
+    const box = rectangle(finding.box, finding === this.#current ? "found current" : "found");
+    box.addEventListener("click", () => this.picked(finding));
+    return box;
+  }
 }
 
-// The last of what the user was told, and what was told of the same photo before it.
+// The last of what was found, and what was found on the same photo before it, as far as that has numbers.
 function toldOfOne(told, count) {
   let first = count - 1;
-  while (first > 0 && told[first - 1].number === told[count - 1].number) first -= 1;
-  return told.slice(first, count).map(({ words, boxes }, index) => ({ number: first + index + 1, words, boxes }));
+  while (first > 0 && told[first - 1].photo === told[count - 1].photo) first -= 1;
+  return told.slice(first, count).filter(({ no }) => no !== undefined);
 }
 
 function rectangle({ left_px: x, top_px: y, width_px: width, height_px: height }, style) {
   return drawn("rect", { x, y, width, height, class: style });
 }
 
-function label(number, box, width) {
-  const words = box.score === undefined ? box.label : `${box.label} ${percent(box.score)}`;
-  return drawn("text", { "font-size": width / 36 }, `${number} ${words}`);
+function label(finding, width) {
+  return drawn("text", { "font-size": width / 36 }, `${finding.no} ${wordsOf(finding)}`);
 }
 
 // Puts each label at its box, where it is whole and covers no other.
@@ -112,7 +122,8 @@ function spread(labels, boxes, width, height) {
   const taken = [];
   labels.forEach((text, index) => {
     const { left_px: x, top_px: top, height_px: tall } = boxes[index];
-    const size = { width: Math.min(width, text.getComputedTextLength()), height: 1.3 * Number(text.getAttribute("font-size")) };
+    const em = Number(text.getAttribute("font-size"));
+    const size = { width: Math.min(width, text.getComputedTextLength() + 0.1 * em), height: 1.3 * em };
     if (text.getComputedTextLength() > width) text.setAttribute("textLength", width);
     const rows = [1, 2, 3, 4].flatMap((row) => [top - row * size.height, top + tall + (row - 1) * size.height]);
     const place = firstFree(rows.map((y) => within({ x, y, ...size }, width, height)), taken);

@@ -22,6 +22,7 @@ export class Story {
     this.plan = null;
     this.opened = null;
     this.began = null;
+    this.firmware = null;
     this.forecast = null; // of when the mission is over, before it took off
     this.ended = null;
     this.lastS = 0;
@@ -37,6 +38,7 @@ export class Story {
     this.courses = []; // which way, in degrees from north, the drone came to each fix; null before it moved
     this.moved = null; // the fix at which it had last moved
     this.delays = { place: new Totals(), operation: new Totals(), local: new Totals() }; // of the calls
+    this.found = { words: "", numbers: [] }; // everything that was found: in a sentence, and by numbers
     this.waits = new Totals();
     this.hidden = new Totals();
     for (const kind of SERIES) this[kind] = [];
@@ -47,6 +49,20 @@ export class Story {
     this.trouble = batch.trouble;
     this.isBehind = batch.more;
     for (const fact of batch.facts.slice(this.facts - batch.start)) this.#takeFact(fact);
+  }
+
+  // What was found has these numbers, or where there are none its own: 1, 2, 3 and so on.
+  number(found) {
+    this.found = found;
+    this.told.forEach((told, index) => {
+      told.index = index;
+      told.no = found.numbers ? found.numbers[index] : index + 1;
+    });
+  }
+
+  // What was found and has a number: those that come next get theirs a moment later.
+  get numbered() {
+    return this.told.filter(({ no }) => no !== undefined);
   }
 
   #takeFact(fact) {
@@ -62,6 +78,7 @@ export class Story {
       case "forecast":
       case "home":
       case "stages":
+      case "firmware":
         this[fact.fact] = fact;
         if (fact.fact === "began") this.ended = null;
         break;
