@@ -96,7 +96,7 @@ def on_the_map(page: Browser) -> list[tuple[float, float]]:
 
 def test_every_drone_is_listed_at_the_same_moment_of_one_clock(page: Browser, fleet: str) -> None:
     opened(page, fleet)
-    assert page.text("#clock").endswith(" / 0:31"), "to the end of the last mission"
+    assert " / 0:31 · " in page.text("#clock"), "to the end of the last mission, and the time of day"
     page.seek(6.8)
     assert page.rows(".drones") == [
         ["1 drone-1", "at waypoint 1", "2 of 5", "s1 READY", "2, 1 on servers", "1.5 s", "88 %"],

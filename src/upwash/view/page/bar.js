@@ -87,7 +87,7 @@ class Tile {
 // What the drone does; of a vehicle that the program does not fly, the mode that it is in.
 export function inWords(moment) {
   const doing = moment.last("doing");
-  if (!doing) return "the log has yet to begin";
+  if (!doing) return "waiting for the log to begin";
   if (moment.isOver && doing.tone === "ground") return moment.story.isCompleted ? "mission completed" : "mission ended early";
   const others = doing.tone === "person" || doing.who === "FAIL-SAFE";
   return doing.words || (others ? (moment.last("vehicle")?.mode ?? "") : "");

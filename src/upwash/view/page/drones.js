@@ -60,7 +60,7 @@ function showRow(cells, moment) {
 
 function doingOf(moment) {
   const who = moment.last("doing")?.who ?? "PROGRAM";
-  return [who === "PROGRAM" ? "" : who.toLowerCase(), inWords(moment)].filter(Boolean).join(", ");
+  return [["PROGRAM", "WAITING"].includes(who) ? "" : who.toLowerCase(), inWords(moment)].filter(Boolean).join(", ");
 }
 
 // What the missions came to together, once all of them are over.
