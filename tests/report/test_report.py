@@ -21,7 +21,6 @@ from upwash.config import read_drone_config, server_areas, waypoints
 from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
-from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.lab.run import simulate
 from upwash.report.exports import write_csv, write_geojson
@@ -108,20 +107,17 @@ def test_what_offloading_saved_is_told_also_against_the_flight_without(records: 
     assert "less than" not in sheet_of(records[:1])
 
 
-def test_the_worst_calls_are_told_with_the_numbers_of_their_decisions(
-    logs: tuple[Path, Path], records: list[Record]
-) -> None:
+def test_the_worst_calls_are_told_with_their_loss_and_reasons(records: list[Record]) -> None:
     page = tree_of(records[:1])
     (worst,) = page.iter("ol")
     told = ["".join(item.itertext()) for item in worst]
-    longest = sorted(records[0].result.calls, key=lambda call: -call.delay_s)[:5]
-    decided = [each for each in event_log.read(logs[0]) if isinstance(each, schema.Decided)]
-    assert len(told) == 5
-    for text, call in zip(told, longest, strict=True):
-        assert f"{call.delay_s:.2f} s" in text
-        (decision,) = [each for each in decided if each.t == pytest.approx(call.at_s + MISSION_BEGAN_S)]
-        assert f"{decision.local_s:.2f} s" in text
-        assert decision.why in text
+    assert [each.call.result.waypoint for each in records[0].worst] == [0, 12], "a processor heats up twice"
+    for text, lost in zip(told, records[0].worst, strict=True):
+        assert lost.loss_s == pytest.approx(lost.call.result.delay_s - 10.0), (
+            "the drone was expected to take that"
+        )
+        assert f"{lost.loss_s:.1f} s lost" in text
+        assert all(reason in text for reason in lost.reasons)
 
 
 def test_a_flight_that_ended_before_its_first_call_has_a_page(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.support.text import escaped, escaped_lines, json_line, printable
+from upwash.support.text import by_name, escaped, escaped_lines, json_line, printable
 
 
 @pytest.mark.parametrize(
@@ -54,3 +54,8 @@ def test_a_line_of_json_reads_the_same_and_shows_nothing_that_is_not_printed(val
     line = msgspec.json.encode(value)
     assert json.loads(json_line(line)) == json.loads(line)
     assert json_line(line).decode().isprintable()
+
+
+def test_names_are_sorted_as_people_count() -> None:
+    names = ["pole10", "pole2", "s", "pole2b", "pole02", "2", "10", "pole" + "9" * 9000]
+    assert sorted(names, key=by_name) == ["2", "10", "pole02", "pole2", "pole2b", "pole10", names[-1], "s"]

@@ -159,11 +159,15 @@ def test_the_estimates_and_the_decision_are_told_in_words(
     opened(page, one)
     page.seek(round(waited.result.at_s + waited.result.waited_s / 2, 1))
     assert "Call under way" in page.text(".now h3")
+    so_far = f"{waited.result.waited_s / 2:.1f}"[:-1]
+    assert f": {so_far}" in page.text(".course")
+    assert page.text(".cause").startswith("Waits for s")
     assert "expected: " in page.text(".reasons")
     assert "decided: wait for" in page.text(".reasons")
     page.seek(round(waited.result.at_s + waited.result.delay_s + 0.1, 1))
-    _, *reasons = explained_calls(record.events)[record.calls.index(waited)]
-    assert all(reason in page.text(".reasons") for reason in reasons)
+    sentence, *particulars = explained_calls(record.events)[record.calls.index(waited)].reasons
+    assert page.text(".cause") == sentence
+    assert all(particular in page.text(".reasons") for particular in particulars)
 
 
 def test_two_flights_are_shown_at_the_same_second_side_by_side(

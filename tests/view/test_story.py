@@ -70,7 +70,7 @@ def test_each_call_is_told_as_the_report_tells_it(told: list[Fact], record: Reco
     assert [(call.waypoint, call.place, call.delay_s, call.waited_s) for call in calls] == [
         (call.waypoint, call.place, call.delay_s, call.waited_s) for call in record.result.calls
     ]
-    assert [call.words for call in calls] == [reasons for _, *reasons in explained_calls(record.events)]
+    assert [call.words for call in calls] == [text.reasons for text in explained_calls(record.events)]
     assert [call.at_s - call.delay_s for call in calls] == pytest.approx(
         [call.at_s for call in record.result.calls]
     )
@@ -112,8 +112,12 @@ def test_every_fact_comes_in_the_order_of_time(told: list[Fact]) -> None:
 def test_what_is_decided_is_told_with_its_estimates(told: list[Fact], log: Path) -> None:
     decided = [each for each in event_log.read(log) if isinstance(each, schema.Decided)]
     for decision, each in zip(those(facts.Decision, told), decided, strict=True):
-        assert f"{each.local_s:.2f} s" in decision.words[0]
-        assert each.why in decision.words[1]
+        assert f"{each.local_s:.2f} s" in decision.words[1]
+        assert each.selected is None or each.why in decision.words[2]
+        assert (decision.place, decision.at_most_s) == (
+            each.server or "local",
+            each.deadline_s or each.at_most_s,
+        )
 
 
 def test_a_program_that_takes_a_flight_up_again_knows_no_states() -> None:
@@ -167,7 +171,80 @@ def test_reasons_are_told_in_seconds_of_the_mission() -> None:
     step = event("selected", 5.0, server="s1", before="AVL", after="CHECK", why="fastest")
     call = event("call", 9.0, operation="detector.count", place="local", delay_s=2.0)
     (told,) = those(facts.Call, tell([STARTED, step, call]))
-    assert told.words == ["at 3.0 s s1 was selected: fastest"]
+    assert told.words == ["Ran on the drone in 2.00 s.", "at 0:03 s1 was selected: fastest"]
+
+
+AT_S1 = {"selected": "s1", "state": "READY", "local_s": 10.0, "remote_s": 0.7, "position": HERE}
+
+
+def test_a_call_in_trouble_is_told_anew_with_what_it_may_take_from_when() -> None:
+    planned = event("planned", 1.0, ranges={"s1": {"centre": HERE, "radius_m": 50.0}})
+    ready = event("started", 4.0, server="s1", before="CHECK", after="READY")
+    asked = {"decision": "remote", "server": "s1", "deadline_s": 2.8, "why": "server ready"}
+    told = tell(
+        [
+            planned,
+            STARTED,
+            ready,
+            event("decided", 10.0, operation="detector.count", **asked, **AT_S1),
+            event("hedged", 10.6, server="s1", after_s=0.6, deadline_s=10.6),
+            event("remote_failed", 12.0, server="s1", why="s1 does not answer"),
+            event("call", 20.6, operation="detector.count", place="local", delay_s=10.6, fell_back=True),
+            event("remote_failed", 30.0, server="s1", why="s1 does not answer"),
+        ]
+    )
+    assert [
+        (
+            course.at_s,
+            course.from_s,
+            course.began_s,
+            course.place,
+            course.at_most_s,
+            course.also_local,
+            course.words[0],
+        )
+        for course in those(facts.Decision, told)
+    ] == [
+        (10.0, 10.0, 10.0, "s1", 2.8, False, "Runs on s1, ready since 0:02."),
+        (
+            10.6,
+            10.0,
+            10.0,
+            "s1",
+            10.6,
+            True,
+            "Runs on s1 and on the drone, as s1 had not answered after 0.60 s.",
+        ),
+        (12.0, 12.0, 10.0, "local", None, False, "Runs on the drone because s1 gave no answer."),
+    ]
+    (call,) = those(facts.Call, told)
+    assert [(estimate.place, estimate.call_s) for estimate in call.estimates] == [
+        ("local", 10.0),
+        ("s1", 0.7),
+    ]
+    assert call.lost_s == pytest.approx(9.9)
+
+
+def test_a_sentence_is_told_anew_as_soon_as_it_is_known_until_when_a_server_was_left_alone() -> None:
+    failed = event(
+        "check_failed", 4.0, server="s1", before="CHECK", after="BLACKLISTED", why="s1 does not answer"
+    )
+    planned = event("planned", 1.0, ranges={"s1": {"centre": HERE, "radius_m": 50.0}})
+    local = {"decision": "local", "why": "no server selected", **AT_S1, "selected": None, "state": None}
+    told = tell(
+        [
+            planned,
+            STARTED,
+            failed,
+            event("decided", 10.0, operation="detector.count", **local),
+            event("call", 20.0, operation="detector.count", place="local", delay_s=10.0),
+            event("blacklist_expired", 64.0, server="s1", before="BLACKLISTED", after="AVL"),
+        ]
+    )
+    (call,), (amended,) = those(facts.Call, told), those(facts.Amended, told)
+    assert call.words[0].endswith("because s1, in range, was left alone since 0:02 after no answer.")
+    assert amended.number == 0
+    assert amended.words[0].endswith("because s1, in range, was left alone until 1:02 after no answer.")
 
 
 # --- a drone that goes on before answers are there --------------------------------------------------------------

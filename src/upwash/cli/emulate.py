@@ -9,6 +9,7 @@ from upwash.cli.arguments import FOLDER, new_run_folder, option, repeated, requi
 from upwash.emulation.enclosure import clean, require_root_and_tools
 from upwash.emulation.request import EmulationRequest
 from upwash.errors import UsageError
+from upwash.eventlog.narration import counted
 from upwash.support.loading import extra
 
 ARGUMENTS = {
@@ -45,7 +46,9 @@ def run(options: argparse.Namespace) -> bool:
     require_root_and_tools()
     killed = clean()
     if options.clean:
-        print(f"killed {killed} processes of former emulations" if killed else "no process was left")
+        print(
+            f"killed {counted(killed, 'process')} of former emulations" if killed else "no process was left"
+        )
         return True
     if not options.scenarios:
         raise UsageError("name a scenario, such as scenarios/demonstration.toml")

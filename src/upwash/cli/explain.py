@@ -14,7 +14,7 @@ ARGUMENTS = {
     "calls": OneOf(
         {
             "--waypoint N": option("the calls of that waypoint alone", type=int),
-            "--worst N": "only the N longest calls",
+            "--worst N": "only the N calls that lost most against the best place expected for them",
         }
     ),
 }

@@ -53,8 +53,10 @@ def ran_on(server: str | None) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """A number with its noun: "1 call", "2 calls"."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+    """A number with its noun: "1 call", "2 calls", "2 boxes"."""
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {noun}{'es' if noun.endswith(('s', 'x', 'ch', 'sh')) else 's'}"
 
 
 class Tone(StrEnum):
@@ -131,7 +133,11 @@ class Narrator:
         if isinstance(event, schema.LeftToPilot) and self.control:  # which was said
             return Sentence(event.why.rpartition("; ")[2], Tone.ALARM)
         if isinstance(event, schema.MissionStarted):
-            before = f"taken up again, {len(event.done)} waypoints done before" if event.done else "started"
+            before = (
+                f"taken up again, {counted(len(event.done), 'waypoint')} done before"
+                if event.done
+                else "started"
+            )
             return Sentence(f"mission {before}" + (f", policy {event.policy}" if self._knows_servers else ""))
         if (line := _LINE_OF.get(type(event))) is None:
             return _sentence(event)
@@ -342,7 +348,7 @@ def in_one_line(message: object) -> str:
     """A message to the user: detections by their number and labels, other messages unchanged."""
     if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
         labels = Counter(str(item["label"]) for item in message)
-        message = ", ".join(f"{count} x {label}" for label, count in labels.items())
+        message = ", ".join(counted(count, label) for label, count in labels.items())
     return printable(str(message))
 
 

@@ -2,94 +2,137 @@
 
 from __future__ import annotations
 
+import heapq
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-
-import msgspec
+from dataclasses import dataclass, field
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
+from upwash.eventlog.causes import Considered, Standings, clock, ran
 from upwash.eventlog.narration import ran_on
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.schema import Event
 
-_SELECTION_CHANGES = (
+_SELECTION_CHANGES = {
+    schema.Selected: "was selected",
+    schema.CheckFailed: "failed its check",
+    schema.CallFailedInRange: "failed the call",
+    schema.CallFailedOutOfRange: "failed the call, out of its range",
+    schema.Deselected: "was deselected",
+    schema.DeselectedAfterStart: "was deselected",
+}
+_LATER = (
     schema.Selected,
-    schema.CheckFailed,
-    schema.CallFailedInRange,
-    schema.CallFailedOutOfRange,
     schema.Deselected,
     schema.DeselectedAfterStart,
-)
+)  # after a decision: for the next call
 _SHORTEST_S = 0.005  # less is printed as 0.00 s
-_FELL_BACK = {
-    "": "no usable answer came, so the drone did it itself",
-    "confirmed": "the server said that it raised, so the drone did it itself, and it raised there too",
-    "denied": "the server said that it raised, so the drone did it itself, and nothing was wrong with it",
-}
+_LEAST_LOSS = 0.05  # of the delay that was expected
+_LEAST_LOSS_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class ExplainedCall:
-    """One call, its decisions, and the changes of the selection since the call before.
+    """The call of that `number`, counted from 0, with its decisions and what the log told of servers, in its order.
 
-    Times are seconds of the mission; the call began at `at_s`. `going` is the decision to wait for the answer or to
-    fly on, if the mission asked for that decision.
+    Of the servers it has what was told since the call before, without later selections. The call began at `at_s` of
+    the mission, which began at `began_s` of the log. `going` is the decision to wait for the answer or to fly on, if
+    the mission asked for that decision.
     """
 
+    number: int
     waypoint: int | None
     at_s: float
+    began_s: float
     outcome: schema.Call
-    decisions: Sequence[schema.Decided]
-    changes: Sequence[schema.ServerStep]
+    told: Sequence[Considered | Event]
     going: schema.StayOrGo | None = None
+
+    @property
+    def decisions(self) -> Sequence[Considered]:
+        """Its decisions, in their order."""
+        return [each for each in self.told if isinstance(each, Considered)]
 
     @property
     def position(self) -> Position | None:
         """The position of the drone at the begin of the call; None without a decision."""
-        return self.decisions[0].position if self.decisions else None
+        return next((decision.decided.position for decision in self.decisions), None)
+
+    @property
+    def sentence(self) -> str:
+        """Where it ran, and why."""
+        since = itertools.dropwhile(lambda each: isinstance(each, Event), self.told)
+        return ran(self.outcome, self.decisions, [each for each in since if isinstance(each, Event)])
+
+    @property
+    def is_final(self) -> bool:
+        """Whether nothing that comes later is part of the sentence, such as the end of a blacklisting."""
+        return all(stay.until_s is not None for each in self.decisions for stay in each.left_alone)
+
+    @property
+    def loss_s(self) -> float:
+        """By how much it took longer than was expected of the best place when it began.
+
+        0 where that is unknown, or no more than estimates are wrong by.
+        """
+        expected_s = self.decisions[0].expected_s.values() if self.decisions else ()
+        best_s = min(expected_s, default=self.outcome.delay_s)
+        lost_s = self.outcome.delay_s - best_s
+        return lost_s if lost_s > max(_LEAST_LOSS_S, _LEAST_LOSS * best_s) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class ExplainedAnswer:
     """The result of flying on before the answer of call `number` of the run, counted from 0.
 
-    The mission flew or did other work during `hidden_s` of the call. `back_m` is the distance that the drone flew
-    back for the answer; None if it did not turn back.
+    The mission took the answer at `at_s`, and flew or did other work during `hidden_s` of the call. `back_m` is the
+    distance that the drone flew back for the answer; None if it did not turn back.
     """
 
     number: int
     taken: schema.AnswerTaken
+    at_s: float
     hidden_s: float
     back_m: float | None
 
 
 class Reasons:
-    """Gathers the reasons of each call of a run, event by event; times become seconds of the mission."""
+    """Gathers the reasons of each call of a run, event by event."""
 
     def __init__(self) -> None:
         self._began = MissionTime()
         self._whereabouts = CallPlaces()
-        self._decisions: list[schema.Decided] = []
-        self._changes: list[schema.ServerStep] = []
+        self._standings = Standings()
+        self._told: list[Considered | Event] = []  # since the last call was over
         self._delays_s: list[float] = []
         self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until the mission takes the answer
         self._turned: dict[int | None, Position] = {}
         self._back_m: dict[int | None, float] = {}
 
+    @property
+    def ended(self) -> int:
+        """The number of calls that are over."""
+        return len(self._delays_s)
+
+    @property
+    def under_way(self) -> Sequence[Considered]:
+        """The decisions of the call that is not over."""
+        return [each for each in self._told if isinstance(each, Considered)]
+
     def take(self, event: Event) -> ExplainedCall | ExplainedAnswer | None:
         """Take the next event; return the call that it ends, or the result of flying on before an answer."""
         self._began.take(event)
         self._whereabouts.take(event)
-        now_s = event.t - (self._began.at_s or 0.0)
+        self._standings.take(event)
         match event:
             case schema.Decided():
-                self._decisions.append(event)
+                self._told.append(self._standings.considered(event, self._began.at_s or 0.0))
             case schema.Call():
-                return self._explain(msgspec.structs.replace(event, t=now_s))
-            case schema.ServerStep() if isinstance(event, _SELECTION_CHANGES):
-                self._changes.append(msgspec.structs.replace(event, t=now_s))
+                return self._explain(event)
+            case schema.ServerStep() | schema.RemoteFailed() | schema.RemoteRaised():
+                self._told.append(event)
             case schema.StayOrGo(waypoint=waypoint):
                 self._going[waypoint] = event
             case schema.TurnedBack(waypoint=waypoint, position=position):
@@ -98,7 +141,7 @@ class Reasons:
                 there = Position(event.east_m, event.north_m)
                 self._back_m[waypoint] = ground_distance_m(self._turned.pop(waypoint), there)
             case schema.AnswerTaken():
-                return self._explain_answer(msgspec.structs.replace(event, t=now_s))
+                return self._explain_answer(event)
         return None
 
     def _explain_answer(self, taken: schema.AnswerTaken) -> ExplainedAnswer | None:
@@ -107,59 +150,89 @@ class Reasons:
         number = self._whereabouts.answered
         if number is None or going is None or not going.goes:
             return None
-        return ExplainedAnswer(number, taken, max(0.0, self._delays_s[number] - taken.waited_s), back_m)
+        hidden_s = max(0.0, self._delays_s[number] - taken.waited_s)
+        return ExplainedAnswer(number, taken, taken.t - (self._began.at_s or 0.0), hidden_s, back_m)
 
     def _explain(self, outcome: schema.Call) -> ExplainedCall:
-        decisions, changes = self._decisions, self._changes
-        later = [change for change in changes if change.t >= outcome.t]
-        self._decisions, self._changes = [], later
-        began_s = outcome.t - outcome.delay_s
-        waypoint = self._whereabouts.of_call
+        its, later = _parted(self._told)
+        self._told = later
+        waypoint, began_s = self._whereabouts.of_call, self._began.at_s or 0.0
         self._delays_s.append(outcome.delay_s)
         return ExplainedCall(
+            len(self._delays_s) - 1,
             waypoint,
+            outcome.t - outcome.delay_s - began_s,
             began_s,
             outcome,
-            decisions,
-            changes[: len(changes) - len(later)],
+            its,
             self._going.get(waypoint),
         )
 
 
-def explained_calls(events: Iterable[Event]) -> list[list[str]]:
-    """The calls of the last run in a log: for each a heading and its reasons, a line each."""
-    reasons, calls = Reasons(), CallTexts()
+def _parted(told: Sequence[Considered | Event]) -> tuple[list[Considered | Event], list[Considered | Event]]:
+    """What belongs to the call that is over, and what came after its last decision and concerns the next."""
+    last = max((number for number, each in enumerate(told) if isinstance(each, Considered)), default=None)
+    if last is None:
+        return list(told), []
+    asked = {each.decided.server for each in told if isinstance(each, Considered)}
+    its, later = list(told[: last + 1]), list[Considered | Event]()
+    for event in told[last + 1 :]:
+        is_its = getattr(event, "server", None) in asked and not isinstance(event, _LATER)
+        (its if is_its else later).append(event)
+    return its, later
+
+
+def explained_calls(events: Iterable[Event]) -> list[CallText]:
+    """The calls of the last run in a log, as text."""
+    reasons, calls = Reasons(), list[CallText]()
     for event in events:
         if isinstance(event, schema.LogOpened):
-            reasons, calls = Reasons(), CallTexts()
-        calls.take(reasons.take(event))
-    return calls.lines
+            reasons, calls = Reasons(), []
+        match reasons.take(event):
+            case ExplainedCall() as call:
+                calls.append(CallText(call))
+            case ExplainedAnswer(number=number) as answer:
+                calls[number].answers.append(answer)
+    return calls
 
 
-class CallTexts:
-    """The calls of a run as text, a list of lines for each call."""
+@dataclass(frozen=True, slots=True)
+class CallText:
+    """A call as text, with what became of its answer."""
 
-    def __init__(self) -> None:
-        self.lines: list[list[str]] = []
+    call: ExplainedCall
+    answers: list[ExplainedAnswer] = field(default_factory=list)
 
-    def take(self, explained: ExplainedCall | ExplainedAnswer | None) -> None:
-        """Add the explanation of an event, if it has one."""
-        match explained:
-            case ExplainedCall():
-                self.lines.append(list(call_lines(explained)))
-            case ExplainedAnswer(number=number):
-                self.lines[number].append(answer_text(explained))
+    @property
+    def heading(self) -> str:
+        """The call in short."""
+        outcome = self.call.outcome
+        where = "" if self.call.waypoint is None else f"waypoint {self.call.waypoint}, "
+        place = ran_on(outcome.server)
+        return f"{where}{clock(self.call.at_s)}: {outcome.operation} {place}, {outcome.delay_s:.2f} s"
+
+    @property
+    def reasons(self) -> list[str]:
+        """The sentence that says why it ran at its place, and the particulars, a line each."""
+        return [*call_lines(self.call), *map(answer_text, self.answers)]
+
+
+def worst_of(calls: Iterable[CallText], most: int) -> list[CallText]:
+    """The calls that lost most against the best place for them, the worst first, without those that lost nothing."""
+    lost = (text for text in calls if text.call.loss_s > 0)
+    return heapq.nsmallest(most, lost, key=lambda text: (-text.call.loss_s, text.call.number))
 
 
 def call_lines(call: ExplainedCall) -> Iterator[str]:
-    """A call and its reasons, a line each."""
+    """Why the call ran at its place: a sentence, and then the particulars, a line each."""
     outcome = call.outcome
-    where = "" if call.waypoint is None else f"waypoint {call.waypoint}, "
-    yield f"{where}{call.at_s:.1f} s: {outcome.operation} {ran_on(outcome.server)}, {outcome.delay_s:.2f} s"
-    for change in call.changes:
-        yield f"at {change.t:.1f} s {change.server} was {change.kind.replace('_', ' ')}: {change.why}"
-    for decision in call.decisions:
-        yield from decision_lines(decision)
+    yield f"{call.sentence}."
+    for each in call.told:
+        match each:
+            case Considered(decided=decided):
+                yield from decision_lines(decided)
+            case schema.ServerStep(server=server, why=why) if type(each) in _SELECTION_CHANGES:
+                yield f"at {clock(each.t - call.began_s)} {server} {_SELECTION_CHANGES[type(each)]}: {why}"
     if outcome.asked and outcome.forecast_s is not None and outcome.finish_by_s is not None:
         yield (
             f"{outcome.asked} was asked for: so the mission would have ended at {outcome.forecast_s:.0f} s, "
@@ -169,8 +242,6 @@ def call_lines(call: ExplainedCall) -> Iterator[str]:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
     if outcome.queued_s and outcome.queued_s >= _SHORTEST_S:
         yield f"    the drone was busy with an earlier call for {outcome.queued_s:.2f} s"
-    if outcome.fell_back:
-        yield _FELL_BACK[outcome.remote_fault]
     if call.going is not None:
         yield _going_text(call.going)
 
@@ -180,7 +251,7 @@ def answer_text(answer: ExplainedAnswer) -> str:
     taken = answer.taken
     waited = f" after a wait of {taken.waited_s:.2f} s" if taken.waited_s else ""
     if answer.back_m is None:
-        return f"the answer was taken at {taken.t:.1f} s{waited}, and demanded nothing"
+        return f"the answer was taken at {clock(answer.at_s)}{waited}, and demanded nothing"
     return f"the answer demanded something{waited}: the drone turned back, and flew {answer.back_m:.1f} m"
 
 
@@ -197,14 +268,17 @@ def _going_text(going: schema.StayOrGo) -> str:
 def decision_lines(decision: schema.Decided) -> Iterator[str]:
     """The estimates behind a decision, and the decision."""
     yield _beliefs(decision)
-    yield f"decided: {_verdict(decision)} ({decision.why})"
+    why = (
+        "" if decision.selected is None else f" ({decision.why})"
+    )  # the sentence says why there was no server
+    yield f"decided: {_verdict(decision)}{why}"
 
 
 def _beliefs(decision: schema.Decided) -> str:
     local_s, remote_s = decision.local_s, decision.remote_s
     drone = f"expected: {_seconds(local_s)} on the drone"
     if decision.selected is None:
-        return f"{drone}; no server was selected"
+        return drone
     state = str(decision.state)
     if decision.state != State.READY and decision.check_s is not None:
         state += f" for {decision.check_elapsed_s or 0.0:.1f} of {decision.check_s:.1f} s"

@@ -15,6 +15,7 @@ from upwash.core.operation import server_of
 from upwash.eventlog import schema
 from upwash.eventlog.progress import DEMAND_EVENTS, TIME_EVENTS, CallPlaces, MissionTime, OpenDemands
 from upwash.eventlog.schema import Event
+from upwash.support.text import by_name
 
 # Most events of a long log are positions: a set lookup skips them faster than a match statement.
 _COUNTED = (
@@ -247,7 +248,7 @@ class Tally:
             totals=Totals(
                 calls=len(self._calls),
                 local=len(self._calls) - remote.total(),
-                remote=dict(sorted(remote.items())),
+                remote={server: remote[server] for server in sorted(remote, key=by_name)},
                 waits=len(self._waits),
                 waits_failed=self._waits.count("failed"),
                 switches=self._switches,
@@ -264,7 +265,9 @@ class Tally:
             arming_s=self._began.arming_s,
             energy=self._energy,
             never_ready={
-                server: why for server, why in sorted(self._failed.items()) if server not in self._ready
+                server: self._failed[server]
+                for server in sorted(self._failed, key=by_name)
+                if server not in self._ready
             },
             not_acted_on=_in_order(self._open.demands),
             failed_calls=_in_order(self._open.failures),

@@ -114,9 +114,8 @@ class Progress(LiveDisplay):
         since_s = now.waits_since_s
         waited = "" if since_s is None else f" for {self._now_s - since_s:.0f} s"
         down = "" if now.down_s is None else f", {_down(now.down_s)}"
-        head = Text(
-            f"{now.doing}{waited}{down} · {now.reached} of {self._waypoints} waypoints reached · {now.where}"
-        )
+        reached = f"{now.reached} of {counted(self._waypoints, 'waypoint')} reached"
+        head = Text(f"{now.doing}{waited}{down} · {reached} · {now.where}")
         taken = [Text(printable(now.control), style="bold red")] if now.control else []
         return Group(head, *taken, *([self._servers()] if self._states else []))
 
@@ -197,7 +196,7 @@ def _print_waypoints(result: RunResult, console: Console) -> None:
     undone = f", left undone: {spans(result.undone)}" if result.undone else ""
     reached = result.waypoints - len(result.undone)
     if result.waypoints:
-        say(f"{reached} of {result.waypoints} waypoints reached{undone}", console)
+        say(f"{reached} of {counted(result.waypoints, 'waypoint')} reached{undone}", console)
     for phrase in left_undone(result):
         say(Text(phrase, style="yellow"), console)
     if result.left_hovering:

@@ -14,7 +14,7 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.narration import ran_on
-from upwash.eventlog.reasons import explained_calls
+from upwash.eventlog.reasons import CallText, explained_calls, worst_of
 from upwash.eventlog.results import CallResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.scenario import read_scenario
@@ -36,23 +36,21 @@ class Replay:
 
 @dataclass(frozen=True, slots=True)
 class CallChoice:
-    """Which calls are explained: all, those of a waypoint, or so many that took longest, the longest first."""
+    """Which calls are explained: all, those of a waypoint, or so many of the `worst`.
+
+    The worst took longest beyond what was expected of the best place for them; calls that lost nothing are not among
+    them.
+    """
 
     waypoint: int | None = None
     worst: int | None = None
 
-    def of(self, calls: Sequence[CallResult]) -> list[int]:
-        """The numbers of the wanted calls; UsageError where there is none."""
-        numbers = [
-            number
-            for number, call in enumerate(calls)
-            if self.waypoint is None or call.waypoint == self.waypoint
-        ]
-        if not numbers:
+    def of(self, calls: Sequence[CallText]) -> Sequence[CallText]:
+        """The wanted calls; UsageError where there is none."""
+        wanted = [call for call in calls if self.waypoint in (None, call.call.waypoint)]
+        if not wanted:
             raise UsageError(f"--waypoint {self.waypoint}: no call was made there")
-        if self.worst is None:
-            return numbers
-        return sorted(numbers, key=lambda number: -calls[number].delay_s)[: self.worst]
+        return wanted if self.worst is None else worst_of(wanted, self.worst)
 
 
 def show_explanation(
@@ -68,7 +66,7 @@ def show_explanation(
     events = EventLog(log)
     console = Console(markup=False, highlight=False)
     wanted = wanted or CallChoice()
-    calls = read_result(events).calls
+    calls = explained_calls(events)
     if not calls:
         raise UsageError(f"{log} has no service call to explain")
     wanted.of(calls)  # before other policies are flown for none
@@ -119,14 +117,15 @@ def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> 
 def explain(events: Iterable[Event], replayed: Replay, wanted: CallChoice) -> Iterator[str]:
     """The explanation of the wanted calls, line by line."""
     result = read_result(events)
-    calls = explained_calls(events)
-    for number in wanted.of(result.calls):
-        heading, *reasons = calls[number]
-        yield heading
-        yield from (f"    {reason}" for reason in reasons)
+    chosen = wanted.of(explained_calls(events))
+    for text in chosen:
+        yield text.heading
+        yield from (f"    {reason}" for reason in text.reasons)
         if replayed.runs:
-            yield f"    {_elsewhere(number, len(result.calls), replayed, result.policy)}"
+            yield f"    {_elsewhere(text.call.number, len(result.calls), replayed, result.policy)}"
         yield ""
+    if not chosen:
+        yield "no call took longer than was expected of the best place for it"
     took = f"{result.policy} took {result.mission_time_s:.1f} s"
     if not replayed.runs:
         yield f"{took}; give --scenario FILE to see what other policies would have done{_in_its_world(events)}"

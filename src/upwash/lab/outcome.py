@@ -15,6 +15,7 @@ from upwash.lab.bounds import bound_of, bounds_of
 from upwash.lab.least_time import FleetBound
 from upwash.lab.run import Run, simulate, simulate_drones, simulate_fleet
 from upwash.sim.chance import plays_a_part
+from upwash.support.text import by_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,7 @@ def _sums(totals: Sequence[Totals]) -> Totals:
         for field in dataclasses.fields(Totals)
         if field.name != "remote"
     }
-    return Totals(remote=dict(sorted(remote.items())), **counts)
+    return Totals(remote={server: remote[server] for server in sorted(remote, key=by_name)}, **counts)
 
 
 def _means(drawn: Sequence[EnergyTotals]) -> EnergyTotals | None:

@@ -21,7 +21,7 @@ from upwash.eventlog.narration import (
 )
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import printable
+from upwash.support.text import by_name, printable
 
 _LONGEST_LIST = 200  # characters
 _MOST_KINDS = 200  # of troubles that are told apart, however long the log is
@@ -148,7 +148,7 @@ class NoticesTaken:
     def _cautions(self, result: RunResult) -> Iterator[str]:
         if fallbacks := result.totals.fallbacks:
             yield f"{counted(fallbacks, 'call')} got no usable answer from a server and fell back to the drone"
-        for server, (times, last) in sorted(self._blacklisted.items()):
+        for server, (times, last) in sorted(self._blacklisted.items(), key=lambda entry: by_name(entry[0])):
             yield f"The server {server} was blacklisted {_often(times)}, last {last}"
         if self._lost_links:
             yield (

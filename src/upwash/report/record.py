@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.progress import MissionTime
-from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, answer_text, call_lines
+from upwash.eventlog.reasons import CallText, ExplainedAnswer, ExplainedCall, Reasons, worst_of
 from upwash.eventlog.results import CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
 from upwash.report.findings import Finder, Finding
@@ -23,6 +22,7 @@ from upwash.report.going import OpenAnswer, OpenAnswers
 from upwash.report.notices import Notices, NoticesTaken
 from upwash.report.numbering import FlightFindings, PlacedFinding, placed
 from upwash.report.outcome import UNPLANNED, Outcome
+from upwash.support.text import by_name
 
 _WORST = 5
 
@@ -44,9 +44,10 @@ class ReportedCall:
 
 @dataclass(frozen=True, slots=True)
 class WorstCall:
-    """One of the calls that took longest, and why it ran where it ran, in sentences."""
+    """One of the calls that lost most against the best place for them, and why it ran where it ran, in sentences."""
 
     call: ReportedCall
+    loss_s: float
     reasons: Sequence[str]
 
 
@@ -110,7 +111,7 @@ class Record:
 
     `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the second of the
     log at which the mission began. `simulated` is the simulation's own first line, None for a flight. `answers` are
-    those that the drone went on before, `worst` the calls that took longest, the longest first. `measured` is what
+    those that the drone went on before, `worst` the calls that lost most, the worst first. `measured` is what
     was known in the end of servers without a range, place by place.
     """
 
@@ -144,7 +145,8 @@ class Record:
     @property
     def servers(self) -> list[str]:
         """The servers that the run knows of, by name."""
-        return sorted({*self.plan.ranges, *self.plan.measured, *self.stretches, *self.result.totals.remote})
+        known = {*self.plan.ranges, *self.plan.measured, *self.stretches, *self.result.totals.remote}
+        return sorted(known, key=by_name)
 
     @property
     def saved_s(self) -> float | None:
@@ -237,40 +239,32 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
 
 
 class _Calls:
-    """Gathers what a run's calls are told by, event by event; the reasons of the longest alone are kept."""
+    """Gathers what a run's calls are told by, event by event; the reasons of the worst alone are kept."""
 
     def __init__(self) -> None:
         self._reasons = Reasons()
         self._facts: list[tuple[Position | None, str, bool]] = []
-        self._worst: list[
-            tuple[float, int, list[str]]
-        ] = []  # a heap of delays, the earlier first among equals
+        self._worst: list[CallText] = []
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
         match self._reasons.take(event):
             case ExplainedCall() as explained:
-                outcome, number = explained.outcome, len(self._facts)
+                outcome = explained.outcome
                 self._facts.append((explained.position, outcome.wait, outcome.fell_back))
-                if len(self._worst) < _WORST or outcome.delay_s > self._worst[0][0]:
-                    _, *reasons = call_lines(explained)
-                    heapq.heappush(self._worst, (outcome.delay_s, -number, reasons))
-                if len(self._worst) > _WORST:
-                    heapq.heappop(self._worst)
+                self._worst = worst_of([*self._worst, CallText(explained)], _WORST)
             case ExplainedAnswer(number=number) as answer:
-                for _, numbered, reasons in self._worst:
-                    if numbered == -number:
-                        reasons.append(answer_text(answer))
+                for text in self._worst:
+                    if text.call.number == number:
+                        text.answers.append(answer)
 
     def with_results(self, results: Sequence[CallResult]) -> list[ReportedCall]:
         """The calls, with their results in the same order."""
         return [ReportedCall(result, *facts) for result, facts in zip(results, self._facts, strict=True)]
 
     def worst(self, calls: Sequence[ReportedCall]) -> list[WorstCall]:
-        """The longest of the calls, the longest first."""
-        return [
-            WorstCall(calls[-number], reasons) for _, number, reasons in sorted(self._worst, reverse=True)
-        ]
+        """The calls that lost most, the worst first."""
+        return [WorstCall(calls[text.call.number], text.call.loss_s, text.reasons) for text in self._worst]
 
 
 class _Track:
@@ -328,7 +322,7 @@ class _States:
         """The stretches of each server, up to the last event."""
         for server in self._now:
             self._end(server, self._ended_s)
-        return dict(sorted(self._stretches.items()))
+        return {server: self._stretches[server] for server in sorted(self._stretches, key=by_name)}
 
     def _end(self, server: str, at_s: float) -> None:
         state, since_s, why = self._now[server]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from upwash.eventlog.narration import ran_on
 from upwash.report import tables
 from upwash.report.endings import draw_endings, draw_urgent
 from upwash.report.gallery import draw_findings
 from upwash.report.markup import Markup, element, joined
 from upwash.report.outcome import what_it_came_to
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record, ReportedCall, WorstCall, findings_of
+from upwash.report.record import Record, WorstCall, findings_of
 from upwash.report.summary import draw_summary
 
 _SIDE_BY_SIDE = 3  # flights; more are summed up first, and folded each
@@ -95,18 +94,14 @@ def _places(record: Record) -> Markup:
 
 def _worst_calls(record: Record) -> Markup:
     if not record.worst:
-        return element("p", "No call was made.")
+        return element("p", "No call took longer than was expected of the best place for it.")
     return element("ol", *map(_explained, record.worst))
 
 
 def _explained(worst: WorstCall) -> Markup:
-    heading = element("strong", f"{_in_short(worst.call)}, at {worst.call.result.at_s:.1f} s")
+    result = worst.call.result
+    where = "before the first waypoint" if result.waypoint is None else f"waypoint {result.waypoint}"
+    at = f"at {result.at_s:.1f} s, {worst.loss_s:.1f} s lost"
+    heading = element("strong", f"{where}: {result.operation}, {at}")
     reasons = [element("li", reason) for reason in worst.reasons]
     return element("li", heading, element("ul", *reasons) if reasons else "")
-
-
-def _in_short(call: ReportedCall) -> str:
-    result = call.result
-    where = "before the first waypoint" if result.waypoint is None else f"waypoint {result.waypoint}"
-    waited = f", {result.waited_s:.2f} s of it waited" if call.wait else ""
-    return f"{where}: {result.operation} {ran_on(result.server)}, {result.delay_s:.2f} s{waited}"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import signal
+from collections.abc import Sequence
 
 LONGEST_TEXT = 1000
 
@@ -44,6 +46,16 @@ def signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
+
+
+def by_name(name: str) -> tuple[Sequence[tuple[int, str]], str]:
+    """The key that sorts names as people count: pole2 before pole10.
+
+    A number is compared by its length and then by its digits, without the conversion of thousands of digits.
+    """
+    parts = re.split(r"([0-9]+)", name)
+    numbers = (part.lstrip("0") if index % 2 else part for index, part in enumerate(parts))
+    return [(len(part) if index % 2 else 0, part) for index, part in enumerate(numbers)], name
 
 
 def json_line(line: bytes) -> bytes:

@@ -149,16 +149,39 @@ class Step(Fact, frozen=True):
     why: str
 
 
-class Decision(Fact, frozen=True):
-    """Where a call is to run, with the estimates that say so, in sentences."""
+class Estimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What a call was expected to take at a place, "local" for the drone, after a wait for it."""
 
+    place: str
+    call_s: float
+    wait_s: float = 0.0
+
+
+class Decision(Fact, frozen=True):
+    """Where the call of that `number`, counted from 0, is from now on, with why, in sentences, and the estimates.
+
+    The call began at `began_s`. At a server it may take `at_most_s` from `from_s` on; it `waits` for one that is not
+    ready, and is `also_local` where the drone computes it too.
+    """
+
+    number: int
     operation: str
     waypoint: int | None
     words: Sequence[str]
+    estimates: Sequence[Estimate]
+    began_s: float
+    from_s: float
+    place: str
+    at_most_s: float | None = None
+    waits: bool = False
+    also_local: bool = False
 
 
 class Call(Fact, frozen=True):
-    """A call ended; `words` say why it ran where it ran, and `east_m`, `north_m` where the drone made it."""
+    """A call ended; `words` say why it ran where it ran, and `east_m`, `north_m` where the drone made it.
+
+    It took `lost_s` longer than was expected of the best place, as the `estimates` were when it began.
+    """
 
     operation: str
     waypoint: int | None
@@ -167,8 +190,17 @@ class Call(Fact, frozen=True):
     waited_s: float
     wait: str
     words: Sequence[str]
+    estimates: Sequence[Estimate]
+    lost_s: float
     east_m: float | None
     north_m: float | None
+
+
+class Amended(Fact, frozen=True):
+    """The words about the call of that `number`, counted from 0, as they are now that more is known."""
+
+    number: int
+    words: Sequence[str]
 
 
 class Going(Fact, frozen=True):

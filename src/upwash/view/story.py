@@ -10,7 +10,9 @@ import msgspec
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.knowledge.servers import CHECKING, State
+from upwash.core.operation import ON_DRONE, name_of
 from upwash.eventlog import schema
+from upwash.eventlog.causes import Considered, course_of
 from upwash.eventlog.narration import MEANINGS, Narrator, tone_of
 from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.progress import CallPlaces, MissionTime
@@ -20,11 +22,13 @@ from upwash.report.findings import Finder, Finding, outlines
 from upwash.report.numbering import FlightFindings
 from upwash.report.photos import Shot
 from upwash.report.record import place_of
+from upwash.support.text import by_name
 from upwash.view import facts
 from upwash.view.facts import Fact
 from upwash.view.state import CallUnderWay, Control
 
 _CORNERS = 4
+_ON_CALLS = (schema.Decided, schema.Hedged, schema.RemoteFailed, schema.RemoteRaised, schema.TurnOver)
 _STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
 
 
@@ -61,6 +65,7 @@ class Story:
         self._calling = self._call_under_way.now
         self._servers: set[str] = set()
         self._left_out = ""
+        self._unfinished: list[ExplainedCall] = []  # they name servers that are still left alone
 
     def take(self, event: Event) -> Iterable[Fact]:
         """What the next event tells."""
@@ -98,15 +103,10 @@ class Story:
         yield from self._whereabouts(event)
         yield from self._progress(event)
         yield from self._photos(event)
-        if isinstance(event, schema.Decided):
-            yield facts.Decision(
-                at_s=self._now_s,
-                operation=event.operation,
-                waypoint=self._calls_at.of_call_under_way,
-                words=list(decision_lines(event)),
-            )
+        yield from self._under_way(event)
         if isinstance(explained, ExplainedCall):
             yield self._call(explained)
+        yield from self._amended(event, explained)
         yield from self._going(event, explained)
         yield from map(self._notice, self._notices.take(event))
         if isinstance(event, schema.ServerStep):
@@ -181,7 +181,8 @@ class Story:
                     yield from (self._measured(server, place) for place in known)
             case schema.LogResumed():
                 self.ended = False
-                for server in sorted(self._servers):  # a program that begins anew knows of no server's state
+                # A program that begins anew knows of no server's state.
+                for server in sorted(self._servers, key=by_name):
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
                 self.drone, self._policy = drone, policy
@@ -248,7 +249,7 @@ class Story:
             waypoints_m=plan.way_m,
             ranges={
                 name: (area.centre.east_m, area.centre.north_m, area.radius_m)
-                for name, area in sorted(plan.ranges.items())
+                for name, area in plan.ranges.items()
             },
             home=(home.latitude_deg, home.longitude_deg) if home else None,
             metres_per_degree=LocalFrame(home).metres_per_degree() if home else None,
@@ -263,6 +264,38 @@ class Story:
             at_s=self._now_s, server=server, state=state, means=means, tone=tone_of(state), why=why
         )
 
+    def _under_way(self, event: Event) -> Iterator[Fact]:
+        """Where the open call is, if the event says so."""
+        decisions = self._reasons.under_way if isinstance(event, _ON_CALLS) else ()
+        course = course_of(decisions[-1], event) if decisions else None
+        if course is None:
+            return
+        decided = decisions[-1].decided
+        yield facts.Decision(
+            at_s=self._now_s,
+            number=self._reasons.ended,
+            operation=decided.operation,
+            waypoint=self._calls_at.of_call_under_way,
+            words=[f"{course.sentence}.", *decision_lines(decided)],
+            estimates=_estimates(decisions[-1]),
+            began_s=decisions[0].decided.t,
+            from_s=course.from_s,
+            place=name_of(course.server),
+            at_most_s=course.at_most_s,
+            waits=course.waits,
+            also_local=course.also_local,
+        )
+
+    def _amended(self, event: Event, explained: ExplainedCall | ExplainedAnswer | None) -> Iterator[Fact]:
+        """The calls whose sentences say more since a server is no longer left alone."""
+        if isinstance(explained, ExplainedCall) and not explained.is_final:
+            self._unfinished.append(explained)
+        if self._unfinished and isinstance(event, (schema.ServerStep, schema.LogResumed)):
+            for call in self._unfinished:
+                if call.is_final:
+                    yield facts.Amended(at_s=self._now_s, number=call.number, words=list(call_lines(call)))
+            self._unfinished = [call for call in self._unfinished if not call.is_final]
+
     def _call(self, call: ExplainedCall) -> facts.Call:
         outcome, place = call.outcome, call.position or self._place
         return facts.Call(
@@ -273,7 +306,9 @@ class Story:
             delay_s=outcome.delay_s,
             waited_s=outcome.waited_s,
             wait=outcome.wait,
-            words=list(call_lines(call))[1:],
+            words=list(call_lines(call)),
+            estimates=_estimates(call.decisions[0]) if call.decisions else (),
+            lost_s=call.loss_s,
             east_m=place.east_m if place else None,
             north_m=place.north_m if place else None,
         )
@@ -327,3 +362,13 @@ class Story:
             and found.photo is not None
             and self._keeps(found.photo.shot.source),
         )
+
+
+def _estimates(decision: Considered) -> Sequence[facts.Estimate]:
+    """What the call was expected to take at each place, the drone first."""
+    decided = decision.decided
+    local = [] if decided.local_s is None else [facts.Estimate(place=ON_DRONE, call_s=decided.local_s)]
+    if decided.selected is None or decided.remote_s is None:
+        return local
+    there = facts.Estimate(place=decided.selected, call_s=decided.remote_s, wait_s=decision.wait_s)
+    return [*local, there]

@@ -18,6 +18,7 @@ from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
 from upwash.lab.figures.style import PAGE_IN, SHAPES, grid, in_style, legend, new_figure, write
 from upwash.report.palette import LIGHT
+from upwash.support.text import by_name
 
 
 class DrawnWait(Enum):
@@ -87,7 +88,7 @@ def strips(events: Iterable[Event], calls: Iterable[CallPoint]) -> list[Strip]:
             ),
             _runs(ran_at.get(server, set())),
         )
-        for server in sorted(plan.ranges)
+        for server in sorted(plan.ranges, key=by_name)
     ]
 
 

@@ -201,7 +201,7 @@ function inWords(count, delays) {
   const words = [...delays].map(([place, { number, mean }]) => {
     return `${number} on ${theNameOf(place)}, ${mean.toFixed(2)} s on average`;
   });
-  return `${count} calls${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
+  return `${count} ${count === 1 ? "call" : "calls"}${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
 }
 
 export function inShort(call) {

@@ -3,6 +3,7 @@
 import { aboutFlight } from "./about.js";
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
+import { DecisionCard } from "./decision.js";
 import { card, element, write } from "./element.js";
 import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
@@ -10,8 +11,9 @@ import { Journal } from "./journal.js";
 import { Lanes } from "./lanes.js";
 import { PhotoCard } from "./photo.js";
 import { outlook } from "./outlook.js";
-import { FILL_WORDS, nameOf, theNameOf } from "./places.js";
+import { FILL_WORDS, byName, nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
+import { WorstCalls } from "./worst.js";
 
 export class Flight {
   #run = 0;
@@ -30,12 +32,11 @@ export class Flight {
     this.outlook = element("p", { class: "outlook" });
     this.trouble = element("p", { class: "trouble", role: "alert", hidden: "" });
     this.where = element("p", { class: "where" });
-    this.decision = element("h3");
-    this.reasons = element("ul", { class: "reasons" });
+    this.decision = new DecisionCard(places);
     this.legend = element("p", { class: "legend" });
     this.chart = new DelayChart(name, places, (call) => picked(story, call));
     this.lanes = new Lanes(name, places, (clockS) => picked(story, { at_s: clockS + story.zeroS }));
-    this.servers = new ServerList(places);
+    this.servers = new ServerList(places, name);
     this.own = findings ? null : new Findings([story], name, { log, picked });
     this.findings = findings ?? this.own;
     const select = (each, finding) => this.findings.select(each, finding);
@@ -43,8 +44,8 @@ export class Flight {
     if (map) map.found = select;
     this.calls = new CallTable(name);
     this.journal = new Journal(name);
-    const now = element("section", { class: "card now" }, this.decision, this.reasons);
-    const delays = card("Call delay by waypoint", this.legend, this.chart.element, this.calls.element);
+    this.worst = new WorstCalls((call) => picked(story, call));
+    const delays = card("Call delay by waypoint", this.legend, this.chart.element, this.worst.element, this.calls.element);
     delays.classList.add("delays");
     const words = [this.totals, this.where, this.summary, this.trouble];
     this.element = element(
@@ -53,7 +54,7 @@ export class Flight {
       element("div", { class: "head" }, this.heading, this.about, this.outlook, ...words),
       ...(map ? [map.element] : []),
       this.photo.element,
-      element("div", { class: "side" }, now, this.servers.element),
+      element("div", { class: "side" }, this.decision.element, this.servers.element),
       this.lanes.element,
       delays,
       ...(this.own ? [this.own.element] : []),
@@ -75,7 +76,8 @@ export class Flight {
     if (this.story.run !== this.#run) this.#begin();
     const moment = this.story.at(clockS);
     this.#showHead(moment);
-    this.#showDecision(moment);
+    this.decision.show(moment);
+    this.worst.show(moment);
     this.#showLegend();
     this.servers.show(moment);
     const finding = this.own ? this.own.show([moment]) : current;
@@ -92,6 +94,7 @@ export class Flight {
     this.chart.clear();
     this.lanes.clear();
     this.calls.clear();
+    this.worst.clear();
     this.journal.clear();
   }
 
@@ -126,32 +129,12 @@ export class Flight {
 
   #calls(moment) {
     const { count, places, waited } = moment.calls;
-    const parts = [...places].sort().map(([place, number]) => `${number} on ${theNameOf(place)}`);
-    const calls = `${count} calls${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
+    const parts = [...places].sort(([one], [other]) => byName(one, other)).map(([place, number]) => `${number} on ${theNameOf(place)}`);
+    const calls = `${count} ${count === 1 ? "call" : "calls"}${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
     const gone = moment.count("going");
     if (!gone) return calls;
     const turned = `turned back for ${moment.count("turn")}`;
-    return `${calls} · gone on before ${gone} answers, ${turned}, ${moment.hiddenS.toFixed(0)} s hidden`;
-  }
-
-  #showDecision(moment) {
-    const [decision, call] = [moment.last("decision"), moment.last("call")];
-    const over = call && (!decision || call.at_s >= decision.at_s);
-    const about = over ? call : decision;
-    if (!about) {
-      write(this.decision, "No call was decided yet");
-      this.reasons.replaceChildren();
-      return;
-    }
-    const where = about.waypoint === null ? "before the first waypoint" : `at waypoint ${about.waypoint}`;
-    write(this.decision, `${over ? "Last call" : "Call under way"}: ${about.operation} ${where}`);
-    const waited = over && call.wait ? `, ${call.waited_s.toFixed(2)} s of it waited` : "";
-    const ran = over ? [`It ran on ${theNameOf(call.place)}: ${call.delay_s.toFixed(2)} s${waited}.`] : [];
-    const going = moment.last("going");
-    const gone = !over && going && going.at_s >= about.at_s && going.waypoint === about.waypoint;
-    const words = [...ran, ...about.words, ...(gone ? [`The drone goes on before the answer: ${going.words}.`] : [])];
-    if (words.join("\n") === [...this.reasons.children].map((item) => item.textContent).join("\n")) return;
-    this.reasons.replaceChildren(...words.map((each) => element("li", {}, each)));
+    return `${calls} · gone on before ${gone} ${gone === 1 ? "answer" : "answers"}, ${turned}, ${moment.hiddenS.toFixed(0)} s hidden`;
   }
 
   #showLegend() {

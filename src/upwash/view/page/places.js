@@ -10,6 +10,8 @@ const SHAPES = [ // corners of the servers' marks, on a circle of radius 1
   [0, 1, 2, 3, 4].map((turn) => [Math.sin((turn * 2 * Math.PI) / 5), -1.15 * Math.cos((turn * 2 * Math.PI) / 5)]),
 ];
 
+const NAMES = new Intl.Collator("en", { numeric: true });
+
 const FILLS = ["filled", "hollow", "dotted"]; // of operations, in the order of their names
 export const FILL_WORDS = { filled: "filled", hollow: "hollow", dotted: "with a dot" };
 
@@ -115,7 +117,12 @@ export class Places {
 }
 
 function union(some, others) {
-  return [...new Set([...some, ...others])].sort();
+  return [...new Set([...some, ...others])].sort(byName);
+}
+
+// The order of names as people count: pole2 before pole10. `support/text.py` has the same.
+export function byName(one, other) {
+  return NAMES.compare(one, other) || (one < other ? -1 : Number(one > other));
 }
 
 export function nameOf(place) {

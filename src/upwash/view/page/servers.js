@@ -1,14 +1,15 @@
-// Each server: its state in a word and a colour, why, how far away it is, and the states it was in so far.
+// Each server in a line: its state in a word and a colour, why, how far away it is, and its calls. Many scroll.
 
-import { card, element, table, write } from "./element.js";
+import { card, element, scrolled, table, write } from "./element.js";
 
 export class ServerList {
   #rows = new Map();
 
-  constructor(places) {
+  constructor(places, name) {
     this.places = places;
     this.body = element("tbody");
-    this.element = card("Servers", table(["server", "state", "away", "calls"], this.body, { class: "servers" }));
+    const list = table(["server", "state", "away", "calls"], this.body, { class: "servers" });
+    this.element = card("Servers", scrolled(list, `Servers, ${name}`, "scroll many"));
   }
 
   show(moment) {
@@ -20,7 +21,8 @@ export class ServerList {
       const step = moment.step(server);
       row.state.className = `state ${step?.tone ?? "aside"}`;
       write(row.state, step?.state ?? "AVL");
-      write(row.means, step ? [step.means, step.why].filter(Boolean).join(": ") : "available");
+      write(row.means, step ? step.why || step.means : "available");
+      row.means.title = step ? [step.means, step.why].filter(Boolean).join(": ") : ""; // a line has no room for all
       write(row.away, away(moment.story.plan?.ranges[server], position));
       write(row.calls, String(places.get(server) ?? 0));
     }

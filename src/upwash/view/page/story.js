@@ -1,6 +1,7 @@
 // What a log has told so far. Any moment of it is found by a search in lists that only grow.
 
 import { told } from "./clock.js";
+import { byName } from "./places.js";
 import { Totals, countUntil } from "./totals.js";
 
 const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "calling", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
@@ -97,6 +98,9 @@ export class Story {
       case "call":
         this.#takeCall(fact);
         break;
+      case "amended":
+        if (this.call[fact.number]) this.call[fact.number].words = fact.words;
+        break;
       case "doing":
         while (this.arrivals.length < fact.reached) this.arrivals.push(fact);
         this.doing.push(fact);
@@ -144,7 +148,7 @@ export class Story {
   }
 
   get servers() {
-    return [...this.known].sort();
+    return [...this.known].sort(byName);
   }
 
   get waypoints() {
@@ -211,6 +215,12 @@ export class Moment {
     return this.story[kind][this.count(kind) - 1] ?? null;
   }
 
+  // Where the call is now that is not over.
+  get underWay() {
+    const decision = this.last("decision");
+    return decision && decision.number >= this.count("call") && !this.isOver ? decision : null;
+  }
+
   step(server) {
     const steps = this.story.steps.get(server) ?? [];
     return steps[countUntil(steps, this.atS) - 1] ?? null;
@@ -255,7 +265,7 @@ export class Moment {
   get failed() {
     const notices = this.story.notice.slice(0, this.count("notice"));
     const keys = notices.filter((notice) => notice.cause && notice.key.startsWith("server ")).map(({ key }) => key);
-    return [...new Set(keys)].map((key) => key.slice("server ".length)).sort();
+    return [...new Set(keys)].map((key) => key.slice("server ".length)).sort(byName);
   }
 
   // What a person has to act on or should know, the most urgent first.
