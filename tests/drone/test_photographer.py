@@ -70,6 +70,18 @@ def test_a_photo_says_where_it_was_taken(tmp_path: Path) -> None:
     assert ExifTags.GPS.GPSAltitude not in gps
 
 
+def test_the_log_has_what_a_photo_shows_of_the_ground(tmp_path: Path) -> None:
+    run, photo = fly(tmp_path, home="")
+    (taken,) = (event for event in run.events if isinstance(event, schema.PhotoTaken))
+    assert taken.footprint_m is not None
+    (left, upper), (right, _), (_, lower), _ = taken.footprint_m
+    width, height = Image.open(io.BytesIO(photo)).size
+    assert (left + right) / 2 == pytest.approx(taken.position.east_m, abs=0.01)
+    assert (upper + lower) / 2 == pytest.approx(taken.position.north_m, abs=0.01)
+    assert (right - left) / taken.position.altitude_m == pytest.approx(1.206, abs=0.001), "62.2 degrees"
+    assert (right - left) / (upper - lower) == pytest.approx(width / height, abs=0.001)
+
+
 def test_the_altitude_above_the_sea_is_logged_to_the_centimetre() -> None:
     log: list[schema.PhotoTaken] = []
     journal: Any = SimpleNamespace(record=log.append)
@@ -82,18 +94,6 @@ def test_the_altitude_above_the_sea_is_logged_to_the_centimetre() -> None:
     Photographer(ModelCamera(photo_s=1.0), thread, journal, autopilot=vehicle).take_photo()
     (taken,) = log
     assert (taken.latitude_deg, taken.longitude_deg, taken.above_sea_m) == (47.1234568, 8.5, 432.2)
-
-
-def test_the_log_has_what_a_photo_shows_of_the_ground(tmp_path: Path) -> None:
-    run, photo = fly(tmp_path, home="")
-    (taken,) = (event for event in run.events if isinstance(event, schema.PhotoTaken))
-    assert taken.footprint_m is not None
-    (left, upper), (right, _), (_, lower), _ = taken.footprint_m
-    width, height = Image.open(io.BytesIO(photo)).size
-    assert (left + right) / 2 == pytest.approx(taken.position.east_m, abs=0.01)
-    assert (upper + lower) / 2 == pytest.approx(taken.position.north_m, abs=0.01)
-    assert (right - left) / taken.position.altitude_m == pytest.approx(1.206, abs=0.001), "62.2 degrees"
-    assert (right - left) / (upper - lower) == pytest.approx(width / height, abs=0.001)
 
 
 def test_without_a_home_nothing_is_known_of_the_place(tmp_path: Path) -> None:

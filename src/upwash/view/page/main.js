@@ -14,6 +14,7 @@ import { align } from "./timeline.js";
 const KEY_S = 5; // that an arrow key moves
 const GLIMPSE_MS = 2000;
 const SILENT_S = 5; // a flight tells where it is every second
+const PHONE_PX = 480; // where the time of day would leave the slider no room
 const MOST_BESIDE = 3; // flights; of more one is shown at a time
 
 const on = (id) => document.getElementById(id);
@@ -140,7 +141,8 @@ function showControls() {
   on("time").max = clock.endS.toFixed(1);
   on("time").value = clock.nowS.toFixed(1);
   on("time").setAttribute("aria-valuetext", `${told(clock.nowS)} of ${told(clock.endS)}`);
-  write(on("clock"), [`${told(clock.nowS)} / ${told(clock.endS)}`, timeOfDay()].filter(Boolean).join(" · "));
+  const parts = [`${told(clock.nowS)} / ${told(clock.endS)}`, innerWidth > PHONE_PX ? timeOfDay() : ""];
+  write(on("clock"), parts.filter(Boolean).join(" · "));
   write(on("play"), clock.playing ? "Pause" : "Play");
   on("latest").hidden = !live;
   showMode();
