@@ -1,14 +1,16 @@
 """Takes pictures of the pages: `make pictures`, or `python site/screenshots.py FOLDER`.
 
 Chromium draws each page in each size, in light and dark colours: pages of the demonstration, which is flown for this
-with its daemons and its detector, and of simulated flights with good and bad ends. `--keep` also updates
-docs/pictures, the pictures of the README and the documentation, in 256 colours to keep them small.
+with its daemons and its detector, of the moments in which a pilot looks at the page, and of simulated flights with
+good and bad ends. `--keep` also updates docs/pictures, the pictures of the README and the documentation, in 256
+colours to keep them small.
 """
 
 from __future__ import annotations
 
 import argparse
 import base64
+import functools
 import itertools
 import subprocess
 import sys
@@ -18,6 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from PIL import Image
+from tests.system import moments
 from tests.system.browser import Browser, browser, why_not
 
 from upwash.launch.processes import ready_program
@@ -197,6 +200,12 @@ def stuck(folder: Path) -> list[Path]:
     return [folder / "stuck.jsonl"]
 
 
+def thirty(folder: Path) -> list[Path]:
+    """The thesis's mission with fifteen seeds under each of two policies."""
+    policies = ("location-aware", "look-ahead")
+    return [_thesis(folder, policy, seed, f"{policy}-{seed}") for policy in policies for seed in range(1, 16)]
+
+
 def with_and_without(folder: Path) -> list[Path]:
     """The thesis's mission with offloading and without."""
     return [_thesis(folder, "location-aware", 1, "with"), _thesis(folder, "local-only", 1, "without")]
@@ -220,6 +229,10 @@ SCENES = (
     Scene("live", demonstration, share=0.62),
     Scene("fleet", fleet, share=0.5),
     Scene("alarm", stuck),
+    *(Scene(name, functools.partial(moments.write, name=name)) for name in moments.MOMENTS),
+    Scene("long", moments.long_flight, share=0.7),
+    Scene("ten-servers", moments.ten_servers, share=0.5),
+    Scene("thirty-report", thirty, is_report=True),
     Scene("beside", with_and_without, share=0.4),
     Scene("report", with_and_without, is_report=True),
     Scene("demonstration-report", demonstration, is_report=True),

@@ -15,7 +15,12 @@ pytestmark = NEEDED
 
 @pytest.mark.parametrize(
     ("name", "size"),
-    [("alarm-phone-dark", (390, 844)), ("fleet-zoomed-light", (1400, 900)), ("many-report-1400-light", None)],
+    [
+        ("alarm-phone-dark", (390, 844)),
+        ("fleet-zoomed-light", (1400, 900)),
+        ("many-report-1400-light", None),
+        ("taken-over-1400-light", (1400, 900)),
+    ],
 )
 def test_a_picture_is_taken_of_each_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, size: tuple[int, int] | None

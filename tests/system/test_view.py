@@ -140,6 +140,14 @@ def test_the_buttons_go_from_call_to_call(page: Browser, one: str, logs: tuple[P
     page.wait_for_moment(round(ends[1], 1))
 
 
+def test_a_waypoint_can_be_gone_to(page: Browser, one: str, logs: tuple[Path, Path]) -> None:
+    (record,) = read_records(logs[:1])
+    opened(page, one)
+    page.find("#waypoint").send_keys("42", Keys.ENTER)
+    (call,) = [call.result for call in record.calls if call.result.waypoint == 42]
+    page.wait_for_moment(round(call.at_s + call.delay_s, 1))
+
+
 def test_the_lanes_tell_of_a_moment_and_a_click_goes_there(page: Browser, one: str) -> None:
     opened(page, one)
     lanes = page.find(".lanes .over")

@@ -14,7 +14,7 @@ import { align } from "./timeline.js";
 const KEY_S = 5; // that an arrow key moves
 const GLIMPSE_MS = 2000;
 const SILENT_S = 5; // a flight tells where it is every second
-const PHONE_PX = 480; // where the time of day would leave the slider no room
+const PHONE_PX = 480; // where more than the moment would leave the slider no room
 const MOST_BESIDE = 3; // flights; of more one is shown at a time
 
 const on = (id) => document.getElementById(id);
@@ -141,8 +141,8 @@ function showControls() {
   on("time").max = clock.endS.toFixed(1);
   on("time").value = clock.nowS.toFixed(1);
   on("time").setAttribute("aria-valuetext", `${told(clock.nowS)} of ${told(clock.endS)}`);
-  const parts = [`${told(clock.nowS)} / ${told(clock.endS)}`, innerWidth > PHONE_PX ? timeOfDay() : ""];
-  write(on("clock"), parts.filter(Boolean).join(" · "));
+  const parts = [`${told(clock.nowS)} / ${told(clock.endS)}`, timeOfDay()];
+  write(on("clock"), innerWidth > PHONE_PX ? parts.filter(Boolean).join(" · ") : told(clock.nowS));
   write(on("play"), clock.playing ? "Pause" : "Play");
   on("latest").hidden = !live;
   showMode();
@@ -194,6 +194,13 @@ on("time").addEventListener("keydown", (event) => {
 });
 on("speed").addEventListener("change", () => (clock.speed = Number(on("speed").value)));
 on("speed").value = String(clock.speed);
+on("waypoint").addEventListener("change", () => {
+  const asked = on("waypoint").value;
+  for (const story of asked === "" ? [] : views.map((view) => view.watched)) {
+    const call = story.call.find(({ waypoint }) => waypoint === Number(asked));
+    if (call) picked(story, call);
+  }
+});
 on("previous").addEventListener("click", () => step(-1));
 on("next").addEventListener("click", () => step(1));
 on("latest").addEventListener("click", () => {

@@ -5,6 +5,7 @@ import { byName } from "./places.js";
 import { Totals, countUntil } from "./totals.js";
 
 const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "calling", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
+const OVER_S = 3600; // without news, after which a flight is over, whatever its log says last
 const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
@@ -157,7 +158,7 @@ export class Story {
 
   // Whether the log is one that was written in flight, and does not say that the flight is over.
   get goesOn() {
-    return Boolean(this.opened && !this.ended);
+    return Boolean(this.opened && !this.ended) && this.silentS(Date.now() / 1000) < OVER_S;
   }
 
   // How long ago the last of it was written.
