@@ -6,6 +6,7 @@ import json
 import math
 import os
 import pickle
+import re
 import subprocess
 import sys
 import tomllib
@@ -69,11 +70,24 @@ def test_policy_and_seed_can_be_given_instead_of_the_scenarios(
     assert seven["mission_time_s"] != eight["mission_time_s"]
 
 
-def test_a_person_gets_the_table_and_the_totals(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simulate", str(THESIS)]) == 0
-    printed = capsys.readouterr().out
-    assert "121 calls: " in printed
-    assert "mission time 14" in printed
+@pytest.mark.parametrize(
+    ("scenario", "options", "rows"), [(THESIS, [], 0), (THESIS, ["--calls"], 121), (PATROL, [], 5)]
+)
+def test_a_person_gets_the_result_before_the_rows_of_few_or_wanted_calls(
+    scenario: Path, options: list[str], rows: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", str(scenario), *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    starts = ["mission time ", "theoretical minimum ", r"\d+ of \d+ waypoints reached", r"\d+ calls: "]
+    for line, start in zip(lines, starts, strict=False):
+        assert re.match(start, line)
+    shown = [line for line in lines if re.match(r" +\d+ +(drone|s\d) ", line)]
+    assert len(shown) == rows and lines[len(lines) - rows :] == shown
+    assert any("--calls" in line for line in lines) == (rows == 0)
+
+
+def test_rows_of_calls_are_those_of_one_drone() -> None:
+    assert main(["simulate", str(THESIS.with_name("fleet-vanishing.toml")), "--calls"]) == 2
 
 
 def test_what_there_is_one_of_is_told_as_one(capsys: pytest.CaptureFixture[str]) -> None:

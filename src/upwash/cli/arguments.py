@@ -123,6 +123,7 @@ def _formats(text: str) -> tuple[str, ...]:
 
 
 _TYPES = {"N": count, "FILE": Path, "FOLDER": Path, "DIR": Path, "LOG": Path, "PATH": Path}  # by metavar
+CALLS = {"--calls": "print a row for each call at the end (default: of up to 20 calls)"}
 FOLDER = {"--folder": option("where everything of the run goes (default: runs/TIME)", type=Path)}
 LIVE = {
     "--live PORT": option(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from upwash.cli.arguments import (
+    CALLS,
     FOLDER,
     LIVE,
     count,
@@ -13,6 +14,7 @@ from upwash.cli.arguments import (
     policy_instead_of,
     require_linux,
 )
+from upwash.errors import UsageError
 from upwash.support.input_files import read_named_text
 from upwash.support.loading import extra
 
@@ -35,6 +37,7 @@ ARGUMENTS = {
     "--runtime FILE": "a table [runtime] for both daemons, such as containers",
     **policy_instead_of("the demonstration's"),
     "--stay-or-go": option(_STAY_OR_GO, choices=("stay", "go", "learn")),
+    **CALLS,
     **LIVE,
 }
 
@@ -42,13 +45,15 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> bool:
     """Fly the demonstration; true where every flight was completed."""
     require_linux("demo")
+    if options.calls and options.drones > 1:
+        raise UsageError("--calls prints the calls of one drone: leave it out, or give --drones 1")
     with extra("detector"):
         from upwash.cli.demonstration import fly_demonstration, read_demonstration
     config = read_demonstration(policy=options.policy, stay_or_go=options.stay_or_go)
     folder = options.folder or new_run_folder()
     runtime = read_named_text(options.runtime, most_bytes=_MOST_RUNTIME_BYTES) if options.runtime else ""
     if options.drones == 1:
-        fly_demonstration(folder, config, runtime=runtime, live_port=options.live)
+        fly_demonstration(folder, config, runtime=runtime, live_port=options.live, calls=options.calls)
         return True
     with extra("emulation"):
         from upwash.cli.demonstration_fleet import fly_fleet

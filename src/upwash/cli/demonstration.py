@@ -54,10 +54,13 @@ def filled_in(config: DroneConfig, folder: Path, *, vehicle: str, servers: Mappi
     )
 
 
-def fly_demonstration(folder: Path, config: DroneConfig, *, runtime: str, live_port: int | None) -> None:
+def fly_demonstration(
+    folder: Path, config: DroneConfig, *, runtime: str, live_port: int | None, calls: bool = False
+) -> None:
     """Fly with all files below `folder`; every process has ended when it returns or raises.
 
     `runtime` is a table [runtime] of the daemons' configuration, in TOML. With `live_port` a page shows the flight.
+    With `calls` the result has a row for each call.
     """
     console = Console(markup=False)
     names = [server.name for server in config.servers]
@@ -68,7 +71,7 @@ def fly_demonstration(folder: Path, config: DroneConfig, *, runtime: str, live_p
     ):
         here = filled_in(config, folder, vehicle=vehicle, servers=servers)
         say(f"the vehicle is at {vehicle}, the servers at {', '.join(servers.values())}", console)
-        fly_with_progress(here, log=folder / "events.jsonl", live_port=live_port)
+        fly_with_progress(here, log=folder / "events.jsonl", live_port=live_port, calls=calls)
     say(score_photos([folder / "events.jsonl"]).in_words(), console)
 
 

@@ -15,7 +15,16 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import LIVE, OneOf, config_of, flown_by, new_run_folder, option, warn_of_plans
+from upwash.cli.arguments import (
+    CALLS,
+    LIVE,
+    OneOf,
+    config_of,
+    flown_by,
+    new_run_folder,
+    option,
+    warn_of_plans,
+)
 from upwash.cli.exit_codes import MEANINGS
 from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
 from upwash.errors import MissionStopped, NotKept, UsageError
@@ -63,6 +72,7 @@ ARGUMENTS = {
         {
             "--quiet": "print only problems",
             "--json": "print the result as one JSON object at the end, and nothing else",
+            **CALLS,
         }
     ),
     **LIVE,
@@ -83,6 +93,7 @@ def run(options: argparse.Namespace) -> None:
         resumes=options.resume is not None,
         show=Show.JSON if options.json else Show.NOTHING if options.quiet else Show.PROGRESS,
         live_port=options.live,
+        calls=options.calls,
     )
 
 
@@ -94,13 +105,14 @@ def fly_with_progress(
     resumes: bool = False,
     show: Show = Show.PROGRESS,
     live_port: int | None = None,
+    calls: bool = False,
 ) -> None:
     """Fly the mission, and show its course and its result; raises the error that ended it early.
 
     With `resumes` the flight continues the mission of that log, and the result is that of the whole. What the mission
     itself prints goes to standard error with Show.JSON. With `live_port` a page on that port of this machine shows
-    the flight while it lasts; 0 is any port. Raises NotKept where the mission was flown, and a part of its log or of
-    its output could not be written.
+    the flight while it lasts; 0 is any port. With `calls` the result has a row for each call. Raises NotKept where
+    the mission was flown, and a part of its log or of its output could not be written.
     """
     unwritten, has_begun = Unwritten(), False
 
@@ -111,7 +123,7 @@ def fly_with_progress(
     with forgiving_streams() as output:
 
         def what_is_not_kept() -> list[str]:
-            problems = _show_result(config, log, unwritten, show) if has_begun else []
+            problems = _show_result(config, log, unwritten, show, calls=calls) if has_begun else []
             output.flush()
             if output.trouble:
                 problems.append(f"standard output could not be written ({output.trouble.strerror})")
@@ -177,7 +189,9 @@ def _shown(config: DroneConfig, show: Show) -> Iterator[tuple[Watcher, ...]]:
             yield ()
 
 
-def _show_result(config: DroneConfig, log: Path, unwritten: Unwritten, show: Show) -> list[str]:
+def _show_result(
+    config: DroneConfig, log: Path, unwritten: Unwritten, show: Show, *, calls: bool
+) -> list[str]:
     """Show the result of the flight, by its log and the events that the log lacks; returns the log's problems."""
     problems = []
     if unwritten.why:
@@ -193,7 +207,8 @@ def _show_result(config: DroneConfig, log: Path, unwritten: Unwritten, show: Sho
             from upwash.eventlog.terminal import print_result
 
             paced = any(service.local_pace_s for service in config.services)
-            print_result(read_result(events), _console(), paced=paced, servers=bool(config.servers))
+            servers = bool(config.servers)
+            print_result(read_result(events), _console(), paced=paced, servers=servers, calls=calls)
             _console().print(f"event log: {log}", soft_wrap=True)
     except UsageError as error:
         problems.append(f"its result cannot be shown: {error}")

@@ -15,6 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.cli.arguments import (
+    CALLS,
+    OneOf,
     figures_of,
     figures_with,
     option,
@@ -41,7 +43,7 @@ ARGUMENTS = {
     "scenario": option("the scenario, a TOML file", type=Path),
     **policy_instead_of("the scenario's"),
     "--seed N": option("instead of the scenario's", type=int),
-    "--json": "print the result as one JSON object",
+    "shown": OneOf({"--json": "print the result as one JSON object", **CALLS}),
     "--log FILE": "where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
     "--keep-coverage": "write what was measured of servers without a range to network.coverage_map, as a "
     "flight does",
@@ -67,7 +69,7 @@ def _run_one(options: argparse.Namespace) -> None:
     if options.json:
         _print_json(_as_object(simulation))
     else:
-        _print_simulation(simulation)
+        _print_simulation(simulation, calls=options.calls)
     if options.log is not None:
         _write_log(options.log, simulation, options.scenario, seed=simulation.seed)
     if figures is not None:
@@ -79,6 +81,11 @@ def _run_one(options: argparse.Namespace) -> None:
 def _run_fleet(options: argparse.Namespace) -> None:
     if options.keep_coverage:
         raise UsageError("--keep-coverage keeps one drone's map, and this scenario has several drones")
+    if options.calls:
+        raise UsageError(
+            "--calls prints those of one mission, and this scenario has several drones: --log keeps their logs, "
+            "and upwash explain says why each call ran where it ran"
+        )
     if options.figures is not None:
         raise UsageError(
             "--figures draws one mission, and this scenario has several drones: --log keeps their logs, "
@@ -117,13 +124,12 @@ def _print_json(printed: dict[str, Any]) -> None:
     sys.stdout.write(msgspec.json.encode(as_json(printed)).decode() + "\n")
 
 
-def _print_simulation(simulation: Simulation) -> None:
-    """Print the calls of one mission, and how far it is from the bound."""
+def _print_simulation(simulation: Simulation, *, calls: bool) -> None:
+    """Print the result of one mission, how far it is from the bound, and rows of its calls."""
     console = Console(markup=False)
     servers = any(isinstance(event, schema.Planned) and event.has_servers for event in simulation.events)
-    print_result(simulation, console, paced=False, servers=servers)
-    if simulation.bound is not None:
-        say(_beside(simulation, simulation.bound), console)
+    beside = "" if simulation.bound is None else _beside(simulation, simulation.bound)
+    print_result(simulation, console, paced=False, servers=servers, beside=beside, calls=calls)
 
 
 def _as_object(simulation: Simulation) -> dict[str, Any]:

@@ -23,6 +23,8 @@ _STILL_WAITING_S = 10.0  # without a line; then a line repeats the state, if the
 _DECISION = 16  # columns at least, so that few words are longer
 _WIDE = 400  # columns of a log file, so that a row is one line
 _WORTH_SHOWING_S = 0.05
+_FEW_CALLS = 20  # their rows leave the verdict in sight
+_LONGEST_NAME = 24  # columns of a name that is never broken
 _LONG_ARMING_S = 1.0
 STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
 TONE_STYLES = {
@@ -130,25 +132,41 @@ def _down(down_s: float) -> str:
     return f"on the ground in {down_s:.0f} s"
 
 
-def print_result(result: RunResult, console: Console, *, paced: bool, servers: bool) -> None:
-    """Prints a table of the calls, the totals, and the mission time against what local calls would have made it.
+def print_result(
+    result: RunResult, console: Console, *, paced: bool, servers: bool, beside: str = "", calls: bool = False
+) -> None:
+    """Prints the mission time against what local calls would have made it, the totals, and then rows of the calls.
 
-    Without `servers` there is no word of what only they could have done; what was not in use is not counted.
+    More than a few calls have their rows only with `calls`. Without `servers` there is no word of what only they
+    could have done; what was not in use is not counted. `beside` is a sentence about the mission time.
     """
     totals = result.totals
+    _print_times(result, console, paced=paced)
+    if beside:
+        say(beside, console)
+    _print_waypoints(result, console)
     if result.calls:
-        _print_calls(result, console, servers=servers)
         say(_calls_line(totals, servers=servers), console)
     if totals.lighter:
         say(_lighter_line(result), console)
     if going := _going_line(totals):
         say(going, console)
-    _print_times(result, console, paced=paced)
     if result.energy is not None:
         say(_energy_line(result.energy), console)
-    _print_waypoints(result, console)
     for server, why in result.never_ready.items():
         say(Text(f"{server} never became ready: {printable(why)}", style="yellow"), console)
+    if calls or len(result.calls) <= _FEW_CALLS:
+        if result.calls:
+            console.print()
+            _print_calls(result, console, servers=servers)
+    else:
+        say(
+            Text(
+                "--calls prints a row for each call; upwash explain LOG says why each ran where it ran",
+                style="dim",
+            ),
+            console,
+        )
 
 
 def _calls_line(totals: Totals, *, servers: bool) -> str:
@@ -209,11 +227,12 @@ def _print_calls(result: RunResult, console: Console, *, servers: bool) -> None:
     shown = _short_names(operations)
     title = Text("Service calls" if several else f"Calls of {''.join(operations)}", style="bold")
     table = Table(box=None, padding=(0, 1), title=title, title_justify="left")
-    table.add_column("waypoint", justify="right")
+    table.add_column("waypoint", justify="right", no_wrap=True)
     if several:
         table.add_column("operation", no_wrap=True)
     if servers:
-        table.add_column("place", overflow="fold")
+        longest = max(len(call.server or "drone") for call in result.calls)
+        table.add_column("place", overflow="fold", min_width=min(longest, _LONGEST_NAME))
     table.add_column("delay", justify="right", no_wrap=True)
     if servers:
         table.add_column("waited", justify="right", no_wrap=True)
@@ -226,7 +245,8 @@ def _print_calls(result: RunResult, console: Console, *, servers: bool) -> None:
         why = [waited, call.decision] if servers else []
         cells = (waypoint, *operation, *place, f"{call.delay_s:.2f} s", *why)
         table.add_row(*(Text(printable(cell)) for cell in cells))  # as text: [heavy] is no markup
-    console.print(table, width=None if console.is_terminal else _WIDE)
+    wide = console if console.is_terminal else Console(file=console.file, width=_WIDE)
+    wide.print(table)
 
 
 def _short_names(operations: Sequence[str]) -> dict[str, str]:
