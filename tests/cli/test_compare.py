@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from typing import Any
 
 from rich.console import Console
@@ -42,8 +43,10 @@ def test_the_verdict_comes_before_the_rows_and_all_fits_80_columns() -> None:
         "1 more is as quick within the margin of error"
     )
     assert all(len(line) <= 80 for line in lines[1:])
-    policies = [line[1:].split("  ")[0] for line in lines if " ± 0.10" in line]
+    rows = [line for line in lines if " ± 0.10" in line]
+    policies = [re.split(" {2,}", line[3:].strip())[0] for line in rows]
     assert policies == ["local-only", "look-ahead, prepare", "look-ahead"]
+    assert [line[:3].strip() for line in rows] == ["", "*", ""]  # the quickest is marked
     assert any("look-ahead, prepare" in line and "60.00 ± 0.50" in line for line in lines)
 
 
@@ -59,3 +62,6 @@ def test_others_read_markdown() -> None:
         "|---|---|---|",
         "| field | 10.00 | 20.00 ± 0.10 (+100.0 %) |",
     ]
+    *_, quickest = in_markdown([row("local-only", 20.0), row("look-ahead", 11.0)])
+    assert quickest == "| field | 10.00 | 20.00 ± 0.10 (+100.0 %) | **11.00 ± 0.10 (+10.0 %)** |"
+    assert "*" not in [*in_markdown([row("local-only", 20.0), row("look-ahead", 20.001)])][-1], "no winner"

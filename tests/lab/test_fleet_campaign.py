@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import pytest
@@ -83,6 +84,8 @@ def test_the_number_of_drones_is_varied_and_a_row_is_of_all_of_them(
     printed = capsys.readouterr().out
     assert f"{simulated.jain:.1f}" in printed.split("fairness")[1]
     assert printed.index("quickest with drones=") < printed.index("completed"), "the verdict comes first"
+    (quickest,) = re.findall(r"quickest with drones=(\d+)", printed)
+    assert re.findall(r"^ \* +(\d+) ", printed, re.MULTILINE) == [quickest], "its row has a mark"
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,7 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
     """Prints, for each scenario, which policy is the quickest, and a table with a row for each."""
     for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
         own = list(group)
+        winners = _winners(own)
         say(f"{scenario}: {_verdict(own)}", console)
         table = Table(box=None, padding=(0, 1))
         columns = {
@@ -94,19 +95,33 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
             "Wh": _energy_cell if any(row.energy_wh is not None for row in own) else None,
         }
         shown = {title: cell for title, cell in columns.items() if cell is not None}
+        table.add_column("", no_wrap=True)  # the mark of the quickest
         for title in shown:
-            table.add_column(Text(title), justify="right" if title else "left", no_wrap=bool(title))
+            table.add_column(Text(title), justify="right" if title else "left", no_wrap=True)
         for row in own:
-            table.add_row(*(cell(row) for cell in shown.values()))
+            wins = row in winners
+            cells = (cell(row) for cell in shown.values())
+            table.add_row("*" if wins else "", *cells, style="bold" if wins else None)
         console.print(table)
         console.print()
 
 
+def _quickest(rows: Sequence[ComparedPolicy]) -> ComparedPolicy | None:
+    return min((row for row in rows if row.completed), key=lambda row: row.mean_s, default=None)
+
+
+def _winners(rows: Sequence[ComparedPolicy]) -> list[ComparedPolicy]:
+    """The policies with the least time as printed; none where all have it."""
+    if (best := _quickest(rows)) is None:
+        return []
+    alike = [row for row in rows if row.completed and _minutes(row.mean_s) == _minutes(best.mean_s)]
+    return alike if len(alike) < len(rows) else []
+
+
 def _verdict(rows: Sequence[ComparedPolicy]) -> str:
-    flown = [row for row in rows if row.completed]
-    if not flown:
+    flown, best = [row for row in rows if row.completed], _quickest(rows)
+    if best is None:
         return "no policy completed a mission"
-    best = min(flown, key=lambda row: row.mean_s)
     others = sum(
         row is not best and row.mean_s - best.mean_s <= row.half_width_s + best.half_width_s for row in flown
     )
@@ -138,7 +153,9 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
     yield from _heading("minutes", "bound", *policies)
     for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
         own = list(group)
-        yield _line(scenario, _minutes(own[0].bound_s), *map(_cell, own))
+        winners = _winners(own)
+        cells = (f"**{_cell(row)}**" if row in winners else _cell(row) for row in own)
+        yield _line(scenario, _minutes(own[0].bound_s), *cells)
     further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
         ("worst minutes, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
         ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
+from upwash.eventlog.narration import counted
 from upwash.profiling.profiler import CallProfile, OnboardProfile, ServerProfile
 
 _MEGA = 1e6
@@ -43,7 +44,7 @@ def service_table(profile: OnboardProfile, *, program: str | None, computer: str
     calls = profile.calls
     first_extra_s = max(0.0, *(call.first_s - call.mean_s for call in calls))
     lines = [
-        f"# Measured on {computer}: {len(calls[0].call_s)} calls of each operation.",
+        f"# Measured on {computer}: {counted(len(calls[0].call_s), 'call')} of each operation.",
         f"# Ready {statistics.median(profile.start_s):.2f} s after its start; "
         f"at most {profile.peak_memory_bytes / _MEGA:.0f} MB of memory.",
         "[[service]]",
@@ -82,7 +83,7 @@ def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
     service = profile.calls[0].sample.operation.service
     calls_s = _delays({_key(call): call.mean_s for call in profile.calls})
     lines = [
-        f"# Measured from {computer}: {len(profile.calls[0].call_s)} calls of each operation.",
+        f"# Measured from {computer}: {counted(len(profile.calls[0].call_s), 'call')} of each operation.",
         f"# For the [[server]] table of {server}:",
     ]
     if profile.check_s is None:

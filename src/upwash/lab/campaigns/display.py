@@ -86,11 +86,25 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < _FEW_HOURS_S else f"{seconds / 3600:.1f} h"
 
 
+def _quickest(summaries: Sequence[CombinationSummary]) -> tuple[float, CombinationSummary] | None:
+    flown = ((mean.value, summary) for summary in summaries if (mean := summary.mission_time_s) is not None)
+    return min(flown, key=lambda pair: pair[0], default=None)
+
+
+def _winners(summaries: Sequence[CombinationSummary]) -> list[CombinationSummary]:
+    """The combinations with the least mean time as printed; none where all have it."""
+    if (quickest := _quickest(summaries)) is None:
+        return []
+    least = f"{quickest[0] / 60:.2f}"
+    alike = [s for s in summaries if s.mission_time_s and f"{s.mission_time_s.value / 60:.2f}" == least]
+    return alike if len(alike) < len(summaries) else []
+
+
 def _verdict(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> str:
-    flown = [(mean.value, summary) for summary in summaries if (mean := summary.mission_time_s) is not None]
-    if not flown:
+    quickest = _quickest(summaries)
+    if quickest is None:
         return "no mission was completed"
-    mean_s, best = min(flown, key=lambda pair: pair[0])
+    mean_s, best = quickest
     which = (
         f"quickest with {', '.join(_settings(sweep, best))}: " if len(summaries) > 1 else "mean mission time "
     )
@@ -117,7 +131,12 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
     caption = "± 95 % confidence"
     if together:
         caption += "; fairness: Jain's index of what each drone saved, 1 where all saved the same"
+    winners = _winners(summaries)
+    if winners:
+        caption = f"* quickest; {caption}"
     table = Table(box=None, padding=(0, 1), caption=caption, caption_justify="left")
+    if winners:
+        table.add_column("", no_wrap=True)  # the mark of the quickest
     for key, values in zip(
         sweep.keys, zip(*(summary.values for summary in summaries), strict=True), strict=True
     ):
@@ -132,6 +151,7 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
         mean = summary.mission_time_s
         completed, failed = mean.count if mean else 0, len(summary.failures)
         table.add_row(
+            *(["*" if summary in winners else ""] if winners else []),
             *(Text(value) for value in summary.values),
             str(completed),
             Text(str(failed), style="red" if failed else ""),
@@ -139,6 +159,7 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
             _above(mean.value, summary.bound_s) if mean and summary.bound_s else "-",
             *(_of_several(summary) if together else []),
             *([_drawn(summary.energy_wh)] if metered else []),
+            style="bold" if summary in winners else None,
         )
     return table
 

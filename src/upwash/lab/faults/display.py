@@ -101,7 +101,7 @@ def _shown_progress(worlds: int, console: Console) -> Iterator[Callable[[int], N
             progress.update(bar, completed=done)
             if not console.is_terminal and time.monotonic() - said_s > _LINE_EVERY_S:
                 said_s = time.monotonic()
-                console.print(f"{done:,} of {worlds:,} worlds", highlight=False)
+                console.print(f"{done:,} of {_counted(worlds, 'world')}", highlight=False)
 
         yield show
 
@@ -157,11 +157,16 @@ def _show_broken(broken: Sequence[Broken], console: Console, *, shown: int, hint
             )
 
 
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def _show_summary(summary: Summary, console: Console) -> None:
     worlds = {breach.seed for breach in summary.broken}
     console.print(
-        f"{summary.worlds:,} worlds with {summary.flights:,} flights and {summary.calls:,} calls "
-        f"in {summary.took_s / 60:.1f} min; {summary.replayed:,} worlds flown again",
+        f"{_counted(summary.worlds, 'world')} with {_counted(summary.flights, 'flight')} and "
+        f"{_counted(summary.calls, 'call')} in {summary.took_s / 60:.1f} min; "
+        f"{_counted(summary.replayed, 'world')} flown again",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
     delay_s, bound_s = summary.longest_s
@@ -170,7 +175,7 @@ def _show_summary(summary: Summary, console: Console) -> None:
         f"{summary.spare_s:.3f} s of its bound",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
-    said = f"promises broken in {len(worlds):,} worlds" if worlds else "no promise broken"
+    said = f"promises broken in {_counted(len(worlds), 'world')}" if worlds else "no promise broken"
     console.print(said, style="red" if worlds else "green", highlight=False)
 
 

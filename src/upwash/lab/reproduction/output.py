@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from upwash.eventlog.narration import counted
 from upwash.lab.figures import FigureFiles
 from upwash.lab.reproduction import quantities, sensitivity
 from upwash.lab.reproduction.cells import (
@@ -72,7 +73,9 @@ def print_comparison(comparisons: Sequence[Comparison], console: Console) -> Non
     seeds = max(len(comparison.values) for comparison in comparisons)
     for setup, title in SETUPS.items():
         table = Table(
-            title=f"{title}: means of {seeds} missions ± 95 %", title_justify="left", box=SIMPLE_HEAD
+            title=f"{title}: means of {counted(seeds, 'mission')} ± 95 %",
+            title_justify="left",
+            box=SIMPLE_HEAD,
         )
         table.add_column("")
         for column in ("ours", "thesis", "deviation"):
