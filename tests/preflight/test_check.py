@@ -200,6 +200,20 @@ def test_a_person_reads_how_far_home_is_where_a_reserve_counts_it(
     assert "battery left" in printed
 
 
+def test_no_word_of_a_prediction_is_broken_at_80_columns(
+    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    keys = '[mission]\nmode = "heavy"\nfinish_by_s = 1000.0\nlighter = { heavy = "light" }'
+    vehicle = '\n[vehicle]\nprofile = "arducopter"\nendurance_s = 1000.0\n'
+    file.write_text(SCENARIO.replace("[mission]", keys).replace('mode = "heavy"\n\n', "\n") + vehicle + NOISE)
+    main(["check", str(file), "--workers", "1", "--seeds", "2"])
+    lines = capsys.readouterr().out.splitlines()
+    heading = next(number for number, line in enumerate(lines) if "battery left" in line)
+    cases = [line.split("  ")[1] for line in lines[heading + 1 : heading + 4]]
+    assert cases == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]
+
+
 def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     figures = file.parent / "figures"

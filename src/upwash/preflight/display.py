@@ -24,6 +24,7 @@ from upwash.preflight.waypoints import Farthest, ServerCoverage
 from upwash.sim.chance import plays_a_part
 from upwash.support.sentences import say
 
+_LONGEST_WORD = 20  # columns of a word that is never broken
 _NO_PACE = (
     "the file does not say how the vehicle flies, and the predictions assume 1 m/s² and a take-off of 10 s: for an "
     'ArduCopter write profile = "arducopter" in [vehicle], for a PX4 "px4"'
@@ -151,11 +152,13 @@ def _prediction_table(found: MissionCheck) -> Table:
         (prediction.mission_time_s for prediction in found.predictions if prediction.case == LOCAL_ONLY), None
     )
     table = Table(box=None, padding=(0, 2))
-    table.add_column("predicted", overflow="fold")
+    words = [word for prediction in found.predictions for word in prediction.case.split()]
+    longest = max(map(len, ("predicted", *words)))
+    table.add_column("predicted", overflow="fold", min_width=min(longest, _LONGEST_WORD))
     for title in (
         "mission time",
-        "against local-only",
-        *(["lighter calls"] if _are_lighter(found) else []),
+        "against\nlocal-only" if _are_lighter(found) else "against local-only",
+        *(["lighter\ncalls"] if _are_lighter(found) else []),
         *(["battery left"] if found.usable_s or found.usable_wh else []),
     ):
         table.add_column(title, justify="right", no_wrap=True)
