@@ -42,7 +42,7 @@ MODULES = {
     "metrics": {"prometheus_client"},
     "network": {"dbus_fast"},
     "parquet": {"pyarrow"},
-    "view": {"js_lib_leaflet", "starlette", "uvicorn"},
+    "view": {"starlette", "uvicorn"},
 }
 DRONE = """
 mission.home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }

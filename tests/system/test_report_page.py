@@ -77,7 +77,7 @@ def test_everybody_can_read_it(page: Browser, few: str, many: str, scheme: str, 
 def test_the_pictures_are_shown_under_the_pages_own_policy(page: Browser, few: str) -> None:
     page.open(few)
     loads = "const image = new Image(); image.src = document.querySelector('.gallery image').getAttribute('href');"
-    assert page.run(f"{loads} return image.decode().then(() => image.naturalWidth)") == 240
+    assert page.run(f"{loads} return image.decode().then(() => image.naturalWidth)") == 96
     assert page.errors() == []
 
 

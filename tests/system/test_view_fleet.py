@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -203,12 +204,29 @@ def test_flights_that_have_yet_to_begin_are_shown_as_they_go_on(page: Browser, t
     with view_of(*logs) as address:
         page.open(address)
         page.wait_until(lambda: len(page.rows(".drones")) == 2)
-        first = flight(1)
-        logs[0].write_bytes(first[: first.index(b'{"event":"landed"')])
+        logs[0].write_bytes(_not_over(today(flight(1))))
         page.wait_until(lambda: page.rows(".drones")[0][2] == "5 of 5")
         assert page.rows(".drones")[1][1] == "waiting for the log to begin"
         assert page.text("#mode") not in {"", "playback"}, "the first goes on"
-        logs[1].write_bytes(flight(2))
+        logs[1].write_bytes(today(flight(2)))
         page.wait_until(lambda: page.rows(".drones")[1][2] == "5 of 5")
         assert " / 0:26 · " in page.text("#clock")
         assert page.errors() == []
+
+
+def today(log: bytes) -> bytes:
+    """The same flight, within the last minute."""
+    return log.replace(b"2026-01-01T00:00", datetime.now(UTC).strftime("%Y-%m-%dT%H:%M").encode())
+
+
+def _not_over(log: bytes) -> bytes:
+    return log[: log.index(b'{"event":"landed"')]
+
+
+def test_an_old_log_without_an_end_is_no_flight_without_news(page: Browser, tmp_path: Path) -> None:
+    (tmp_path / "old.jsonl").write_bytes(_not_over(flight(1)))
+    with view_of(tmp_path / "old.jsonl") as address:
+        page.open(address)
+        page.wait_until(lambda: page.text("#mode"))
+        assert page.text("#mode") == "playback"
+        assert "No news" not in page.text("#alarms")

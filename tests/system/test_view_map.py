@@ -81,7 +81,7 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def opened(page: Browser, address: str, at_s: float, *, width: int = 1400, **window: Any) -> None:
     """Opens the page at that second of the mission."""
     page.open(address, width=width, **window)
-    page.wait_until(lambda: " / 0:50" in page.text("#clock"))
+    page.wait_until(lambda: page.run("return document.getElementById('time').max") == "50.0")
     page.seek(at_s)
 
 
@@ -258,11 +258,11 @@ def test_the_way_flown_begins_with_the_first_position(page: Browser, tmp_path: P
         page.open(address)
         page.wait_until(lambda: boxes(page, ".chip"))
         page.drawn()
-        steps = {"arming": [line("arming", 0.0)], "armed": [line("armed", 0.0)], "mission completed": rest}
+        steps = {"arming": [line("arming", 0.0)], "armed": [line("armed", 0.0)], "completed": rest}
         for doing, more in steps.items():
             with log.open("ab") as growing:
                 growing.write(b"".join(more))
-            while doing not in page.text(".doing"):
+            while doing not in page.text("#bars") + page.text("main"):
                 page.drawn()
         assert page.errors() == []
 

@@ -22,6 +22,7 @@ from upwash.view.recording import Recording, reading
 
 _POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:"
 _SIDE_BY_SIDE = 3  # flights, which the title names
+_MOST_BYTES = 2**24  # of facts, which a file has some ten times in memory while it is made
 _PHOTOS, _PHOTO_PX = 60, 640  # in a file, and how wide they are at most
 _FILED = 1000  # findings; of more, the page has no files for other tools
 
@@ -40,7 +41,7 @@ def write_page(logs: Sequence[Path], records: Sequence[Record], *, photos: Path 
     Photos are of that folder where the logs name them, and rendered ones. Raises UsageError for what is no event log.
     """
     shelf = PhotoShelf(photos)
-    with reading(logs, shelf.keeps) as recordings:
+    with reading(logs, shelf.keeps, most_bytes=_MOST_BYTES // len(logs)) as recordings:
         told = Feed(recordings).everything()
         shown = dict(itertools.islice(_photos(recordings, shelf), _PHOTOS))
     names = ", ".join(record.name for record in records)
@@ -79,5 +80,5 @@ def _photos(recordings: Sequence[Recording], shelf: PhotoShelf) -> Iterator[tupl
 
 def _data(name: str, data: object) -> Markup:
     """Data for the page's scripts; nothing in it ends the element."""
-    written = msgspec.json.encode(data).decode().replace("<", "\\u003c")
+    written = msgspec.json.encode(data).replace(b"<", b"\\u003c").decode()
     return element("script", Markup(written), type="application/json", id=name)

@@ -50,12 +50,13 @@ class Recording:
     read no further.
     """
 
-    def __init__(self, log: Path, keeps: Callable[[str], bool]) -> None:
+    def __init__(self, log: Path, keeps: Callable[[str], bool], most_bytes: int | None = None) -> None:
         self.log = log
         self.run = 0
         self.caught_up = False
         self.trouble = ""
         self._keeps = keeps
+        self._most_bytes = most_bytes or _MOST_BYTES
         self._tail = Tail(log)
         self._lines = LineReader(log)
         self._begin()
@@ -112,7 +113,7 @@ class Recording:
                 self._pieces.append(Piece(self.count, len(told), msgspec.json.encode(told)))
                 self.count += len(told)
         self._bytes += len(self._pieces[-1].json) if told else 0
-        if self._bytes > _MOST_BYTES:
+        if self._bytes > self._most_bytes:
             raise UsageError(
                 f"{self.log} tells more than a page can show: what is after {self._bytes / 1e6:.0f} MB is left out"
             )
@@ -132,12 +133,17 @@ class Recording:
 
 
 @contextlib.contextmanager
-def reading(logs: Sequence[Path], keeps: Callable[[str], bool]) -> Iterator[list[Recording]]:
-    """The recordings of the logs, each read until it tells something; raises UsageError for what is no event log."""
+def reading(
+    logs: Sequence[Path], keeps: Callable[[str], bool], *, most_bytes: int | None = None
+) -> Iterator[list[Recording]]:
+    """The recordings of the logs, each read until it tells something, with at most so many bytes of facts each.
+
+    Raises UsageError for what is no event log.
+    """
     with contextlib.ExitStack() as stack:
         recordings = []
         for log in logs:
-            recording = stack.enter_context(contextlib.closing(Recording(log, keeps)))
+            recording = stack.enter_context(contextlib.closing(Recording(log, keeps, most_bytes)))
             while not (recording.count or recording.caught_up or recording.trouble):
                 recording.advance()
             if recording.trouble:
