@@ -74,8 +74,6 @@ class Emulation:
 
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.folder = folder
-        self._in_calls: list[int] = []
-        self._look_again_s = 0.0
         self.process = subprocess.Popen(
             [*UPWASH, "emulate", "--folder", str(folder), *arguments], stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True, text=True,
@@ -87,12 +85,9 @@ class Emulation:
         return {process.pid: process.command for process in processes(mark=mark)}
 
     def in_calls(self) -> list[int]:
-        """The processes that a call waits for, the drone's and the servers', by a look once a second."""
-        if time.monotonic() >= self._look_again_s:
-            mine = self.processes().items()
-            self._in_calls = [pid for pid, seen in mine if "upwash fly" in seen or "upwash serve" in seen]
-            self._look_again_s = time.monotonic() + 1.0
-        return self._in_calls
+        """The processes that a call waits for: the drone's and the servers'."""
+        mine = self.processes().items()
+        return [pid for pid, command in mine if "upwash fly" in command or "upwash serve" in command]
 
     def groups(self) -> list[Path]:
         """The control groups of its containers."""
