@@ -15,7 +15,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import printable
+from upwash.support.text import plural, printable
 
 SAFE_ENDS = {
     "return": "returning to land",
@@ -54,9 +54,7 @@ def ran_on(server: str | None) -> str:
 
 def counted(number: int, noun: str) -> str:
     """A number with its noun: "1 call", "2 calls", "2 boxes"."""
-    if number == 1:
-        return f"1 {noun}"
-    return f"{number} {noun}{'es' if noun.endswith(('s', 'x', 'ch', 'sh')) else 's'}"
+    return f"{number} {noun if number == 1 else plural(noun)}"
 
 
 class Tone(StrEnum):

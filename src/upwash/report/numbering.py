@@ -17,12 +17,6 @@ _FAULTS = {
     "hot-spot": "hot-spot",
     "broken-module": "broken module",
 }  # labels of the bundled detector, in words
-_PLURALS = {
-    "person": "people",
-    "sheep": "sheep",
-    "mouse": "mice",
-    "knife": "knives",
-}  # of labels that people use
 _MESSAGE = ""  # the label of what has none
 _MOST_KINDS = 6
 _LONGEST_LABEL = 40  # characters
@@ -139,19 +133,4 @@ def _of_kind(label: str, number: int) -> str:
     noun = _FAULTS.get(label) or printable(label.replace("_", " "), _LONGEST_LABEL)
     if not noun[-1:].isalpha():
         return f"{number} x {noun}"
-    return f"{number} {noun if number == 1 else _plural(noun)}"
-
-
-def _plural(noun: str) -> str:
-    *before, last = noun.split(" ")
-    if last in _PLURALS:
-        several = _PLURALS[last]
-    elif last.endswith(("ss", "us", "x", "z", "ch", "sh")):
-        several = f"{last}es"
-    elif last.endswith("s"):  # skis, scissors
-        several = last
-    elif last.endswith("y") and last[-2:-1] not in "aeiou":
-        several = f"{last[:-1]}ies"
-    else:
-        several = f"{last}s"
-    return " ".join([*before, several])
+    return counted(number, noun)

@@ -8,6 +8,7 @@ from upwash.report import tables
 from upwash.report.endings import draw_endings, draw_urgent
 from upwash.report.gallery import draw_findings
 from upwash.report.markup import Markup, element, joined
+from upwash.report.numbering import PlacedFinding
 from upwash.report.outcome import what_it_came_to
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, WorstCall, findings_of
@@ -18,16 +19,17 @@ _PICTURES = 60
 
 
 def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
-    """Everything about the flights, side by side or, where there are many, one below the other after a summary."""
+    """Everything about the flights, side by side; more than three flights stand below each other after a summary."""
+    found = findings_of(records)
     if len(records) <= _SIDE_BY_SIDE:
-        parts = _flights(records, records, shelf, pictures=_PICTURES // len(records))
+        parts = _flights(records, records, found, shelf, pictures=_PICTURES // len(records))
         return _whole(*parts)
     pictures = max(1, _PICTURES // max(1, sum(bool(record.findings) for record in records)))
     folded = [
         element(
             "details",
             element("summary", element("strong", record.name), f": {record.result.mission_time_s:.1f} s"),
-            *_flights([record], records, shelf, pictures=pictures),
+            *_flights([record], records, found, shelf, pictures=pictures),
             class_="flight-details",
         )
         for record in records
@@ -41,11 +43,15 @@ def _whole(*parts: Markup) -> Markup:
 
 
 def _flights(
-    shown: Sequence[Record], records: Sequence[Record], shelf: PhotoShelf, *, pictures: int
+    shown: Sequence[Record],
+    records: Sequence[Record],
+    found: Sequence[PlacedFinding],
+    shelf: PhotoShelf,
+    *,
+    pictures: int,
 ) -> list[Markup]:
-    """The flights that are shown, of the records that the page is about; so many pictures each."""
+    """The flights that are shown, of the records of a page; `pictures` limits the pictures of each flight."""
     told = [record for record in shown if record.findings]
-    found = findings_of(records)
 
     def findings(record: Record) -> Markup:
         own = [each for each in found if each.flight.log == record.name]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from upwash.services.detection import Box
-from upwash.support.jpeg import EOI, FRAMES, MOST_SEGMENTS, SOI, SOS, Segment, segments_of
+from upwash.support.jpeg import EOI, FRAMES, MOST_SEGMENTS, SOI, SOS, Segment, segments_of, size_in
 
 if TYPE_CHECKING:
     import numpy as np
@@ -165,15 +165,11 @@ def _read_header(photo: bytes) -> _Header:
     frames = [segment for segment in segments if segment.marker in FRAMES]
     if len(frames) != 1 or SOS not in markers or markers.index(SOS) < segments.index(frames[0]):
         raise NotAPhoto("the JPEG is damaged: it never says its size, or twice; take or copy the photo again")
-    _, start, _ = frames[0]
-    if photo[start + 1] not in _DECODED_FRAMES:
+    if frames[0].marker not in _DECODED_FRAMES:
         raise NotAPhoto(
-            f"the JPEG is of a rare kind (marker ff {photo[start + 1]:02x}); save it as a baseline JPEG"
+            f"the JPEG is of a rare kind (marker ff {frames[0].marker:02x}); save it as a baseline JPEG"
         )
-    header = _Header(
-        height_px=int.from_bytes(photo[start + 5 : start + 7]),
-        width_px=int.from_bytes(photo[start + 7 : start + 9]),
-    )
+    header = _Header(*size_in(photo, frames[0]))
     header.require_bounded(scans=markers.count(SOS))
     return header
 

@@ -49,7 +49,11 @@ def segments_of(jpeg: bytes) -> Iterator[Segment]:
 
 def size_of(jpeg: bytes) -> tuple[int, int] | None:
     """The width and the height that the first frame states, in pixels; None if none does."""
-    for marker, start, end in segments_of(jpeg):
-        if marker in FRAMES and end - start >= 9:
-            return int.from_bytes(jpeg[start + 7 : start + 9]), int.from_bytes(jpeg[start + 5 : start + 7])
-    return None
+    frame = next((segment for segment in segments_of(jpeg) if segment.marker in FRAMES), None)
+    return None if frame is None else size_in(jpeg, frame)
+
+
+def size_in(jpeg: bytes, frame: Segment) -> tuple[int, int]:
+    """The width and the height that a frame states, in pixels."""
+    height, width = (int.from_bytes(jpeg[frame.start + at : frame.start + at + 2]) for at in (5, 7))
+    return width, height

@@ -9,6 +9,12 @@ import signal
 from collections.abc import Sequence
 
 LONGEST_TEXT = 1000
+_PLURALS = {
+    "person": "people",
+    "sheep": "sheep",
+    "mouse": "mice",
+    "knife": "knives",
+}  # of labels that people use
 
 
 def escaped(text: str) -> str:
@@ -69,3 +75,19 @@ def json_line(line: bytes) -> bytes:
 def command(*words: object) -> str:
     """The command line of these words, quoted for the shell, between backticks."""
     return f"`{shlex.join(map(str, words))}`"
+
+
+def plural(noun: str) -> str:
+    """Several of the noun, which may have words before it: "broken modules", "boxes", "people"."""
+    *before, last = noun.split(" ")
+    if last in _PLURALS:
+        several = _PLURALS[last]
+    elif last.endswith(("ss", "us", "x", "z", "ch", "sh")):
+        several = f"{last}es"
+    elif last.endswith("s"):  # skis, scissors
+        several = last
+    elif last.endswith("y") and last[-2:-1] not in "aeiou":
+        several = f"{last[:-1]}ies"
+    else:
+        several = f"{last}s"
+    return " ".join([*before, several])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
@@ -20,6 +21,7 @@ from upwash.report.photos import PhotoShelf
 from upwash.support.addresses import names_this_machine
 from upwash.view.document import sources, write_document
 from upwash.view.feed import Feed
+from upwash.view.story import Story
 
 _LISTENS_AT = "127.0.0.1"
 _POLICY = (
@@ -54,27 +56,25 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
             feed.messages(after), media_type="text/event-stream", headers={"Cache-Control": "no-store"}
         )
 
-    async def photo(request: Request) -> Response:
+    async def picture(
+        request: Request, of: Callable[[Story], Sequence[Any]], make: Callable[[Any], bytes | None]
+    ) -> Response:
         log, run, number = (request.path_params[name] for name in ("log", "run", "number"))
         recording = feed.recordings[log] if log < len(feed.recordings) else None
-        if recording is None or recording.run != run or number >= len(recording.story.shots):
-            return Response("no such photo", status_code=404)
+        pictured = () if recording is None or recording.run != run else of(recording.story)
+        if number >= len(pictured):
+            return Response("the log has no such photo or finding", status_code=404)
         async with rendering:
-            jpeg = await asyncio.to_thread(photos.find, recording.story.shots[number])
+            jpeg = await asyncio.to_thread(make, pictured[number])
         if jpeg is None:
-            return Response("this photo is not to be had", status_code=404)
+            return Response("this program cannot find or make the picture", status_code=404)
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
+    async def photo(request: Request) -> Response:
+        return await picture(request, lambda story: story.shots, photos.find)
+
     async def crop(request: Request) -> Response:
-        log, run, number = (request.path_params[name] for name in ("log", "run", "number"))
-        recording = feed.recordings[log] if log < len(feed.recordings) else None
-        if recording is None or recording.run != run or number >= len(recording.story.found):
-            return Response("no such finding", status_code=404)
-        async with rendering:
-            jpeg = await asyncio.to_thread(crop_for, recording.story.found[number])
-        if jpeg is None:
-            return Response("no picture of this finding can be made", status_code=404)
-        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+        return await picture(request, lambda story: story.found, crop_for)
 
     async def findings(request: Request) -> Response:
         name = request.path_params["format"]

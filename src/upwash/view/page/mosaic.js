@@ -5,7 +5,6 @@ import { pictureOf } from "./pictures.js";
 
 const NEAR_PX = 96; // on the map, from which on a photo itself is shown
 const MOST_IMAGES = 48;
-const RECENT = 32; // photos, among which those of calls that have just ended are looked for
 const [TINT, EDGE] = [0.3, 0.7];
 
 export class Mosaic {
@@ -46,15 +45,12 @@ export class Mosaic {
   // Photos get the colours of the places that computed them by now.
   #showPlaces(story, count, calls) {
     if (calls === this.#calls) return;
-    const fresh = calls > this.#calls ? story.call.slice(this.#calls, calls) : story.call.slice(0, calls);
-    if (calls < this.#calls) this.#places.clear();
-    for (const { waypoint, place } of fresh) this.#places.set(waypoint, place);
-    const last = calls > this.#calls ? Math.max(0, count - RECENT) : 0;
+    const changed = story.call.slice(Math.min(calls, this.#calls), Math.max(calls, this.#calls));
     this.#calls = calls;
-    const changed = fresh.map(({ waypoint }) => waypoint);
-    const first = story.shot.findIndex((shot, index) => index >= last && changed.includes(shot.waypoint));
-    if (last && first >= last && fresh.length < RECENT) this.#marks.redrawSome(first, count);
-    else if (count) this.#marks.redraw();
+    this.#places = new Map(story.call.slice(0, calls).map(({ waypoint, place }) => [waypoint, place]));
+    const waypoints = new Set(changed.map(({ waypoint }) => waypoint));
+    const first = story.shot.findIndex(({ waypoint }) => waypoints.has(waypoint));
+    if (first >= 0 && first < count) this.#marks.redrawSome(first, count);
   }
 
   #paint(context, shot, x, y) {
