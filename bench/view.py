@@ -2,11 +2,11 @@
 
 A headless Chromium on this machine shows a log with ten positions a second. First the program prints the time to open
 two pages: a mission of 2,000 waypoints near its end, and a finished mission with a log of 100 MB. Each is opened
-while the log is still being read, and again afterwards. Then the program prints, for the first mission, the delay
-from the write of a position or a call to the frame that shows it, and the time for which the page was busy.
-`--against DIR` has another checkout serve in the same rounds. At last the program prints the time to open the page as
-a file, of that mission and of 30 flights, and the time of a frame while a flight with a photo at each waypoint plays,
-beside that of an empty page.
+while the program reads the log, and again afterwards. `--against DIR` has another checkout serve in the same rounds.
+For the first mission the program then prints two more figures: the delay from the write of a position or a call to
+the frame with it, and the page's busy time. At last the program opens the page as a file, with that mission and with
+30 flights. It plays the mission, which has a photo at each waypoint, and prints the time of a frame beside the time
+of an empty page's frame.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def open_files(page: Browser, folder: Path, extent: Extent, *, rounds: int) -> N
 
 
 def frame_ms(page: Browser, for_s: float) -> list[float]:
-    """The times between the frames that the page draws for so long."""
+    """The times between the frames that the page draws in `for_s` seconds."""
     times = page.run(FRAMES, for_s * 1000)
     return [later - earlier for earlier, later in itertools.pairwise(times)]
 

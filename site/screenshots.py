@@ -1,9 +1,8 @@
 """Takes pictures of the pages: `make pictures`, or `python site/screenshots.py FOLDER`.
 
-Chromium draws each page in each size, in light and dark colours: pages of the demonstration, which is flown for this
-with its daemons and its detector, of the moments in which a pilot looks at the page, and of simulated flights with
-good and bad ends. `--keep` also updates docs/pictures, the pictures of the README and the documentation, in 256
-colours to keep them small.
+Chromium draws each page in each size, in light and dark colours. The pages show the demonstration, flown with its
+daemons and its detector, the moments that matter to a pilot, and simulated flights with good and bad ends. `--keep`
+also updates docs/pictures, which the README and the documentation show, in 256 colours to keep the files small.
 """
 
 from __future__ import annotations

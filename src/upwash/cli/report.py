@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> None:
     if options.findings and _suffix(options.findings) not in FORMATS:
         endings = ", ".join(f".{name}" for name in FORMATS)
         raise UsageError(
-            f"{options.findings} does not say which format the findings are to have: end it in one of {endings}"
+            f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
         )
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted:

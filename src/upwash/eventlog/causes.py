@@ -127,7 +127,7 @@ class Standings:
                 self._stays = {server: Stay(server, State.AVL, event.t) for server in self._areas}
             case schema.MissionStarted(policy=policy):
                 self._policy = policy
-            case schema.LogResumed():  # a program that begins anew knows of no server's state
+            case schema.LogResumed():  # a program that starts again knows no server's state
                 for server in self._stays:
                     self._enter(Stay(server, State.AVL, event.t, "taken up again"))
             case schema.ServerStep(server=server, after=after, why=why):
@@ -264,7 +264,7 @@ def _cause(outcome: schema.Call, decisions: Sequence[Considered], events: Sequen
 
 
 def _failure(server: str | None, fault: str, events: Sequence[Event]) -> str:
-    """Why the server gave no usable answer, by the first that was told of it."""
+    """Why the server gave no usable answer, by the first event about it."""
     for event in events:
         match event:
             case schema.RemoteRaised(server=name, raised=raised) if name == server:

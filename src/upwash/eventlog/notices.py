@@ -3,9 +3,9 @@
 Laws:
 
 1. The most urgent notice has the lowest rank, by what it is about alone: a person who reads one at a time reads that.
-2. A notice ends with its cause: what forbids the arming when the vehicle is armed, what concerns a flight when the
-   vehicle stands, what concerns the program's work when that is over, a text of the vehicle when it is not repeated.
-3. Nobody is asked to take over a vehicle that a person flies.
+2. A notice ends with its cause. Reasons against arming end when the vehicle is armed, notices of a flight when the
+   vehicle stands, and notices of the program's work with that work. A text of the vehicle ends unless it is repeated.
+3. While a person flies the vehicle, no notice says to take over.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Notice:
 
     @property
     def key(self) -> str:
-        """What it is about, and of which server, setting and so on."""
+        """What it is about, and the server, setting or other thing that it concerns."""
         return f"{self.about} {self.of}".rstrip()
 
     @property

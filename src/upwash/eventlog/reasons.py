@@ -37,7 +37,7 @@ _LEAST_LOSS_S = 0.1
 class ExplainedCall:
     """The call of that `number`, counted from 0, with its decisions and what the log told of servers, in its order.
 
-    Of the servers it has what was told since the call before, without later selections. The call began at `at_s` of
+    It has the events about servers since the call before, without later selections. The call began at `at_s` of
     the mission, which began at `began_s` of the log. `going` is the decision to wait for the answer or to fly on, if
     the mission asked for that decision.
     """

@@ -36,7 +36,7 @@ class Replay:
 
 @dataclass(frozen=True, slots=True)
 class CallChoice:
-    """Which calls are explained: all, those of a waypoint, or so many of the `worst`.
+    """Which calls are explained: all, the calls of a waypoint, or the number `worst` of the worst calls.
 
     The worst took longest beyond what was expected of the best place for them; calls that lost nothing are not among
     them.

@@ -29,7 +29,7 @@ class Crop:
 
 
 def crop_of(finding: Finding, shelf: PhotoShelf) -> bytes | None:
-    """A JPEG of what was found, None where no picture of it is to be had; takes a while."""
+    """A JPEG of the finding, None if it cannot be made; takes a while."""
     found = cut_out(finding, shelf)
     return found.jpeg if found else None
 

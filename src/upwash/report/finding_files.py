@@ -107,13 +107,13 @@ FORMATS = {
 
 
 def findings_file(name: str, flights: Sequence[FlightFindings], shelf: PhotoShelf) -> bytes:
-    """The findings of these flights in that one of the FORMATS."""
+    """The findings of these flights in a format, which is a key of FORMATS."""
     findings = placed(flights)
     return as_zip(findings, shelf) if name == "zip" else _TEXTS[name](findings, None).encode()
 
 
 def _facts(findings: Sequence[PlacedFinding], pictures: Pictures | None) -> Iterator[dict[str, Any]]:
-    """What is told of each, by column; None where a value is not known."""
+    """The values of each finding by column, None if unknown."""
     for index, each in enumerate(findings):
         finding, box = each.finding, each.finding.box
         latitude_deg, longitude_deg = each.earth or (None, None)

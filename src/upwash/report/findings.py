@@ -1,4 +1,4 @@
-"""What the user of a drone was told, object by object, and the photo and the place that each is about."""
+"""The findings in the messages to a drone's user, each with its photo and its place."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TakenPhoto:
 
 
 def _on_earth(latitude_deg: float | None, longitude_deg: float | None) -> tuple[float, float] | None:
-    """The place, None where that is none: a log may be anybody's."""
+    """The place, None if it does not exist: a log may have any numbers."""
     if latitude_deg is None or longitude_deg is None or abs(latitude_deg) > 90 or abs(longitude_deg) > 360:
         return None
     return latitude_deg, longitude_deg
@@ -118,10 +118,10 @@ class OwnPlace:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One object that the user was told of at a second of the log, with its box; or a message that has no boxes.
+    """One object in a message to the user, with its box; or a message without boxes. `at_s` is its second of the log.
 
     `named` is the place that the mission gave with the message, `photo` what the message is about, None before the
-    first photo. `own` is where the object itself lies, where that is known.
+    first photo. `own` is where the object itself lies, None if unknown.
     """
 
     at_s: float

@@ -24,7 +24,7 @@ _LONGEST_LABEL = 60  # characters
 def draw_findings(
     record: Record, found: Sequence[PlacedFinding], shelf: PhotoShelf, *, log: int, most: int
 ) -> Markup:
-    """The findings of the `log`th record: a picture of each box, up to so many, and all of them as a table."""
+    """The findings of the `log`th record: pictures of at most `most` boxes, and a table of all."""
     pictures: list[Markup] = []
     lacking = False
     for index, each in enumerate(found[:MOST_PICTURED]):

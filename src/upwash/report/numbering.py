@@ -26,8 +26,8 @@ _LONGEST_LABEL = 40  # characters
 class FlightFindings:
     """What was found on one flight, whose log has that name; before the mission began the drone is None.
 
-    `opened` is the time of day at second 0 of the log, None for a simulated flight; `began_s` the second of the log
-    at which the mission began.
+    `opened` is the time of day at second 0 of the log, None for a simulated flight; `began_s` the mission's start in
+    seconds of the log.
     """
 
     log: str
@@ -48,12 +48,12 @@ class PlacedFinding:
 
     @property
     def mission_s(self) -> float:
-        """The second of the mission at which the user was told."""
+        """When the message was sent, in seconds of the mission."""
         return self.finding.at_s - self.flight.began_s
 
     @property
     def time(self) -> datetime | None:
-        """The time of day at which the user was told, None where that is not known."""
+        """The time of day of the message, None if unknown."""
         if self.flight.opened is None:
             return None
         try:
@@ -75,8 +75,8 @@ def are_a_fleet(drones: Sequence[str | None]) -> bool:
 def numbers_of(flights: Sequence[FlightFindings]) -> list[list[int]]:
     """The number of each finding, flight by flight.
 
-    The findings of a fleet are numbered from 1 in one list, in the order in which the users were told; those of
-    flights of one drone flight by flight, from 1 each.
+    The findings of a fleet are numbered from 1 in one list, in the order of the messages. The findings of one drone's
+    flights are numbered from 1 for each flight.
     """
     numbers: list[list[int]] = [[] for _ in flights]
     if are_a_fleet([flight.drone for flight in flights]):
@@ -89,7 +89,7 @@ def numbers_of(flights: Sequence[FlightFindings]) -> list[list[int]]:
 
 
 def _told_at(flight: FlightFindings, index: int) -> Iterator[tuple[float, int]]:
-    """When the user was told of each of the flight's findings, and the flight."""
+    """The time of each of the flight's findings, and the flight's index."""
     opened_s = flight.opened.timestamp() if flight.opened else 0.0
     latest_s = -float("inf")
     for finding in flight.found:

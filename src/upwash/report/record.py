@@ -109,8 +109,8 @@ class MissionEvents:
 class Record:
     """One run; `servers` are those of the plan and of the calls, in the order of their names.
 
-    `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the second of the
-    log at which the mission began. `simulated` is the simulation's own first line, None for a flight. `answers` are
+    `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the mission's
+    start in seconds of the log. `simulated` is the simulation's own first line, None for a flight. `answers` are
     those that the drone went on before, `worst` the calls that lost most, the worst first. `measured` is what
     was known in the end of servers without a range, place by place.
     """
@@ -239,7 +239,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
 
 
 class _Calls:
-    """Gathers what a run's calls are told by, event by event; the reasons of the worst alone are kept."""
+    """Gathers a run's calls, event by event, and keeps the reasons of the worst calls alone."""
 
     def __init__(self) -> None:
         self._reasons = Reasons()
@@ -307,7 +307,7 @@ class _States:
         """Takes in the next event."""
         at_s = event.t - self._began_s
         self._ended_s = max(self._ended_s, at_s)
-        if isinstance(event, schema.LogResumed):  # a program that begins anew knows of no server's state
+        if isinstance(event, schema.LogResumed):  # a program that starts again knows no server's state
             for server in self._now:
                 self._end(server, at_s)
                 self._now[server] = (State.AVL, at_s, "taken up again")

@@ -251,7 +251,7 @@ def waypoints(record: Record) -> Markup:
 
 
 def findings(record: Record, found: Sequence[PlacedFinding]) -> Markup:
-    """What the user was told, and of which place."""
+    """The findings with their places."""
     home = record.plan.home
 
     def row(each: PlacedFinding) -> list[str]:

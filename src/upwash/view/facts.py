@@ -114,7 +114,7 @@ class Doing(Fact, frozen=True):
 
 
 class Vehicle(Fact, frozen=True):
-    """The vehicle's own mode, whether its motors may run, and its receiver's fix, as far as they are told."""
+    """The vehicle's own mode, whether its motors may run, and its receiver's fix, each absent if not in the log."""
 
     mode: str = ""
     armed: bool | None = None
@@ -130,7 +130,7 @@ class Stages(Fact, frozen=True):
 
 
 class Calling(Fact, frozen=True):
-    """A call is under way from `since_s` on, for `at most` or `about` so long; without `words` none is any more."""
+    """A call is under way since `since_s`, for `at most` or `about` `limit_s`. Without `words` the call is over."""
 
     words: str
     since_s: float
@@ -160,8 +160,8 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class Decision(Fact, frozen=True):
     """Where the call of that `number`, counted from 0, is from now on, with why, in sentences, and the estimates.
 
-    The call began at `began_s`. At a server it may take `at_most_s` from `from_s` on; it `waits` for one that is not
-    ready, and is `also_local` where the drone computes it too.
+    The call began at `began_s`. At a server it may take `at_most_s` from `from_s` on. It `waits` if the server is
+    not ready, and is `also_local` if the drone computes it too.
     """
 
     number: int
@@ -197,7 +197,7 @@ class Call(Fact, frozen=True):
 
 
 class Amended(Fact, frozen=True):
-    """The words about the call of that `number`, counted from 0, as they are now that more is known."""
+    """New words about an earlier call, whose `number` counts from 0: a later event told more."""
 
     number: int
     words: Sequence[str]
@@ -249,7 +249,7 @@ class Shot(Fact, frozen=True):
 
 
 class Told(Fact, frozen=True):
-    """One object that the drone's user was told of, with its box on the photo of that number; or a message without.
+    """One object in a message to the user, with its box on the photo numbered `photo`; or a message without boxes.
 
     `place_is` says what `east_m`, `north_m` is the place of, and `error_m` how far from there the object may lie.
     `pictured` says whether the box can be had as a picture. `waypoint` is None before the first.

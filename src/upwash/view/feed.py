@@ -124,7 +124,7 @@ class Feed:
 
     @property
     def flights(self) -> list[FlightFindings]:
-        """What was found on each flight so far."""
+        """The findings of each flight until now."""
         return [each.story.flight(name) for each, name in zip(self.recordings, self._names, strict=True)]
 
     def _number(self) -> None:
@@ -142,7 +142,7 @@ class Feed:
             self._found = [Found(what_was_found(flight.found), None) for flight in flights]
 
     def everything(self) -> list[tuple[str, object]]:
-        """The kind and the data of each message of logs that nobody writes any more."""
+        """The kind and the data of each message of finished logs."""
         for recording in self.recordings:
             while recording.is_behind:
                 recording.advance()

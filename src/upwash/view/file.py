@@ -66,7 +66,7 @@ def _files(records: Sequence[Record]) -> dict[str, str]:
 
 
 def _photos(recordings: Sequence[Recording], shelf: PhotoShelf) -> Iterator[tuple[str, _Photo]]:
-    """The photos that can be had, by log and number: first those on which something was found."""
+    """The available photos by log and number, photos with findings first."""
     for outlined in (True, False):
         for log, recording in enumerate(recordings):
             for number, shot in enumerate(recording.story.shots):

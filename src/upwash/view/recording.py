@@ -136,7 +136,7 @@ class Recording:
 def reading(
     logs: Sequence[Path], keeps: Callable[[str], bool], *, most_bytes: int | None = None
 ) -> Iterator[list[Recording]]:
-    """The recordings of the logs, each read until it tells something, with at most so many bytes of facts each.
+    """The recordings of the logs, each read until its first fact, with at most `most_bytes` of facts each.
 
     Raises UsageError for what is no event log.
     """

@@ -29,13 +29,13 @@ from upwash.view.state import CallUnderWay, Control
 
 _CORNERS = 4
 _ON_CALLS = (schema.Decided, schema.Hedged, schema.RemoteFailed, schema.RemoteRaised, schema.TurnOver)
-_STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
+_STALE_S = 1.5  # a flown log has a position each second, a simulated log with each event
 
 
 class Story:
-    """One run, as far as its log tells it; `shots` are its photos so far, and `ended` says whether it is over.
+    """One run, from the events of its log; `shots` are the photos until now, `ended` says whether the run is over.
 
-    `outlined` has the numbers of the photos on which something was found.
+    `outlined` has the numbers of the photos with findings.
     `drone` is the drone's name, None before the mission began. `keeps` says of a photo's source whether its photos
     can be had.
     """
@@ -80,7 +80,7 @@ class Story:
 
     @property
     def found(self) -> Sequence[Finding]:
-        """What was found so far."""
+        """The findings until now."""
         return self._finder.found
 
     def flight(self, log: str) -> FlightFindings:
@@ -90,7 +90,7 @@ class Story:
         )
 
     def lacks(self, left_out: str) -> Iterator[Fact]:
-        """What is told of the lines that are no events, where that is news."""
+        """The notice about lines that are no events; nothing if the notice was given before."""
         if left_out != self._left_out:
             self._left_out = left_out
             cause = left_out[:1].upper() + left_out[1:]
@@ -181,7 +181,7 @@ class Story:
                     yield from (self._measured(server, place) for place in known)
             case schema.LogResumed():
                 self.ended = False
-                # A program that begins anew knows of no server's state.
+                # A program that starts again knows no server's state.
                 for server in sorted(self._servers, key=by_name):
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
@@ -265,7 +265,7 @@ class Story:
         )
 
     def _under_way(self, event: Event) -> Iterator[Fact]:
-        """Where the open call is, if the event says so."""
+        """The place of the open call, if the event changes it."""
         decisions = self._reasons.under_way if isinstance(event, _ON_CALLS) else ()
         course = course_of(decisions[-1], event) if decisions else None
         if course is None:
