@@ -24,7 +24,7 @@ from upwash.errors import DeclarationError, GarbledReply
 from upwash.rpc.service import make_stub, service, spec_of
 from upwash.rpc.wire import MOST_DEPTH, MOST_TEXT_BYTES, Encoding, too_much
 
-MOST_MILLIONS = 90  # of steps; what used to take hundreds to billions takes five
+MOST_MILLIONS = 55  # of steps; what used to take hundreds to billions takes five
 MOST_BYTES = 40e6
 MEGABYTES_16 = 16_000_000
 Decodes = Callable[[], object]

@@ -23,7 +23,7 @@ pytestmark = [
     ),
 ]
 
-SEEDS = (0, 4, 8)  # every length of a black-out, garbage or nothing from a peer, and lost frames
+SEEDS = (0, 4, 7, 8)  # every length of a black-out, garbage or nothing from a peer, and lost frames
 
 
 def test_the_promises_hold_whatever_is_killed_frozen_cut_or_answers_garbage(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from tests.system.faults.plan import Fault, Moment
 from upwash.emulation.field import EmulatedLink
 from upwash.emulation.namespaces import LinkEnd, command, inside
 
-_LOOK_S = 0.02
+_LOOK_S = 0.005
 _MOMENT_WITHIN_S = 8.0  # or it happens between two moments
 BACK_WITHIN_S = 3.0  # calls, at the server, when a link is there again
 _SEEN_S = 3.0  # the drone's calls are watched for so long beyond that
