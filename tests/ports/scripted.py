@@ -12,6 +12,7 @@ from tests.ports.memory import AT_ONCE, HOME
 
 from upwash.core.geo import LocalFrame, Position, Velocity
 from upwash.mavlink.packets import PacketReader
+from upwash.mavlink.px4 import CURRENT_MODE, CurrentModeMessage, Mode
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 
@@ -19,17 +20,20 @@ FRAME = LocalFrame(HOME)
 SYSTEM, HOME_ABOVE_SEA_M = 7, 488.0
 ON_GROUND, IN_AIR = mavlink.MAV_LANDED_STATE_ON_GROUND, mavlink.MAV_LANDED_STATE_IN_AIR
 _VERSION = 4 << 24 | 6 << 16 | 255
-_ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
 class Script:
     """An ArduCopter that sends a heartbeat each second, accepts all, and changes its mode and arming."""
 
+    firmware, always_has = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "FRAME_CLASS"
+    own_mode: int = mavlink.COPTER_MODE_GUIDED
     autopilot: MavlinkAutopilot  # which has found it
 
     def __init__(self, *, armed: bool) -> None:
-        self.mode = mavlink.COPTER_MODE_GUIDED
+        self.mode = self.own_mode
         self.armed = armed
+        self.parameters = {self.always_has: 1.0}  # the others are missing
+        self.tells_after_s = 0.0  # its parameters
         self.mute = False
         self.obeys = True
         self.results: dict[
@@ -55,7 +59,7 @@ class Script:
 
     def heartbeat(self) -> Any:
         base_mode = 81 | (128 if self.armed else 0)
-        return mavlink.MAVLink_heartbeat_message(2, _ARDUPILOT, base_mode, self.mode, 4, 3)
+        return mavlink.MAVLink_heartbeat_message(2, self.firmware, base_mode, self.mode, 4, 3)
 
     async def say(self, *messages: Any) -> None:
         """Sends messages of the vehicle; returns once the driver has them."""
@@ -120,16 +124,12 @@ class Script:
     def _answer(self, message: Any) -> None:
         answers: list[Any] = []
         match message.get_type():
-            case "PARAM_REQUEST_READ" if message.param_id == "FRAME_CLASS":  # the others are missing
-                answers = [mavlink.MAVLink_param_value_message(b"FRAME_CLASS", 1.0, 2, 1, 0)]
+            case "PARAM_REQUEST_READ" if message.param_id in self.parameters:
+                value, real = self.parameters[message.param_id], mavlink.MAV_PARAM_TYPE_REAL32
+                told_value = mavlink.MAVLink_param_value_message(message.param_id.encode(), value, real, 1, 0)
+                asyncio.get_running_loop().call_later(self.tells_after_s, self._send, [told_value])
             case "COMMAND_LONG" if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-                numbers = [0] * 8
-                told = {
-                    mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat(),
-                    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: mavlink.MAVLink_autopilot_version_message(
-                        0, _VERSION, 0, 0, 0, numbers, numbers, numbers, 0, 0, 1
-                    ),
-                }
+                told = self.told()
                 answers = [told[message.param1]] if message.param1 in told else []
             case "COMMAND_LONG" | "COMMAND_INT":
                 result = self.results.get(message.command, mavlink.MAV_RESULT_ACCEPTED)
@@ -144,14 +144,47 @@ class Script:
         if result != mavlink.MAV_RESULT_ACCEPTED or not self.obeys:
             return
         if message.command == mavlink.MAV_CMD_DO_SET_MODE:
-            self.mode = int(message.param2)
+            self.mode = self.mode_set_by(message)
         elif message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             self.armed = bool(message.param1)
+
+    def told(self) -> dict[int, Any]:
+        """The reports that it sends when it is asked for one."""
+        numbers = [0] * 8
+        return {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat(),
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: mavlink.MAVLink_autopilot_version_message(
+                0, _VERSION, 0, 0, 0, numbers, numbers, numbers, 0, 0, 1
+            ),
+        }
+
+    def mode_set_by(self, message: Any) -> int:
+        return int(message.param2)
 
     def _send(self, answers: list[Any]) -> None:
         for answer in answers:
             self._line.datagram_received(bytes(answer.pack(self._codec)), ("", 1))
             self._codec.seq = (self._codec.seq + 1) % 256
+
+
+class Px4Script(Script):
+    """A PX4 of the same manners."""
+
+    firmware, always_has, own_mode = mavlink.MAV_AUTOPILOT_PX4, "SYS_AUTOSTART", Mode.LOITER
+    intends = 0  # a mode other than the flown one, in a fail-safe
+
+    def mode_set_by(self, message: Any) -> int:
+        return int(message.param2) << 16 | int(message.param3) << 24
+
+    def told(self) -> dict[int, Any]:
+        intends = self.intends or self.mode
+        mode = CurrentModeMessage(custom_mode=self.mode, intended_custom_mode=intends, standard_mode=0)
+        return {**super().told(), CURRENT_MODE: mode}
+
+    def _obey(self, message: Any, result: int | None) -> None:
+        super()._obey(message, result)
+        if self.obeys and message.command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            self.mode = Mode.TAKEOFF
 
 
 def landed(state: int) -> Any:
@@ -160,10 +193,14 @@ def landed(state: int) -> Any:
 
 @asynccontextmanager
 async def scripted(
-    settings: FlightSettings = AT_ONCE, *, armed: bool = False, ground_speed_m_s: float = 5.0
+    settings: FlightSettings = AT_ONCE,
+    *,
+    armed: bool = False,
+    ground_speed_m_s: float = 5.0,
+    kind: type[Script] = Script,
 ) -> AsyncIterator[Script]:
     """A vehicle of single messages, and the driver that has found it."""
-    script = Script(armed=armed)
+    script = kind(armed=armed)
     life = asyncio.create_task(script.live())
     script.autopilot = await connect_autopilot(
         script.open, frame=FRAME, ground_speed_m_s=ground_speed_m_s, settings=settings
