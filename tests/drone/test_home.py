@@ -129,8 +129,8 @@ def test_a_home_that_rose_since_they_were_converted_is_told_and_then_refused(tmp
     home = planned_home(above_home(planned(tmp_path, (SEA, 530.0)), 488.0).mission)
     assert list(home.doubts(VehicleLimits(home_above_sea_m=489.0), HERE)) == []
     assert list(home.doubts(VehicleLimits(home_above_sea_m=491.0), HERE)) == []
-    (doubt,) = home.doubts(VehicleLimits(home_above_sea_m=494.0), HERE)
-    assert "converted with a home at 488 m above the sea, and the vehicle's home 494 m" in doubt
+    (doubt,) = home.doubts(VehicleLimits(home_above_sea_m=491.5), HERE)
+    assert "converted with a home at 488 m above the sea, and the vehicle's home 491.5 m" in doubt
     home.require_same(VehicleLimits(home_above_sea_m=518.0))
     with pytest.raises(
         AutopilotRefused, match="with a home at 488 m, and the vehicle's home is now at 519 m"

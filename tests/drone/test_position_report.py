@@ -6,16 +6,17 @@ import asyncio
 
 import pytest
 from tests.conftest import SCENARIOS
+from tests.drone.test_reserve import survey_far
 
+from upwash.config import DroneConfig
 from upwash.drone.flight import Flight
 from upwash.eventlog import schema
 from upwash.lab.run import simulate
 from upwash.lab.scenario import read_scenario
 
 
-@pytest.fixture(scope="module")
-def reports() -> list[schema.PositionReport]:
-    """Those of the thesis's mission, a second apart."""
+def reports_of(config: DroneConfig) -> list[schema.PositionReport]:
+    """The reports of a simulated flight, a second apart."""
     found: list[schema.PositionReport] = []
     run = Flight.run
 
@@ -31,8 +32,14 @@ def reports() -> list[schema.PositionReport]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Flight, "run", watched)
-        assert simulate(read_scenario(SCENARIOS / "thesis.toml")).result.completed
+        simulate(config)
     return found
+
+
+@pytest.fixture(scope="module")
+def reports() -> list[schema.PositionReport]:
+    """Those of the thesis's mission."""
+    return reports_of(read_scenario(SCENARIOS / "thesis.toml"))
 
 
 def test_it_has_the_speed_over_the_ground_and_where_the_nose_points(
@@ -46,6 +53,12 @@ def test_it_has_the_speed_over_the_ground_and_where_the_nose_points(
 
 def test_what_the_vehicle_does_not_say_is_absent(reports: list[schema.PositionReport]) -> None:
     assert {report.battery_percent for report in reports} == {None}  # a scenario without an endurance
+
+
+def test_it_has_the_battery_in_tenths_of_a_percent() -> None:
+    percents = [report.battery_percent for report in reports_of(survey_far(reserve_s=0.0, endurance_s=160.0))]
+    assert percents[0] == 100.0
+    assert {99.4, 98.8, 98.1, 97.5} <= set(percents)  # it falls by 0.625 a second
 
 
 def test_it_has_the_server_in_use_and_how_long_its_daemon_took_to_answer(

@@ -100,6 +100,7 @@ def test_the_margin_is_told_when_it_is_known_when_it_changes_and_each_minute() -
         assert (
             abs(after["margin_percent"] - before["margin_percent"]) > 2.9 or after["t"] - before["t"] >= 60.0
         )
+        assert abs(after["margin_percent"] - before["margin_percent"]) < 5.0, "it is told soon"
     last = told[-1]
     assert last["margin_percent"] <= 0 and last["t"] == named(run.events, "stopping")[0]["t"]
     assert last["needed_percent"] == pytest.approx(last["home_s"] * last["rate_percent_s"], abs=0.1)

@@ -91,6 +91,7 @@ def test_what_is_done_with_a_payload_is_in_the_log(tmp_path: Path) -> None:
         "DO_SET_SERVO",
     ]
     assert done[0].parameters == [-90.0, 0.0, None, None]
+    assert done[1].parameters == [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
     (sent,) = (event for event in run.events if isinstance(event, schema.TextSent))
     assert (sent.severity, sent.text) == (4, "two hot spots")
 
