@@ -19,7 +19,6 @@ from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopi
 FRAME = LocalFrame(HOME)
 SYSTEM, HOME_ABOVE_SEA_M = 7, 488.0
 ON_GROUND, IN_AIR = mavlink.MAV_LANDED_STATE_ON_GROUND, mavlink.MAV_LANDED_STATE_IN_AIR
-_VERSION = 4 << 24 | 6 << 16 | 255
 
 
 class Script:
@@ -27,13 +26,14 @@ class Script:
 
     firmware, always_has = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "FRAME_CLASS"
     own_mode: int = mavlink.COPTER_MODE_GUIDED
+    version: int | None = 4 << 24 | 6 << 16 | 255
     autopilot: MavlinkAutopilot  # which has found it
 
     def __init__(self, *, armed: bool) -> None:
         self.mode = self.own_mode
         self.armed = armed
         self.parameters = {self.always_has: 1.0}  # the others are missing
-        self.tells_after_s = 0.0  # its parameters
+        self.tells_after_s: dict[str, float] = {}  # by parameter; the others at once
         self.mute = False
         self.obeys = True
         self.results: dict[
@@ -127,7 +127,9 @@ class Script:
             case "PARAM_REQUEST_READ" if message.param_id in self.parameters:
                 value, real = self.parameters[message.param_id], mavlink.MAV_PARAM_TYPE_REAL32
                 told_value = mavlink.MAVLink_param_value_message(message.param_id.encode(), value, real, 1, 0)
-                asyncio.get_running_loop().call_later(self.tells_after_s, self._send, [told_value])
+                asyncio.get_running_loop().call_later(
+                    self.tells_after_s.get(message.param_id, 0.0), self._send, [told_value]
+                )
             case "COMMAND_LONG" if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
                 told = self.told()
                 answers = [told[message.param1]] if message.param1 in told else []
@@ -150,13 +152,13 @@ class Script:
 
     def told(self) -> dict[int, Any]:
         """The reports that it sends when it is asked for one."""
-        numbers = [0] * 8
-        return {
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat(),
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: mavlink.MAVLink_autopilot_version_message(
-                0, _VERSION, 0, 0, 0, numbers, numbers, numbers, 0, 0, 1
-            ),
-        }
+        told = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat()}
+        if self.version is not None:
+            numbers = [0] * 8
+            told[mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION] = mavlink.MAVLink_autopilot_version_message(
+                0, self.version, 0, 0, 0, numbers, numbers, numbers, 0, 0, 1
+            )
+        return told
 
     def mode_set_by(self, message: Any) -> int:
         return int(message.param2)

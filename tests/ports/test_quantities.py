@@ -8,18 +8,23 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from msgspec import structs
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.played import played
 from tests.ports.memory import AGILE, Air, Bench, bench, driven
+from tests.ports.scripted import SYSTEM, Px4Script, Script, scripted
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition
-from upwash.core.vehicle.way_home import EnergyFacts
+from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
+from upwash.errors import AutopilotTimeout
 from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.version import Version
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
-from upwash.real.mavlink.parameters import read_parameters, set_parameter
+from upwash.real.mavlink.parameters import read_parameters, read_quantities, set_parameter
+from upwash.real.mavlink.setpoints import Abilities
+from upwash.real.mavlink.way_home import PX4_QUANTITIES, px4_abilities
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body import connection
@@ -235,3 +240,202 @@ def without(sky: Bench, *names: str) -> None:
             return None if name in names else monkey(self, name)
 
     parameters.__class__ = Fewer
+
+
+# --- parameters of a vehicle of single messages -------------------------------------------------------------
+
+NAMES_4_6 = {
+    "BATT_CAPACITY": 5000.0,
+    "BATT_LOW_MAH": 1000.0,
+    "BATT_CRT_MAH": 500.0,
+    "RTL_ALT": 2500.0,
+    "RTL_SPEED": 400.0,
+    "WPNAV_SPEED": 700.0,
+    "WPNAV_SPEED_UP": 300.0,
+    "WPNAV_SPEED_DN": 200.0,
+    "WPNAV_ACCEL": 500.0,
+    "RTL_LOIT_TIME": 3000.0,
+    "LAND_SPEED_HIGH": 180.0,
+    "LAND_ALT_LOW": 800.0,
+    "LAND_SPEED": 40.0,
+}
+NAMES_4_7 = {
+    "BATT_CAPACITY": 5000.0,
+    "BATT_LOW_MAH": 1000.0,
+    "BATT_CRT_MAH": 500.0,
+    "RTL_ALT_M": 25.0,
+    "RTL_SPEED_MS": 4.0,
+    "WP_SPD": 7.0,
+    "WP_SPD_UP": 3.0,
+    "WP_SPD_DN": 2.0,
+    "WP_ACC": 5.0,
+    "RTL_LOIT_TIME": 3000.0,
+    "LAND_SPD_HIGH_MS": 1.8,
+    "LAND_ALT_LOW_M": 8.0,
+    "LAND_SPD_MS": 0.4,
+}
+OF_PX4 = {
+    "BAT_LOW_THR": 0.25,
+    "BAT_CRIT_THR": 0.125,
+    "RTL_RETURN_ALT": 40.0,
+    "MPC_XY_CRUISE": 6.0,
+    "MPC_XY_VEL_MAX": 9.0,
+    "MPC_Z_V_AUTO_UP": 2.0,
+    "MPC_Z_V_AUTO_DN": 1.0,
+    "MPC_ACC_HOR": 2.5,
+}
+WAY = WayHome(
+    25.0, 3.0, 4.0, 2.0, 8.0, 1.8, 8.0, 0.4
+)  # twice the usual acceleration, 2 s less of the usual wait
+
+
+async def told_by(
+    parameters: dict[str, float], kind: type[Script] = Script
+) -> tuple[EnergyFacts, dict[str, str]]:
+    """What the driver knows of the way home of a vehicle with these parameters, and what it tells as unknown."""
+    async with scripted(kind=kind) as script:
+        script.parameters |= parameters
+        return await learnt(script.autopilot)
+
+
+@pytest.mark.parametrize(
+    ("named", "changed", "way"),
+    [
+        (NAMES_4_6, {}, WAY),
+        (NAMES_4_7, {}, WAY),
+        (NAMES_4_6, {"RTL_SPEED": 0.0}, structs.replace(WAY, speed_m_s=7.0)),  # that of legs
+        (NAMES_4_6, {"LAND_SPEED_HIGH": 0.0}, structs.replace(WAY, descent_m_s=2.0)),  # that of descents
+    ],
+)
+@pytest.mark.virtual
+async def test_the_way_home_of_an_arducopter_is_in_metres_and_seconds(
+    named: dict[str, float], changed: dict[str, float], way: WayHome
+) -> None:
+    energy, unknown = await told_by(named | changed)
+    assert unknown == {}
+    assert (energy.low_percent, energy.critical_percent, energy.guessed) == (20.0, 10.0, ())
+    assert energy.way_home is not None
+    assert structs.astuple(energy.way_home) == pytest.approx(structs.astuple(way))
+
+
+@pytest.mark.virtual
+async def test_what_an_arducopter_does_not_have_is_as_usual() -> None:
+    energy, unknown = await told_by({"WP_SPD": 7.0, "WP_SPD_DN": 2.0})
+    assert len(unknown) == len(energy.guessed) == 11
+    assert (energy.low_percent, energy.critical_percent) == (None, None)
+    assert energy.way_home == structs.replace(ARDUCOPTER, speed_m_s=7.0, descent_m_s=2.0)
+
+
+@pytest.mark.virtual
+async def test_the_way_home_and_the_abilities_of_a_px4_are_in_metres_and_seconds() -> None:
+    async with scripted(kind=Px4Script) as script:
+        script.parameters |= OF_PX4
+        energy, unknown = await learnt(script.autopilot)
+        abilities = px4_abilities(await read_quantities(script.autopilot.vehicle, PX4_QUANTITIES))
+    assert (unknown, energy.low_percent, energy.critical_percent) == ({}, 25.0, 12.5)
+    assert energy.way_home == structs.replace(PX4, altitude_m=40.0, speed_m_s=6.0, descent_m_s=1.0)
+    assert abilities == Abilities(9.0, 2.0, 1.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sensible"),
+    [
+        ("BATT_CAPACITY", 1e7, True),
+        ("BATT_CAPACITY", 1e7 + 1, False),
+        ("RTL_ALT_M", 10_000.0, True),
+        ("RTL_ALT_M", 10_000.5, False),
+        ("RTL_ALT_M", -0.5, False),
+        ("RTL_LOIT_TIME", 3_600_000.0, True),
+        ("RTL_LOIT_TIME", 3_600_500.0, False),
+        ("WP_SPD", 100.0, True),
+        ("WP_SPD", 100.5, False),
+        ("WP_SPD", 0.5, True),
+        ("WP_SPD", 0.005, False),
+        ("WP_ACC", 250.0, True),
+        ("WP_ACC", 251.5, False),  # 100.6 m/s² of that
+        ("WP_ACC", 0.5, True),
+        ("WP_ACC", 0.02, False),
+    ],
+)
+@pytest.mark.virtual
+async def test_a_value_that_no_vehicle_can_have_counts_as_unknown(
+    name: str, value: float, *, sensible: bool
+) -> None:
+    energy, unknown = await told_by(NAMES_4_7 | {name: value})
+    assert len(unknown) == (0 if sensible else 1)
+    assert bool(energy.guessed) is not sensible
+    assert all("makes no sense" in why for why in unknown.values())
+
+
+@pytest.mark.parametrize(("share", "sensible"), [(1.0, True), (1.005, False)])
+@pytest.mark.virtual
+async def test_a_stage_above_a_full_battery_counts_as_unknown(share: float, *, sensible: bool) -> None:
+    energy, unknown = await told_by(OF_PX4 | {"BAT_LOW_THR": share}, Px4Script)
+    assert (energy.low_percent, bool(unknown)) == (100.0 if sensible else None, not sensible)
+
+
+def asked(script: Script, name: str) -> list[float]:
+    """When the driver asked for a parameter."""
+    return [
+        at_s
+        for at_s, message in script.sent
+        if message.get_type() == "PARAM_REQUEST_READ" and message.param_id == name
+    ]
+
+
+@pytest.mark.parametrize(
+    ("a_after_s", "last_after_s", "times"), [(0.9, 0.9, 1), (0.08, 0.0, 1), (0.12, 0.0, 2), (0.0, 0.9, 1)]
+)
+@pytest.mark.virtual
+async def test_a_slow_answer_is_waited_for(a_after_s: float, last_after_s: float, times: int) -> None:
+    async with scripted() as script:
+        script.parameters["A"] = 5.0
+        script.tells_after_s = {"A": a_after_s, "FRAME_CLASS": last_after_s}
+        begun_s = script.now_s
+        assert await read_parameters(script.autopilot.vehicle, ["A"]) == {"A": 5.0}
+        assert len(asked(script, "A")) == times
+        assert script.now_s - begun_s == pytest.approx(a_after_s)
+        (question, *_) = script.of_kind("PARAM_REQUEST_READ")
+        assert (question.target_system, question.target_component, question.param_index) == (SYSTEM, 1, -1)
+
+
+@pytest.mark.parametrize(
+    ("deaf_for_s", "slow", "rounds", "took_s"),
+    [
+        (0.0, {}, 3, 0.3),
+        (0.5, {}, 7, 1.7),  # a lost answer makes six rounds of three
+        (0.0, {"B": 0.15}, 6, 0.6),  # as does one that comes late
+        (60.0, {}, 12, 13.2),
+    ],
+)
+@pytest.mark.virtual
+async def test_a_parameter_is_missing_after_three_rounds_or_six_on_a_link_that_loses(
+    deaf_for_s: float, slow: dict[str, float], rounds: int, took_s: float
+) -> None:
+    async with scripted() as script:
+        script.parameters["B"], begun_s = 1.0, script.now_s
+        script.tells_after_s = slow
+        last = script.parameters
+        if deaf_for_s:
+            script.parameters = {}
+        reading = asyncio.ensure_future(read_parameters(script.autopilot.vehicle, ["A", "B"]))
+        await asyncio.sleep(deaf_for_s)
+        script.parameters = last
+        found = await reading
+        assert ("A" in found.absent) == (deaf_for_s < 10)
+        assert len(asked(script, "A")) == rounds
+        assert script.now_s - begun_s == pytest.approx(max(took_s, deaf_for_s), abs=0.01)
+
+
+@pytest.mark.virtual
+async def test_a_setting_is_sent_three_times_until_it_is_read_back() -> None:
+    async with scripted() as script:
+        script.parameters |= {"A": 5.0, "B": 5.0001}
+        vehicle, change = script.autopilot.vehicle, "PARAM_SET"
+        await set_parameter(vehicle, "A", 5.0)
+        (sent,) = script.of_kind(change)
+        real = mavlink.MAV_PARAM_TYPE_REAL32
+        assert (sent.param_id, sent.param_value, sent.param_type) == ("A", 5.0, real)
+        with pytest.raises(AutopilotTimeout, match="B was not set to 5"):
+            await set_parameter(vehicle, "B", 5.0)
+        assert len(script.of_kind(change)) == 4

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import math
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -14,21 +15,23 @@ from tests.played import played
 from tests.ports.scripted import FRAME, IN_AIR, ON_GROUND, SYSTEM, Script, landed, scripted
 
 from upwash.core.geo import Position, Velocity
+from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused, AutopilotTimeout, UsageError
 from upwash.eventlog.schema import ArmingDelayed
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.sim.loop import run_virtually
 
-HERE = Position(30.0, 40.0, 10.0)
+HERE, GROUND = Position(30.0, 40.0, 10.0), Position(0.0, 0.0)
 REPOSITION, SPEED, YAW = (
     mavlink.MAV_CMD_DO_REPOSITION,
     mavlink.MAV_CMD_DO_CHANGE_SPEED,
     mavlink.MAV_CMD_CONDITION_YAW,
 )
-ARM, SERVO, CHECKS = (
+ARM, SERVO, CHECKS, TAKEOFF = (
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
     mavlink.MAV_CMD_DO_SET_SERVO,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
 )
 DENIED, FAILED = mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED
 Verb = Callable[[MavlinkAutopilot], Awaitable[None]]
@@ -94,6 +97,77 @@ async def test_a_return_has_the_time_to_its_own_home(
     )
     with pytest.raises(AutopilotTimeout, match=f"not done within {limit_s} s, in mode RTL"):
         await script.autopilot.return_home_and_land()
+
+
+# --- take-off -----------------------------------------------------------------------------------------------
+
+
+async def stands_armed(script: Script) -> None:
+    """It stands on the ground with its motors running, for the program."""
+    script.results[REPOSITION] = DENIED
+    await script.say(landed(ON_GROUND), script.place(GROUND))
+    await script.autopilot.arm()
+    del script.results[REPOSITION]
+
+
+@played(tell, flies=False)
+async def test_a_take_off_ends_at_rest_at_its_altitude_in_the_air(script: Script) -> None:
+    await stands_armed(script)
+    rising = await begun(script, script.autopilot.takeoff(10.0))
+    (order,) = script.commands(TAKEOFF)
+    assert parameters(order) == (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0)
+    for altitude_m, up_m_s, state, done in (
+        (9.1, 0.0, ON_GROUND, False),
+        (8.9, 0.0, IN_AIR, False),
+        (9.1, 0.5, IN_AIR, False),
+        (9.1, 0.4, IN_AIR, True),
+    ):
+        await script.say(landed(state), script.place(GROUND.at_altitude(altitude_m), Velocity(up_m_s=up_m_s)))
+        await asyncio.sleep(0.125)
+        assert rising.done() is done
+    await script.autopilot.set_ground_speed(3.0)
+    assert script.commands(SPEED) == [], "it would lose a speed before its first target"
+    moved = script.place(GROUND.at_altitude(9.1))
+    moved.relative_alt -= 3000
+    await script.say(moved)
+    assert script.autopilot.position.altitude_m == pytest.approx(9.1), "it counts from the ground"
+    await script.say(target(THERE))
+    assert script.autopilot.control.owner is Owner.GROUND_STATION
+
+
+@pytest.mark.parametrize(
+    ("flew", "seen_after_s", "rises"), [(False, 0.9, True), (False, 1.1, False), (True, 0.0, False)]
+)
+@played(tell, flies=False)
+async def test_a_take_off_whose_answer_was_lost_shows_within_a_second(
+    script: Script, *, flew: bool, seen_after_s: float, rises: bool
+) -> None:
+    await stands_armed(script)
+    if flew:
+        await script.say(landed(IN_AIR))
+    script.results[TAKEOFF] = FAILED
+    rising = await begun(script, script.autopilot.takeoff(10.0))
+    await asyncio.sleep(0.5 - 0.125 + seen_after_s)  # half a second for its words
+    await script.say(landed(IN_AIR), script.place(GROUND.at_altitude(10.0)))
+    if rises:
+        await rising
+    else:
+        with pytest.raises(AutopilotRefused, match="MAV_RESULT_FAILED to MAV_CMD_NAV_TAKEOFF"):
+            await rising
+
+
+@played(tell)
+async def test_a_speed_waits_for_the_first_target_of_each_flight(script: Script) -> None:
+    leg = await begun(script, script.autopilot.goto(THERE))
+    await script.say(script.place(Position(30.0, 41.0, 10.0), Velocity(north_m_s=1.0)))
+    await asyncio.sleep(0.125)
+    leg.cancel()
+    await script.autopilot.set_ground_speed(3.0)
+    assert [parameters(sent)[1] for sent in script.commands(SPEED)] == [5.0, 3.0]
+    rising = await begun(script, script.autopilot.takeoff(10.0))
+    await script.autopilot.set_ground_speed(4.0)
+    assert len(script.commands(SPEED)) == 2
+    rising.cancel()
 
 
 # --- legs ---------------------------------------------------------------------------------------------------
@@ -180,6 +254,64 @@ async def test_a_target_that_is_refused_is_no_change_of_the_owner(script: Script
     script.results.clear()
     await script.autopilot.hold()
     assert script.autopilot.control.is_ours
+
+
+def target(place: Position) -> Any:
+    """The report that it steers to the place."""
+    geo = FRAME.geo(place)
+    lat, lon = round(geo.latitude_deg * 1e7), round(geo.longitude_deg * 1e7)
+    frame, ignored = mavlink.MAV_FRAME_GLOBAL, 0b1111_1111_1000
+    return mavlink.MAVLink_position_target_global_int_message(
+        0, frame, ignored, lat, lon, 488.0 + place.altitude_m, *[0.0] * 8
+    )
+
+
+@pytest.mark.parametrize(("refused", "ours"), [(False, True), (True, False)])
+@played(tell)
+async def test_a_target_that_was_refused_is_no_target_of_the_program(
+    script: Script, *, refused: bool, ours: bool
+) -> None:
+    leg = await begun(script, script.autopilot.goto(HERE))
+    await script.say(target(HERE))
+    assert script.autopilot.control.is_ours
+    leg.cancel()
+    if refused:
+        script.results[REPOSITION] = FAILED
+    leg = await begun(script, script.autopilot.goto(THERE))
+    await asyncio.sleep(1.0)
+    await script.say(target(THERE))
+    assert script.autopilot.control.is_ours is ours
+    with suppress(AutopilotRefused, asyncio.CancelledError):
+        leg.cancel()
+        await leg
+
+
+@pytest.mark.parametrize("avoids", [0.0, 1.0])
+@played(tell)
+async def test_a_vehicle_that_flies_round_obstacles_may_change_its_target(
+    script: Script, *, avoids: float
+) -> None:
+    script.parameters["OA_TYPE"] = avoids
+    await script.autopilot.limits()
+    leg = await begun(script, script.autopilot.goto(HERE))
+    await script.say(target(HERE), target(THERE))
+    assert script.autopilot.control.is_ours is bool(avoids)
+    leg.cancel()
+
+
+@pytest.mark.parametrize(("nearer_m", "again"), [(0.48, True), (0.52, False)])
+@played(tell)
+async def test_half_a_metre_in_three_seconds_is_progress(
+    script: Script, *, nearer_m: float, again: bool
+) -> None:
+    leg = await begun(script, script.autopilot.goto(THERE))
+    await script.say(script.place(HERE))
+    await asyncio.sleep(2.5)
+    north_m = THERE.north_m - math.hypot(100.0, 4.0) + nearer_m
+    await script.say(script.place(Position(30.0, north_m, 14.0)))
+    await asyncio.sleep(0.5)
+    assert len(script.commands(REPOSITION)) == 1 + again
+    leg.cancel()
 
 
 @pytest.mark.parametrize(
