@@ -11,10 +11,12 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.played import played
 from tests.ports.memory import AGILE, AT_ONCE, Bench, driven
+from tests.ports.scripted import Px4Script, Script, scripted
 from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import GeoPosition, Position
 from upwash.errors import AutopilotOverruled, AutopilotRefused
+from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.px4 import CURRENT_MODE
 from upwash.mavlink.version import Version
 from upwash.real.mavlink import MavlinkAutopilot
@@ -151,3 +153,130 @@ async def test_a_px4_in_development_without_a_version_is_flown_by_what_it_report
         await claim_and_arm(autopilot)
         assert sky.copter.armed
         assert CURRENT_MODE in sky.vehicle.firmware.reports
+
+
+# --- vehicles of single messages ----------------------------------------------------------------------------
+
+
+def of_version(kind: type[Script], version: int | None) -> type[Script]:
+    return type("Other", (kind,), {"version": version})
+
+
+@pytest.mark.parametrize(
+    ("kind", "version", "flown"),
+    [
+        (Script, (4, 1, 0), True),
+        (Script, (4, 0, 99), False),
+        (Script, (5, 0, 0), True),
+        (Px4Script, (1, 15, 0), True),
+        (Px4Script, (1, 14, 99), False),
+        (Px4Script, (2, 0, 0), True),
+    ],
+)
+@pytest.mark.virtual
+async def test_the_oldest_version_that_is_flown(
+    kind: type[Script], version: tuple[int, int, int], *, flown: bool
+) -> None:
+    major, minor, patch = version
+    async with scripted(kind=of_version(kind, major << 24 | minor << 16 | patch << 8 | 255)) as script:
+        inspecting = asyncio.ensure_future(script.autopilot.inspect())
+        if flown:
+            await inspecting
+        else:
+            with pytest.raises(AutopilotRefused, match="update the vehicle's firmware; it was not armed"):
+                await inspecting
+
+
+@pytest.mark.virtual
+async def test_a_version_is_asked_for_three_times_in_two_ways() -> None:
+    async with scripted(kind=of_version(Script, None)) as script:
+        assert script.autopilot.vehicle.version is None
+        assert len(script.asked_for(VERSION)) == 3
+        old = script.commands(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES)
+        assert [message.param1 for message in old] == [1.0] * 3
+
+
+@pytest.mark.virtual
+async def test_a_px4_that_does_not_tell_its_intended_mode_is_asked_eight_times() -> None:
+    async with scripted(kind=Px4Script) as script:
+        told = script.told()
+        del told[CURRENT_MODE]
+        script.told = lambda: told  # type: ignore[method-assign]
+        with pytest.raises(AutopilotRefused, match=r"PX4 4\.6\.0, does not report CURRENT_MODE"):
+            await script.autopilot.inspect()
+        assert len(script.asked_for(CURRENT_MODE)) == 8
+
+
+COMES_DOWN = "comes down where it is, unless a pilot has it by stick"
+SAFE = {"COM_OBL_RC_ACT": 3.0, "COM_OF_LOSS_T": 1.0, "COM_RC_OVERRIDE": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        *[("COM_OBL_RC_ACT", value, COMES_DOWN) for value in (0.0, 1.0, 2.0)],
+        ("COM_OBL_RC_ACT", 3.0, ""),
+        ("COM_OBL_RC_ACT", 4.0, "without the program the vehicle lands; 3 has it return, 5 hover"),
+        ("COM_OBL_RC_ACT", 5.0, ""),
+        ("COM_OF_LOSS_T", 10.0, ""),
+        ("COM_OF_LOSS_T", 10.5, "only after that many seconds"),
+        ("COM_RC_OVERRIDE", 0.0, "sticks do not take the vehicle"),
+        ("COM_RC_OVERRIDE", 1.0, "sticks do not take the vehicle"),
+        ("COM_RC_OVERRIDE", 2.0, ""),
+        ("COM_OBL_RC_ACT", None, "it may fall"),
+        ("COM_OF_LOSS_T", None, "is not known"),
+        ("COM_RC_OVERRIDE", None, "is not known"),
+    ],
+)
+@pytest.mark.virtual
+async def test_settings_of_a_px4_that_may_surprise_are_told(
+    name: str, value: float | None, said: str
+) -> None:
+    async with scripted(kind=Px4Script) as script:
+        known = {key: number for key, number in (SAFE | {name: value}).items() if number is not None}
+        script.parameters |= known
+        await script.autopilot.inspect()
+        settings = [news for news in script.news if isinstance(news, VehicleSetting)]
+        assert [(news.name, news.value) for news in settings] == ([(name, value)] if said else [])
+        assert all(said in news.advice for news in settings)
+
+
+@pytest.mark.parametrize(
+    ("action", "word"),
+    [(6.0, r"6 \(terminate\)"), (7.0, r"7 \(disarm\)")],
+)
+@pytest.mark.virtual
+async def test_a_px4_that_falls_without_the_program_is_refused(action: float, word: str) -> None:
+    async with scripted(kind=Px4Script) as script:
+        script.parameters |= SAFE | {"COM_OBL_RC_ACT": action}
+        with pytest.raises(AutopilotRefused, match=f"COM_OBL_RC_ACT is {word}: the vehicle falls"):
+            await script.autopilot.inspect()
+
+
+@pytest.mark.parametrize(
+    ("result", "armed", "tries", "flown"),
+    [
+        (mavlink.MAV_RESULT_DENIED, False, 1, True),
+        (mavlink.MAV_RESULT_FAILED, False, 1, True),
+        (mavlink.MAV_RESULT_UNSUPPORTED, False, 1, False),
+        (mavlink.MAV_RESULT_UNSUPPORTED, True, 0, True),
+    ],
+)
+@pytest.mark.virtual
+async def test_targets_are_tried_on_a_disarmed_vehicle(
+    result: int, *, armed: bool, tries: int, flown: bool
+) -> None:
+    async with scripted(armed=armed) as script:
+        script.results[REPOSITION] = result
+        await script.autopilot.claim(resumes=armed)
+        trying = asyncio.ensure_future(require_reposition(script.autopilot.vehicle))
+        if flown:
+            await trying
+        else:
+            with pytest.raises(AutopilotRefused, match=r"ArduCopter 4\.6\.0, does not know"):
+                await trying
+        sent = script.commands(REPOSITION)
+        assert len(sent) == tries
+        for message in sent:
+            assert abs(message.x) > 90e7 and abs(message.y) > 180e7, "a place on no Earth"
+            assert message.param2 == 0, "it does not change the mode"

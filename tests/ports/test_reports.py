@@ -8,7 +8,17 @@ from collections.abc import Awaitable, Callable
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.played import played
-from tests.ports.scripted import FRAME, HOME_ABOVE_SEA_M, IN_AIR, ON_GROUND, SYSTEM, Script, landed, scripted
+from tests.ports.scripted import (
+    FRAME,
+    HOME_ABOVE_SEA_M,
+    IN_AIR,
+    ON_GROUND,
+    SYSTEM,
+    Px4Script,
+    Script,
+    landed,
+    scripted,
+)
 
 from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.control import Owner
@@ -22,6 +32,7 @@ from upwash.eventlog.schema import (
     PositionDoubted,
     VehicleSaid,
 )
+from upwash.mavlink.px4 import CURRENT_MODE
 from upwash.sim.loop import run_virtually
 
 HERE = Position(30.0, 40.0, 10.0)
@@ -59,6 +70,44 @@ async def test_the_driver_is_a_companion_computer_of_the_vehicles_system(script:
         4,
     )
     assert beat.mavlink_version == 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "own_hz"),
+    [
+        (
+            Script,
+            {
+                "HEARTBEAT": 10.0,
+                "POSITION_TARGET_LOCAL_NED": 5.0,
+                "SYS_STATUS": 1.0,
+                "EKF_STATUS_REPORT": 2.0,
+                "FENCE_STATUS": 2.0,
+                "WIND": 1.0,
+            },
+        ),
+        (Px4Script, {"CURRENT_MODE": 50.0, "SYS_STATUS": 2.0, "ESTIMATOR_STATUS": 2.0}),
+    ],
+)
+@pytest.mark.virtual
+async def test_each_report_is_asked_for_as_often_as_the_driver_needs_it(
+    kind: type[Script], own_hz: dict[str, float]
+) -> None:
+    async with scripted(kind=kind) as script:
+        asked = script.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)
+        names = {CURRENT_MODE: "CURRENT_MODE"} | {
+            number: known.msgname for number, known in mavlink.mavlink_map.items()
+        }
+        rates_hz = {names[int(message.param1)]: round(1e6 / message.param2, 3) for message in asked}
+        assert rates_hz == own_hz | {
+            "GLOBAL_POSITION_INT": 10.0,
+            "EXTENDED_SYS_STATE": 4.0,
+            "POSITION_TARGET_GLOBAL_INT": 5.0,
+            "ATTITUDE": 4.0,
+            "RC_CHANNELS": 5.0,
+            "GPS_RAW_INT": 1.0,
+            "SYSTEM_TIME": 1.0,
+        }
 
 
 @played(tell)

@@ -96,6 +96,10 @@ def test_a_target_nearby_is_taken_at_once_and_one_out_of_reach_is_not() -> None:
     point.aim(target(0.09), ground_speed_m_s=5.0)
     point.advance(STEP_S, vehicle=HERE)
     assert (point.position, point.ended) == (target(0.09), True)
+    point = SetpointCourse(Position(0.0, 0.0), Velocity(), Abilities())
+    point.aim(Position(0.1, 0.0), ground_speed_m_s=5.0)
+    point.advance(STEP_S, vehicle=point.position)
+    assert point.ended, "at the edge of what is nearby it does not stand still either"
     point = course()
     point.aim(target(0.2), ground_speed_m_s=5.0)
     point.advance(STEP_S, vehicle=HERE)
