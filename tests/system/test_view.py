@@ -168,7 +168,7 @@ def test_the_estimates_and_the_decision_are_told_in_words(
     page.seek(round(waited.result.at_s + waited.result.waited_s / 2, 1))
     assert "Call under way" in page.text(".now h3")
     so_far = f"{waited.result.waited_s / 2:.1f}"[:-1]
-    assert f": {so_far}" in page.text(".course")
+    assert f", {so_far}" in page.text(".course")
     assert page.text(".cause").startswith("Waits for s")
     assert "expected: " in page.text(".reasons")
     assert "decided: wait for" in page.text(".reasons")

@@ -36,9 +36,12 @@ def bar(*events: Event) -> tuple[str, str, str]:
     return last.who, last.tone, last.words
 
 
-def calling(*events: Event) -> facts.Calling:
-    *_, last = (fact for fact in told(events) if isinstance(fact, facts.Calling))
-    return last
+def calling(*events: Event) -> facts.Decision | None:
+    """The call under way after these events."""
+    known = told(events)
+    *_, last = (fact for fact in known if isinstance(fact, facts.Decision))
+    is_over = not last.words or last.number < sum(isinstance(fact, facts.Call) for fact in known)
+    return None if is_over else last
 
 
 def at(t: float, east_m: float, altitude_m: float, **more: object) -> Event:
@@ -109,34 +112,53 @@ DRONE = event("decided", 10.0, decision="local", local_s=10.7)
 
 
 @pytest.mark.parametrize(
-    ("events", "words", "since_s", "limit", "more"),
+    ("events", "doing", "from_s", "limit", "also_local"),
     [
-        ([REMOTE], "calling s1", 10.0, ("at most", 3.9), ""),
-        ([DRONE], "computing on the drone", 10.0, ("about", 10.7), ""),
-        ([event("decided", 10.0, decision="local")], "computing on the drone", 10.0, ("", None), ""),
-        ([WAIT], "waiting for s1", 10.0, ("at most", 4.0), ""),
+        ([REMOTE], "calling s1", 10.0, ("at most", 3.9), False),
+        ([DRONE], "computing on the drone", 10.0, ("about", 10.7), False),
+        ([event("decided", 10.0, decision="local")], "computing on the drone", 10.0, ("", None), False),
+        ([WAIT], "waiting for s1", 10.0, ("at most", 4.0), False),
         ([WAIT, AFTERWARDS],
-         "computing on the drone", 12.0, ("about", 10.7), ""),
+         "computing on the drone", 12.0, ("about", 10.7), False),
         ([REMOTE, HEDGED],
-         "calling s1", 10.0, ("at most", 5.0), ", also on the drone"),
-        ([REMOTE, FAILED], "s1 failed, computing on the drone", 13.0, ("about", 10.7), ""),
+         "calling s1", 10.0, ("at most", 5.0), True),
+        ([REMOTE, FAILED], "s1 failed, computing on the drone", 13.0, ("about", 10.7), False),
         ([REMOTE, HEDGED, FAILED],
-         "s1 failed, computing on the drone", 12.0, ("about", 10.7), ""),
+         "s1 failed, computing on the drone", 12.0, ("about", 10.7), False),
         ([DRONE, event("decided", 14.0, decision="remote", server="s1", deadline_s=2.0, local_s=10.7, raced=True)],
-         "calling s1", 14.0, ("at most", 2.0), ", also on the drone"),
-        ([REMOTE, event("remote_failed", 13.0, server="s2")], "calling s1", 10.0, ("at most", 3.9), ""),
-        ([REMOTE, event("call", 12.0), FAILED], "", 0.0, ("", None), ""),
-        ([REMOTE, event("answer_taken", 12.0)], "calling s1", 10.0, ("at most", 3.9), ""),
-        ([REMOTE, event("answer_taken", 12.0, failed="it raised")], "", 0.0, ("", None), ""),
-        ([REMOTE, event("control", 12.0, owner="pilot")], "", 0.0, ("", None), ""),
-        ([REMOTE, event("mission_ended", 12.0)], "", 0.0, ("", None), ""),
+         "calling s1", 14.0, ("at most", 2.0), True),
+        ([REMOTE, event("remote_failed", 13.0, server="s2")], "calling s1", 10.0, ("at most", 3.9), False),
+        ([REMOTE, event("answer_taken", 12.0)], "calling s1", 10.0, ("at most", 3.9), False),
+        ([WAIT, FAILED], "waiting for s1", 10.0, ("at most", 4.0), False),
+        ([DRONE, event("decided", 30.0, decision="local", local_s=10.7)],
+         "computing on the drone", 30.0, ("about", 10.7), False),
     ],
 )  # fmt: skip
-def test_the_call_under_way_is_told_with_its_bound_until_it_ends(
-    events: list[Event], words: str, since_s: float, limit: tuple[str, float | None], more: str
+def test_the_call_under_way_is_told_with_its_bound(
+    events: list[Event], doing: str, from_s: float, limit: tuple[str, float | None], also_local: bool
 ) -> None:
     now = calling(*FLIES, *events)
-    assert (now.words, now.since_s, (now.bound, now.limit_s), now.more) == (words, since_s, limit, more)
+    assert now is not None
+    assert (now.doing, now.from_s, (now.bound, now.limit_s), now.also_local) == (
+        doing,
+        from_s,
+        limit,
+        also_local,
+    )
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        [event("call", 12.0), FAILED],
+        [event("answer_taken", 12.0, failed="it raised")],
+        [event("control", 12.0, owner="pilot")],
+        [event("mission_ended", 12.0)],
+        [event("log_resumed", 12.0)],
+    ],
+)
+def test_no_call_is_under_way_once_it_has_ended(events: list[Event]) -> None:
+    assert calling(*FLIES, REMOTE, *events) is None
 
 
 def test_the_battery_has_the_vehicles_own_stages() -> None:

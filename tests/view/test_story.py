@@ -114,10 +114,8 @@ def test_what_is_decided_is_told_with_its_estimates(told: list[Fact], log: Path)
     for decision, each in zip(those(facts.Decision, told), decided, strict=True):
         assert f"{each.local_s:.2f} s" in decision.words[1]
         assert each.selected is None or each.why in decision.words[2]
-        assert (decision.place, decision.at_most_s) == (
-            each.server or "local",
-            each.deadline_s or each.at_most_s,
-        )
+        assert decision.doing.endswith(each.server or "computing on the drone")
+        assert decision.limit_s == (each.deadline_s or each.at_most_s or each.local_s)
 
 
 def test_a_program_that_takes_a_flight_up_again_knows_no_states() -> None:
@@ -198,24 +196,32 @@ def test_a_call_in_trouble_is_told_anew_with_what_it_may_take_from_when() -> Non
             course.at_s,
             course.from_s,
             course.began_s,
-            course.place,
-            course.at_most_s,
+            course.doing,
+            course.limit_s,
             course.also_local,
             course.words[0],
         )
         for course in those(facts.Decision, told)
     ] == [
-        (10.0, 10.0, 10.0, "s1", 2.8, False, "Runs on s1, ready since 0:02."),
+        (10.0, 10.0, 10.0, "calling s1", 2.8, False, "Runs on s1, ready since 0:02."),
         (
             10.6,
             10.0,
             10.0,
-            "s1",
+            "calling s1",
             10.6,
             True,
             "Runs on s1 and on the drone, as s1 had not answered after 0.60 s.",
         ),
-        (12.0, 12.0, 10.0, "local", None, False, "Runs on the drone because s1 gave no answer."),
+        (
+            12.0,
+            10.6,
+            10.0,
+            "s1 failed, computing on the drone",
+            10.0,
+            False,
+            "Runs on the drone because s1 gave no answer.",
+        ),
     ]
     (call,) = those(facts.Call, told)
     assert [(estimate.place, estimate.call_s) for estimate in call.estimates] == [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from upwash.core.geo import Circle, Measured, Position, Reach, ground_distance_m
 from upwash.core.knowledge.servers import CHECKING, State
@@ -15,6 +15,7 @@ from upwash.eventlog.schema import Event
 
 _REMEMBERED_S = 60.0  # how long the drone believes a server without a free slot
 _NO_ANSWER = "no answer"
+_ALONE = "computing on the drone"
 _OUT_OF_RANGE = "out of range"
 _WITHOUT_FIGURES = (_OUT_OF_RANGE, "failed or was slow")  # of a decision: its estimates decided nothing
 _RAISED = {
@@ -170,39 +171,74 @@ class Standings:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Where a call is now: at a `server`, or on the drone without one, and why, in a sentence.
+    """Where a call is now, as what is `doing`, and why, in a sentence; it began at `began_s` of the log.
 
-    From `from_s` of the log on the server has `at_most_s`, and the drone as long as it takes. `waits` for the server
-    to be ready, and `also_local` if the drone computes the call too.
+    It is at a `server`, or on the drone without one. From `asked_s` on the server has `at_most_s`, and may only have
+    to become ready if the call `waits`. The drone computes it since `alone_from_s`; None if it does not.
     """
 
+    doing: str
     sentence: str
-    from_s: float
+    began_s: float
     server: str | None = None
+    asked_s: float = 0.0
     at_most_s: float | None = None
     waits: bool = False
-    also_local: bool = False
+    alone_from_s: float | None = None
+
+    @property
+    def from_s(self) -> float:
+        """Since when it is where it is."""
+        if self.server is None and self.alone_from_s is not None:
+            return self.alone_from_s
+        return self.asked_s
+
+    def may_become(self, decided: schema.Decided) -> bool:
+        """Whether the decision is about this call. Otherwise this call has failed, and no event says so."""
+        return self.waits or (self.server is None and decided.raced)
 
 
-def course_of(decision: Considered, event: Event) -> Course | None:
-    """Where the open call is from the event on, after that decision; None where the event changes nothing."""
+def course_after(event: Event, decision: Considered, before: Course | None) -> Course | None:
+    """Where the open call is from the event on, after that decision; the same as `before` if that changes nothing."""
     decided, now_s = decision.decided, event.t
+    if isinstance(event, schema.Decided):
+        return _decided(decision, before if before is not None and before.may_become(decided) else None)
+    if before is None or decided.decision != "remote":
+        return before
     match event:
+        case schema.Hedged(server=before.server as name, after_s=after_s):
+            words = f"Runs on {name} and on the drone, as {name} had not answered after {after_s:.2f} s"
+            return replace(before, sentence=words, at_most_s=event.deadline_s, alone_from_s=now_s)
+        case schema.RemoteFailed(server=before.server) | schema.RemoteRaised(server=before.server):
+            return _left(before, event, f"{before.server} failed, {_ALONE}")
+        case schema.TurnOver(server=before.server):
+            return _left(before, event, _ALONE)
+    return before
+
+
+def _decided(decision: Considered, before: Course | None) -> Course:
+    decided, now_s = decision.decided, decision.decided.t
+    began_s = now_s if before is None else before.began_s
+    match decided:
         case schema.Decided(decision="wait", server=server, at_most_s=at_most_s):
             words = f"Waits for {server}, {_checked(decision)}: {_against(decision)}"
-            return Course(words, now_s, server, at_most_s, waits=True)
+            return Course(f"waiting for {server}", words, began_s, server, now_s, at_most_s, waits=True)
         case schema.Decided(decision="remote", server=server, deadline_s=deadline_s, raced=raced):
             words = f"Runs on {server}, {_readiness(decision)}" + (", and on the drone" if raced else "")
-            return Course(words, now_s, server, deadline_s, also_local=raced)
-        case schema.Decided():
-            return Course(f"Runs on the drone{_because(_drone_cause(decision))}", now_s)
-        case schema.Hedged(server=server, after_s=after_s) if server == decided.server:
-            words = f"Runs on {server} and on the drone, as {server} had not answered after {after_s:.2f} s"
-            return Course(words, decided.t, server, event.deadline_s, also_local=True)
-        case schema.RemoteFailed() | schema.RemoteRaised() | schema.TurnOver():
-            if decided.decision == "remote" and event.server == decided.server:
-                return Course(f"Runs on the drone because {_failure(event.server, '', [event])}", now_s)
-    return None
+            began_alone_s = None if before is None else before.alone_from_s
+            alone_from_s = (now_s if began_alone_s is None else began_alone_s) if raced else None
+            return Course(
+                f"calling {server}", words, began_s, server, now_s, deadline_s, alone_from_s=alone_from_s
+            )
+    words = f"Runs on the drone{_because(_drone_cause(decision))}"
+    return Course(_ALONE, words, began_s, alone_from_s=now_s)
+
+
+def _left(before: Course, event: Event, doing: str) -> Course:
+    """The call without the server that had it."""
+    words = f"Runs on the drone because {_failure(before.server, '', [event])}"
+    alone_from_s = event.t if before.alone_from_s is None else before.alone_from_s
+    return Course(doing, words, before.began_s, alone_from_s=alone_from_s)
 
 
 # --- a call that is over ----------------------------------------------------------------------------------------

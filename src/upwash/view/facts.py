@@ -129,16 +129,6 @@ class Stages(Fact, frozen=True):
     critical_percent: float | None = None
 
 
-class Calling(Fact, frozen=True):
-    """A call is under way since `since_s`, for `at most` or `about` `limit_s`. Without `words` the call is over."""
-
-    words: str
-    since_s: float
-    bound: str = ""
-    limit_s: float | None = None
-    more: str = ""
-
-
 class Step(Fact, frozen=True):
     """A server came into a state."""
 
@@ -160,20 +150,20 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class Decision(Fact, frozen=True):
     """Where the call of that `number`, counted from 0, is from now on, with why, in sentences, and the estimates.
 
-    The call began at `began_s`. At a server it may take `at_most_s` from `from_s` on. It `waits` if the server is
-    not ready, and is `also_local` if the drone computes it too.
+    The call began at `began_s`. What is `doing` is done since `from_s`, for `at most` or `about` `limit_s`; it is
+    `also_local` if the drone computes the call too. Without `words` no call is under way.
     """
 
     number: int
-    operation: str
     waypoint: int | None
-    words: Sequence[str]
-    estimates: Sequence[Estimate]
-    began_s: float
-    from_s: float
-    place: str
-    at_most_s: float | None = None
-    waits: bool = False
+    operation: str = ""
+    words: Sequence[str] = ()
+    estimates: Sequence[Estimate] = ()
+    began_s: float = 0.0
+    from_s: float = 0.0
+    doing: str = ""
+    bound: str = ""
+    limit_s: float | None = None
     also_local: bool = False
 
 

@@ -1,10 +1,9 @@
-"""A drone's state at a glance, event by event: who has the vehicle, what it does, and the call under way."""
+"""A drone's state at a glance, event by event: who has the vehicle, and what it does."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.control import Owner
@@ -121,70 +120,3 @@ class Control:
             descends = report.altitude_m < self._highest_m - _DESCENDS_M
             if descends and ground_distance_m(here, self._home) <= _AT_HOME_M:
                 self._phase = "landing"
-
-
-@dataclass(frozen=True, slots=True)
-class Calling:
-    """The call under way: what is done, since when, and the `limit_s` that it takes `at most` or `about`.
-
-    Without `words` there is none; `more` is what is done besides.
-    """
-
-    words: str = ""
-    since_s: float = 0.0
-    bound: str = ""
-    limit_s: float | None = None
-    more: str = ""
-
-
-class CallUnderWay:
-    """Follows the last call that began: at its place, while the drone joins in, and after the server failed."""
-
-    def __init__(self) -> None:
-        self.now = Calling()
-        self._server: str | None = None
-        self._alone = Calling()  # on the drone
-
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
-        match event:
-            case schema.Decided():
-                self._begin(event)
-            case schema.Hedged(server=server, deadline_s=deadline_s) if self._is_at(server):
-                self._alone = replace(self._alone, since_s=event.t)
-                self.now = replace(self.now, limit_s=deadline_s, more=", also on the drone")
-            case schema.RemoteFailed(server=server) | schema.RemoteRaised(server=server) if self._is_at(
-                server
-            ):
-                since_s = self._alone.since_s if self.now.more else event.t
-                self._server = None
-                self.now = replace(
-                    self._alone, words=f"{server} failed, {self._alone.words}", since_s=since_s
-                )
-            case schema.Call() | schema.MissionCompleted() | schema.MissionEnded() | schema.LogResumed():
-                self._end()
-            case schema.AnswerTaken(failed=why) if why:  # no event reports the end of a failed call
-                self._end()
-            case schema.ControlChanged(owner=owner) if owner is not Owner.PROGRAM:
-                self._end()
-
-    def _is_at(self, server: str) -> bool:
-        return self._server == server and bool(self.now.words)
-
-    def _begin(self, decided: schema.Decided) -> None:
-        computes = bool(self.now.words) and self.now == self._alone
-        began_s = self._alone.since_s if computes else decided.t
-        bound = "" if decided.local_s is None else "about"
-        self._alone = Calling("computing on the drone", began_s, bound, decided.local_s)
-        self._server = decided.server
-        match decided:
-            case schema.Decided(decision="remote", server=server, deadline_s=limit_s, raced=raced):
-                more = ", also on the drone" if raced else ""
-                self.now = Calling(f"calling {server}", decided.t, "at most", limit_s, more)
-            case schema.Decided(decision="wait", server=server, at_most_s=limit_s):
-                self.now = Calling(f"waiting for {server}", decided.t, "at most", limit_s)
-            case _:
-                self.now = self._alone
-
-    def _end(self) -> None:
-        self.now, self._server = Calling(), None

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict
 from datetime import datetime
 
 import msgspec
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.knowledge.servers import CHECKING, State
-from upwash.core.operation import ON_DRONE, name_of
+from upwash.core.operation import ON_DRONE
+from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
-from upwash.eventlog.causes import Considered, course_of
+from upwash.eventlog.causes import Considered, Course, course_after
 from upwash.eventlog.narration import MEANINGS, Narrator, tone_of
 from upwash.eventlog.notices import Notice, Notices
 from upwash.eventlog.progress import CallPlaces, MissionTime
@@ -25,7 +25,7 @@ from upwash.report.record import place_of
 from upwash.support.text import by_name
 from upwash.view import facts
 from upwash.view.facts import Fact
-from upwash.view.state import CallUnderWay, Control
+from upwash.view.state import Control
 
 _CORNERS = 4
 _ON_CALLS = (schema.Decided, schema.Hedged, schema.RemoteFailed, schema.RemoteRaised, schema.TurnOver)
@@ -59,10 +59,9 @@ class Story:
         self._place: Position | None = None
         self._placed_s = 0.0
         self._control = Control()
-        self._call_under_way = CallUnderWay()
         self._doing: tuple[str, int, str, str] | None = None
         self._vehicle = facts.Vehicle(at_s=0.0)
-        self._calling = self._call_under_way.now
+        self._course: Course | None = None
         self._servers: set[str] = set()
         self._left_out = ""
         self._unfinished: list[ExplainedCall] = []  # they name servers that are still left alone
@@ -204,11 +203,10 @@ class Story:
         if self._beginning.at_s != began_s:
             yield facts.Began(at_s=self._now_s, policy=self._policy, drone=self.drone or "")
         self._control.take(event)
-        self._call_under_way.take(event)
         yield from self._state(event)
 
     def _state(self, event: Event) -> Iterator[Fact]:
-        """What is new of the vehicle, of what it does and of the call under way."""
+        """What is new of the vehicle and of what it does."""
         control, vehicle = self._control, self._vehicle
         now = facts.Vehicle(
             at_s=vehicle.at_s,
@@ -228,9 +226,6 @@ class Story:
             self._doing = doing
             words, reached, who, tone = doing
             yield facts.Doing(at_s=self._now_s, words=words, reached=reached, who=who, tone=tone)
-        if (calling := self._call_under_way.now) != self._calling:
-            self._calling = calling
-            yield facts.Calling(at_s=self._now_s, **asdict(calling))
 
     def _measured(self, server: str, place: schema.MeasuredRecord) -> facts.Measured:
         return facts.Measured(
@@ -265,25 +260,36 @@ class Story:
         )
 
     def _under_way(self, event: Event) -> Iterator[Fact]:
-        """The place of the open call, if the event changes it."""
-        decisions = self._reasons.under_way if isinstance(event, _ON_CALLS) else ()
-        course = course_of(decisions[-1], event) if decisions else None
-        if course is None:
+        """Where the open call is, if the event changes that."""
+        before = self._course
+        if isinstance(event, _ON_CALLS):
+            decisions = self._reasons.under_way
+            self._course = course_after(event, decisions[-1], before) if decisions else None
+        elif _ends_call(event):
+            self._course = None
+        if self._course is before or isinstance(event, schema.Call):  # which tells by itself that it is over
             return
-        decided = decisions[-1].decided
-        yield facts.Decision(
+        if self._course is None:
+            yield facts.Decision(at_s=self._now_s, number=self._reasons.ended, waypoint=None)
+        else:
+            yield self._decision(self._course, decisions[-1])
+
+    def _decision(self, course: Course, decision: Considered) -> facts.Decision:
+        decided, alone = decision.decided, course.server is None
+        limit_s = decided.local_s if alone else course.at_most_s
+        return facts.Decision(
             at_s=self._now_s,
             number=self._reasons.ended,
             operation=decided.operation,
             waypoint=self._calls_at.of_call_under_way,
             words=[f"{course.sentence}.", *decision_lines(decided)],
-            estimates=_estimates(decisions[-1]),
-            began_s=decisions[0].decided.t,
+            estimates=_estimates(decision),
+            began_s=course.began_s,
             from_s=course.from_s,
-            place=name_of(course.server),
-            at_most_s=course.at_most_s,
-            waits=course.waits,
-            also_local=course.also_local,
+            doing=course.doing,
+            bound="" if limit_s is None else "about" if alone else "at most",
+            limit_s=limit_s,
+            also_local=not alone and course.alone_from_s is not None,
         )
 
     def _amended(self, event: Event, explained: ExplainedCall | ExplainedAnswer | None) -> Iterator[Fact]:
@@ -372,3 +378,15 @@ def _estimates(decision: Considered) -> Sequence[facts.Estimate]:
         return local
     there = facts.Estimate(place=decided.selected, call_s=decided.remote_s, wait_s=decision.wait_s)
     return [*local, there]
+
+
+def _ends_call(event: Event) -> bool:
+    """Whether no call is under way after it."""
+    match event:
+        case schema.Call() | schema.MissionCompleted() | schema.MissionEnded() | schema.LogResumed():
+            return True
+        case schema.AnswerTaken(failed=why):  # no event reports the end of a failed call
+            return bool(why)
+        case schema.ControlChanged(owner=owner):
+            return owner is not Owner.PROGRAM
+    return False

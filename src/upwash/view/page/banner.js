@@ -2,9 +2,7 @@
 
 import { told } from "./clock.js";
 import { element, write } from "./element.js";
-import { byUrgency } from "./story.js";
-
-const SILENT_S = 5; // a flight tells where it is every second
+import { STALE_S, byUrgency } from "./story.js";
 
 export class Banner {
   constructor(alarms, cautions) {
@@ -49,7 +47,7 @@ class Notice {
 // What holds at the moment.
 function noticesOf(moment, live) {
   const silentS = live && moment.story.goesOn && moment.isLatest ? moment.story.silentS(Date.now() / 1000) : 0;
-  if (silentS <= SILENT_S) return moment.notices;
+  if (silentS <= STALE_S) return moment.notices;
   const cause = `No news of the flight for ${told(silentS)}`;
   const action = "Look whether its program runs.";
   return [{ level: "alarm", rank: -1, at_s: 0, since_s: null, cause, action }, ...moment.notices];

@@ -1,9 +1,10 @@
 // The state of a flight for a person who looks for half a second: who has the vehicle, what it does, and how it is.
 
 import { told } from "./clock.js";
+import { courseOf } from "./decision.js";
 import { drawn, element, write } from "./element.js";
+import { STALE_S } from "./story.js";
 
-const STALE_S = 5; // what the vehicle told longer ago says nothing about now
 const LOW_PERCENT = 30; // of a battery whose vehicle does not tell its own stages
 const CRITICAL_PERCENT = 20;
 const WEAK_FIXES = new Set(["none", "2d"]);
@@ -29,11 +30,11 @@ export class Bar {
   show(moment, name) {
     const { story, reached } = moment;
     const doing = moment.last("doing");
-    const calling = moment.calling;
+    const calling = moment.underWay;
     this.element.className = `bar ${doing?.tone ?? "ground"}${calling ? " calling" : ""}`;
     write(this.who, doing?.who ?? "WAITING");
-    write(this.words, calling ? calling.words : inWords(moment));
-    write(this.passing, (calling ? [duration(moment, calling)] : figures(moment, doing)).filter(Boolean).join(" · "));
+    write(this.words, calling ? calling.doing : inWords(moment));
+    write(this.passing, (calling ? [courseOf(calling, moment)] : figures(moment, doing)).filter(Boolean).join(" · "));
     this.words.classList.toggle("alone", !calling && Boolean(this.passing.textContent));
     write(this.aside, [name, ...beside(moment, doing, calling)].filter(Boolean).join(" · "));
     this.progress.hidden = !story.waypoints;
@@ -91,12 +92,6 @@ export function inWords(moment) {
   if (moment.isOver && doing.tone === "ground") return moment.story.isCompleted ? "mission completed" : "mission ended early";
   const others = doing.tone === "person" || doing.who === "FAIL-SAFE";
   return doing.words || (others ? (moment.last("vehicle")?.mode ?? "") : "");
-}
-
-// "3.1 of at most 3.9 s, also on the drone"
-function duration(moment, { since_s, bound, limit_s, more = "" }) {
-  const limit = limit_s === undefined ? "" : ` of ${bound} ${limit_s.toFixed(1)}`;
-  return `, ${Math.max(0, moment.atS - since_s).toFixed(1)}${limit} s${more}`;
 }
 
 // How high it is, when it is on the ground, and what a fail-safe may be about.

@@ -2,7 +2,9 @@
 // expected to take.
 
 import { element, write } from "./element.js";
-import { nameOf, theNameOf } from "./places.js";
+import { nameOf } from "./places.js";
+
+const OTHERS = "Other policies, with the same server in use, would expect:";
 
 export class DecisionCard {
   #shown = null;
@@ -13,9 +15,10 @@ export class DecisionCard {
     this.course = element("p", { class: "course" });
     this.cause = element("p", { class: "cause" });
     this.bars = element("dl", { class: "bars" });
+    this.others = element("div", { class: "others" });
     this.reasons = element("ul", { class: "reasons" });
     this.element = element(
-      "section", { class: "card now" }, this.heading, this.course, this.cause, this.bars, this.reasons,
+      "section", { class: "card now" }, this.heading, this.course, this.cause, this.bars, this.others, this.reasons,
     );
   }
 
@@ -23,7 +26,7 @@ export class DecisionCard {
     const decision = moment.underWay;
     const about = decision ?? moment.last("call");
     write(this.heading, headingOf(about, decision));
-    write(this.course, decision ? courseOf(decision, moment) : "");
+    write(this.course, decision ? wholeCourse(decision, moment) : "");
     const going = moment.last("going");
     const gone = decision && going && going.at_s >= decision.began_s && going.waypoint === decision.waypoint;
     const [cause = "", ...words] = about?.words ?? [];
@@ -33,6 +36,7 @@ export class DecisionCard {
     this.#shown = shown;
     write(this.cause, cause);
     this.#drawBars(about);
+    this.others.replaceChildren(...(about ? othersOf(about, this.places) : []));
     this.reasons.replaceChildren(...words.map((each) => element("li", {}, each)));
   }
 
@@ -67,16 +71,26 @@ function headingOf(about, decision) {
   return `${decision ? "Call under way" : "Last call"}: ${about.operation} ${where}`;
 }
 
-// Where a call is, and the seconds so far of those that it may take at most.
-export function courseOf(decision, moment) {
-  const { place, waits, from_s, began_s, at_most_s, also_local } = decision;
-  const since = (atS) => Math.max(0, moment.atS - atS).toFixed(1);
-  const begun = from_s > began_s ? `, ${since(began_s)} s since the call began` : "";
-  if (place !== "local") {
-    const most = at_most_s === undefined || at_most_s === null ? "" : ` of at most ${at_most_s.toFixed(1)}`;
-    const also = also_local ? ", also on the drone" : "";
-    return `${waits ? "waiting for" : "on"} ${place}: ${since(from_s)}${most} s${also}${begun}`;
-  }
-  const expected = decision.estimates.find((estimate) => estimate.place === "local");
-  return `on ${theNameOf(place)}: ${since(from_s)} s${expected ? `, ${expected.call_s.toFixed(1)} s expected` : ""}${begun}`;
+// For how long it is where it is, of how long at most or about: "3.1 of at most 3.9 s, also on the drone".
+export function courseOf({ from_s, bound, limit_s, also_local }, moment) {
+  const limit = limit_s === undefined ? "" : ` of ${bound} ${limit_s.toFixed(1)}`;
+  return `, ${secondsSince(from_s, moment)}${limit} s${also_local ? ", also on the drone" : ""}`;
+}
+
+function secondsSince(atS, moment) {
+  return Math.max(0, moment.atS - atS).toFixed(1);
+}
+
+function wholeCourse(decision, moment) {
+  const begun = decision.from_s > decision.began_s;
+  const since = begun ? `, ${secondsSince(decision.began_s, moment)} s since the call began` : "";
+  return `${decision.doing}${courseOf(decision, moment)}${since}`;
+}
+
+// What other policies would have decided, where that is another place.
+function othersOf({ others = [] }, places) {
+  const items = others.map(([policy, place, expectedS]) =>
+    element("li", {}, places.icon(place), ` ${policy}: ${nameOf(place)}, ${expectedS.toFixed(1)} s`),
+  );
+  return items.length ? [element("p", {}, OTHERS), element("ul", {}, ...items)] : [];
 }

@@ -9,11 +9,11 @@ import { Fleet } from "./fleet.js";
 import { Flight } from "./flight.js";
 import { FlightMap } from "./map.js";
 import { Colours, Places } from "./places.js";
+import { STALE_S } from "./story.js";
 import { align } from "./timeline.js";
 
 const KEY_S = 5; // that an arrow key moves
 const GLIMPSE_MS = 2000;
-const SILENT_S = 5; // a flight tells where it is every second
 const PHONE_PX = 480; // where more than the moment would leave the slider no room
 const MOST_BESIDE = 3; // flights; of more one is shown at a time
 
@@ -159,7 +159,7 @@ function timeOfDay() {
 function showMode() {
   const live = feed.open ? feed.stories.filter((story) => story.goesOn) : [];
   const silentS = Math.min(...live.map((story) => story.silentS(Date.now() / 1000)));
-  const silent = live.length > 0 && silentS > SILENT_S;
+  const silent = live.length > 0 && silentS > STALE_S;
   write(on("mode"), !live.length ? "playback" : silent ? `no news for ${told(silentS)}` : "live");
   on("mode").className = !live.length ? "state" : silent ? "state checking" : "state ready";
 }

@@ -1,9 +1,9 @@
 // What lies ahead of a flight that the program flies: when it ends, which server it uses and which is next, what was saved.
 
 import { told } from "./clock.js";
+import { STALE_S } from "./story.js";
 
 const ON_TIME = 0.01; // of the mission: a difference from the forecast that is not worth a word
-const STALE_S = 5; // a round trip longer ago says nothing about now
 
 // Empty where nothing of it holds: unless the program flies the mission, and after one that ended early.
 export function outlook(moment) {

@@ -4,7 +4,8 @@ import { told } from "./clock.js";
 import { byName } from "./places.js";
 import { Totals, countUntil } from "./totals.js";
 
-const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "calling", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
+export const STALE_S = 5; // a flight tells where it is every second: what it told longer ago says nothing about now
 const OVER_S = 3600; // without news, after which a flight is over, whatever its log says last
 const MOVED_M = 0.5; // less may be the position's noise
 
@@ -216,10 +217,10 @@ export class Moment {
     return this.story[kind][this.count(kind) - 1] ?? null;
   }
 
-  // Where the call is now that is not over.
+  // Where the call is now that is not over; null without one.
   get underWay() {
-    const decision = this.last("decision");
-    return decision && decision.number >= this.count("call") && !this.isOver ? decision : null;
+    const decision = this.isOver ? null : this.last("decision");
+    return decision?.words && decision.number >= this.count("call") ? decision : null;
   }
 
   step(server) {
@@ -277,12 +278,6 @@ export class Moment {
       else held.delete(notice.key);
     }
     return [...held.values()].sort(byUrgency);
-  }
-
-  // The call under way; null without one.
-  get calling() {
-    const calling = this.isOver ? null : this.last("calling");
-    return calling?.words ? calling : null;
   }
 
   // That the vehicle is not heard; undefined while it is, or where nobody listens.
