@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from upwash.lab.figures.style import SHAPES, in_style
+from upwash.lab.figures.style import in_style
 from upwash.report.palette import LIGHT
 
-_MARKS = tuple(zip(LIGHT.places[1:], SHAPES, strict=True))
+_MARKS = tuple(zip(LIGHT.places[1:], "s^DvpPXh", strict=True))
 _BREAK, _LEAST, _MOST = 80.0, -4.0, 101.5  # percent: where the scale changes, and where it begins and ends
 _COARSER = 6.0  # times, below the break
 _TICKS = (0, 20, 40, 60, 80, 85, 90, 95, 100)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -199,7 +200,7 @@ def draw_campaign(
 ) -> None:
     """Draws the mission times of every combination that has a completed mission; nothing where none has.
 
-    Over one numeric setting they are a line, over other settings a dot for each combination.
+    Over one numeric setting they are a line, over other settings a dot for each combination, named by what varies.
     """
     from upwash.lab.figures.means import DrawnMean, draw_means, draw_sweep
 
@@ -207,10 +208,16 @@ def draw_campaign(
     if not flown:
         return
     first_s = _times_s(rows, summaries[0])
+    several = len(summaries) > 1
+    common = [
+        setting
+        for setting in _settings(sweep, summaries[0])
+        if several and all(setting in _settings(sweep, summary) for summary in summaries)
+    ]
     drawn = [
         DrawnMean(
-            sweep.file.stem,
-            ", ".join(_settings(sweep, summary)),
+            ", ".join([sweep.file.stem, *common]),
+            ", ".join(setting for setting in _settings(sweep, summary) if setting not in common) or "all",
             summary.mission_time_s,
             None if summary is summaries[0] else mean_saving(first_s, _times_s(rows, summary)),
             summary.bound_s,
@@ -222,7 +229,7 @@ def draw_campaign(
         numbers = [float(summary.values[0]) for summary in flown] if len(sweep.keys) == 1 else []
     except ValueError:
         numbers = []
-    if len(numbers) > 1:
+    if len(numbers) > 1 and all(map(math.isfinite, numbers)):
         draw_sweep(numbers, drawn, files, key=sweep.keys[0])
     else:
         draw_means(drawn, files)

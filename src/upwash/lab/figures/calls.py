@@ -16,7 +16,17 @@ from upwash.core.knowledge.servers import CHECKING
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
-from upwash.lab.figures.style import PAGE_IN, SHAPES, grid, in_style, legend, new_figure, write
+from upwash.lab.figures.style import (
+    PAGE_IN,
+    SHAPES,
+    few_ticks,
+    grid,
+    in_style,
+    legend,
+    new_figure,
+    wrapped,
+    write,
+)
 from upwash.report.palette import LIGHT
 from upwash.support.text import by_name
 
@@ -73,22 +83,23 @@ class Strip:
 
 
 def strips(events: Iterable[Event], calls: Iterable[CallPoint]) -> list[Strip]:
-    """The strips of the servers that the mission knew, by name."""
+    """The strips of the servers that the mission knew, by name; one without a range has none that is pale."""
     plan = next((event for event in events if isinstance(event, schema.Planned)), schema.Planned(t=0.0))
-    ran_at: dict[str | None, set[int]] = {}
+    ran_at: dict[str, set[int]] = {server: set() for server in (*plan.ranges, *plan.measured)}
     for call in calls:
-        ran_at.setdefault(call.server, set()).add(call.waypoint)
+        if call.server is not None:
+            ran_at.setdefault(call.server, set()).add(call.waypoint)
     return [
         Strip(
             server,
             _runs(
                 index
                 for index, (east_m, north_m) in enumerate(plan.waypoints_m)
-                if plan.ranges[server].contains(Position(east_m, north_m))
+                if server in plan.ranges and plan.ranges[server].contains(Position(east_m, north_m))
             ),
-            _runs(ran_at.get(server, set())),
+            _runs(ran_at[server]),
         )
-        for server in sorted(plan.ranges, key=by_name)
+        for server in sorted(ran_at, key=by_name)
     ]
 
 
@@ -102,7 +113,9 @@ def _runs(waypoints: Iterable[int]) -> list[tuple[int, int]]:
     return found
 
 
-_DELAYS_IN, _STRIP_IN, _REST_IN = 1.9, 0.17, 0.9
+_DELAYS_IN, _STRIP_IN, _LINE_IN, _REST_IN = 1.9, 0.17, 0.13, 0.6
+_LONGEST_NAME, _LONGEST_TITLE = 24, 100  # characters of a line
+_TICKS = 10
 _BAND = (5, 95)  # percent of the missions
 _WAITS: Mapping[DrawnWait, Mapping[str, Any]] = {  # marks around the call's own: each has a shape
     DrawnWait.WAITED: {
@@ -138,19 +151,27 @@ def draw_call_delays(
     """
     calls, alone = list(read_call_points(events)), list(read_call_points(reference))
     servers = strips(events, calls)
-    strips_in = _STRIP_IN * max(1, len(servers))
-    figure = new_figure(PAGE_IN, _DELAYS_IN + strips_in + _REST_IN)
-    delays, beneath = figure.subplots(2, 1, sharex=True, height_ratios=(_DELAYS_IN, strips_in))
+    names = [wrapped(strip.server, _LONGEST_NAME) for strip in servers]
+    row_in = _STRIP_IN + _LINE_IN * max((name.count("\n") for name in names), default=0)
+    heights_in = [_DELAYS_IN, *([row_in * len(servers)] if servers else [])]
+    figure = new_figure(PAGE_IN, sum(heights_in) + _REST_IN)
+    columns = figure.subplots(len(heights_in), 1, sharex=True, squeeze=False, height_ratios=heights_in)
+    delays, lowest = columns[0, 0], columns[-1, 0]
     _draw_spread(delays, [list(read_call_points(other)) for other in others])
     _draw_delays(delays, calls, alone, [strip.server for strip in servers])
-    _draw_strips(beneath, servers)
+    if servers:
+        _draw_strips(lowest, servers)
+        lowest.set_yticks(range(len(servers)), names)
+        delays.tick_params(axis="x", length=0)
     last = max((call.waypoint for call in calls + alone), default=0)
     delays.set_xlim(-1.5, last + 1.5)
-    delays.set_title(title)
-    beneath.set_xlabel(
-        "waypoint; strips: pale where it is in range of the server, full where its call ran there"
+    few_ticks(lowest.xaxis, most=_TICKS, whole=True)
+    delays.set_title(wrapped(title, _LONGEST_TITLE))
+    meant = (
+        "; strips: pale where it is in range of the server, full where its call ran there" if servers else ""
     )
-    legend(figure, columns=4)
+    lowest.set_xlabel(f"waypoint{meant}")
+    legend(figure)
     write(figure, files)
 
 
@@ -180,7 +201,6 @@ def _draw_delays(
     highest_s = max((call.delay_s for call in (*calls, *alone)), default=1.0)
     axes.set_ylim(0, 1.1 * highest_s)
     axes.set_ylabel("call delay (s)")
-    axes.tick_params(axis="x", length=0)
     grid(axes, along="y")
 
 
@@ -217,7 +237,6 @@ def _draw_strips(axes: Axes, servers: Sequence[Strip]) -> None:
                 alpha=opacity,
                 linewidth=0,
             )
-    axes.set_ylim(max(1, len(servers)) - 0.4, -0.6)
-    axes.set_yticks(range(len(servers)), [strip.server for strip in servers])
+    axes.set_ylim(len(servers) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)

@@ -5,26 +5,56 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 from upwash.config import DroneConfig, server_areas
 from upwash.core.geo import Circle, Position
 from upwash.drone.preparation import order_of
-from upwash.lab.figures.style import COLUMN_IN, SHAPES, in_style, legend, new_figure, write
+from upwash.lab.figures.style import (
+    COLUMN_IN,
+    DASHES,
+    PAGE_IN,
+    SHAPES,
+    few_ticks,
+    in_style,
+    legend,
+    new_figure,
+    wrapped,
+    write,
+)
 from upwash.missions.bundled import load_specs
 from upwash.report.palette import LIGHT
+from upwash.support.text import by_name
 
-_HEIGHT_IN = 3.8
+_REST_IN = 0.6  # left of the map, and below it
+_LOW, _HIGH = 0.15, 1.4  # the map's height, of its width: at least and at most
+_WIDE = 0.5  # a map that is less high, of its width, takes a page
+_LONGEST_NAME, _LONGEST_TITLE = 20, 46  # characters of a line
+_TICKS = 6
+_ASIDE, _STEPS = 4, 9  # steps that a name may be moved sideways, and up or down
+_MARK_PT, _COVERED_PT = 1.5, 12.0  # around a waypoint, and how far a name is moved so as not to cover it
+_MOST_PT = 60.0  # of both together: a name that would be farther away is left out
+
+_SEVERAL, _NONE = -1, -2  # in place of a server's index
 
 
 @in_style
 def draw_coverage(config: DroneConfig, files: Iterable[Path], *, title: str = "") -> None:
     """Draws the map of the mission as it is flown."""
     places = [waypoint.position for waypoint in order_of(config, load_specs(config.services)).waypoints]
-    areas = {name: area for name, area in server_areas(config).items() if isinstance(area, Circle)}
-    figure = new_figure(COLUMN_IN, _HEIGHT_IN)
+    reaches = server_areas(config)
+    servers = sorted(reaches, key=by_name)  # which have their colours in this order, with a range or without
+    areas = {index: area for index, name in enumerate(servers) if isinstance(area := reaches[name], Circle)}
+    height = _height(places, areas.values())
+    width_in = COLUMN_IN if height >= _WIDE else PAGE_IN
+    figure = new_figure(width_in, _REST_IN + (width_in - _REST_IN) * min(_HIGH, max(_LOW, height)))
     axes = figure.subplots()
     for start, end in _straights(places):
         axes.annotate(
@@ -40,65 +70,134 @@ def draw_coverage(config: DroneConfig, files: Iterable[Path], *, title: str = ""
             },
         )
     _draw_areas(axes, areas)
-    _draw_waypoints(axes, places, areas)
-    axes.set_aspect("equal")
+    _draw_waypoints(axes, places, servers, areas)
+    axes.set_aspect("equal", adjustable="datalim")
+    few_ticks(axes.xaxis, most=_TICKS)
+    few_ticks(axes.yaxis, most=_TICKS)
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
-    axes.set_title(title)
-    legend(figure, columns=2)
+    axes.set_title(wrapped(title, _LONGEST_TITLE))
+    legend(figure, title="waypoints in range of", handlelength=3.6)
+    figure.draw_without_rendering()  # which settles where everything is
+    _name_areas(axes, places, servers, areas)
     write(figure, files)
 
 
-def _draw_areas(axes: Axes, areas: Mapping[str, Circle]) -> None:
-    for index, (name, area) in enumerate(areas.items()):
+def _height(places: Sequence[Position], areas: Iterable[Circle]) -> float:
+    """The height of all that is drawn, of its width."""
+    ends = [(place.east_m, place.north_m) for place in places]
+    for area in areas:
+        east_m, north_m, radius_m = area.centre.east_m, area.centre.north_m, area.radius_m
+        ends += [(east_m - radius_m, north_m - radius_m), (east_m + radius_m, north_m + radius_m)]
+    wide_m, high_m = np.ptp(ends, axis=0)
+    return float(high_m / wide_m) if wide_m else _HIGH
+
+
+def _draw_areas(axes: Axes, areas: Mapping[int, Circle]) -> None:
+    """Draw the ranges and their middles."""
+    for index, area in areas.items():
         angles = [math.tau * step / 180 for step in range(181)]
         axes.plot(
             [area.centre.east_m + area.radius_m * math.cos(angle) for angle in angles],
             [area.centre.north_m + area.radius_m * math.sin(angle) for angle in angles],
             color=LIGHT.of_server(index),
-            linestyle=(0, (5, 3)),
+            linestyle=DASHES[index % len(DASHES)],
             linewidth=1.0,
         )
-        axes.annotate(
-            name,
-            xy=(area.centre.east_m, area.centre.north_m),
+        axes.plot(
+            area.centre.east_m,
+            area.centre.north_m,
+            marker="+",
+            markersize=6,
+            markeredgewidth=1.4,
+            color=LIGHT.of_server(index),
+            zorder=5,
+        )
+
+
+def _name_areas(
+    axes: Axes, places: Sequence[Position], servers: Sequence[str], areas: Mapping[int, Circle]
+) -> None:
+    """Write the name of each server beside its middle: not over another name, and over as few waypoints as possible.
+
+    A name without room is left out; the legend has it.
+    """
+    centres = [area.centre for area in areas.values()]
+    to_pt = 72 / axes.figure.dpi
+    marks = axes.transData.transform([(at.east_m, at.north_m) for at in (*centres, *places)]) * to_pt
+    frame = np.array(axes.get_window_extent().get_points()) * to_pt
+    taken: list[Bbox] = []
+    for index, centre in zip(areas, marks, strict=False):
+        name = axes.annotate(
+            wrapped(servers[index], _LONGEST_NAME),
+            xy=(areas[index].centre.east_m, areas[index].centre.north_m),
+            xytext=(0, 0),
+            textcoords="offset points",
             ha="center",
             va="center",
             fontweight="bold",
             color=LIGHT.of_server(index),
             zorder=6,
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": LIGHT.paper, "edgecolor": "none", "alpha": 0.9},
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": LIGHT.paper, "edgecolor": "none", "alpha": 0.85},
+            arrowprops={"arrowstyle": "-", "color": LIGHT.of_server(index), "linewidth": 0.6, "shrinkB": 3},
         )
+        size_pt = np.array(Text.get_window_extent(name).size) * to_pt
+        best: tuple[float, Bbox, tuple[float, float] | None] = (_MOST_PT, Bbox.null(), None)
+        for moved in _ways(*size_pt):
+            low, high = centre + moved - size_pt / 2, centre + moved + size_pt / 2
+            box = Bbox([low, high])
+            if box.count_overlaps(taken) or (low < frame[0]).any() or (high > frame[1]).any():
+                continue
+            covered = np.all((marks > low - _MARK_PT) & (marks < high + _MARK_PT), axis=1).sum()
+            cost = _COVERED_PT * covered + math.hypot(*moved)
+            best = min(best, (cost, box, moved), key=itemgetter(0))
+        _, box, chosen = best
+        if chosen is None:
+            name.remove()
+        else:
+            taken.append(box)
+            name.set_position(chosen)
 
 
-def _draw_waypoints(axes: Axes, places: Sequence[Position], areas: Mapping[str, Circle]) -> None:
+def _ways(width_pt: float, height_pt: float) -> Iterator[tuple[float, float]]:
+    """How far a name may be moved."""
+    for right, up in itertools.product(range(-_ASIDE, 1 + _ASIDE), range(-_STEPS, 1 + _STEPS)):
+        yield right * width_pt / _ASIDE, up * height_pt / 2
+
+
+def _draw_waypoints(
+    axes: Axes, places: Sequence[Position], servers: Sequence[str], areas: Mapping[int, Circle]
+) -> None:
     """Draw a mark for each group: in one server's range, in several, in none."""
-    names = list(areas)
-    members: dict[int, list[Position]] = {}  # by the index of the only server; below 0 for several, and none
+    members: dict[int, list[Position]] = {}  # by the index of the only server
     for place in places:
-        covering = [index for index, name in enumerate(names) if areas[name].contains(place)]
-        members.setdefault(covering[0] if len(covering) == 1 else -1 if covering else -2, []).append(place)
+        covering = [index for index, area in areas.items() if area.contains(place)]
+        group = _NONE if not covering else _SEVERAL if len(covering) > 1 else covering[0]
+        members.setdefault(group, []).append(place)
     looks = {
-        **{
-            index: (f"in range of {name}", SHAPES[index % len(SHAPES)], LIGHT.of_server(index), "full")
-            for index, name in enumerate(names)
-        },
-        -1: ("in range of several", "o", LIGHT.ink, "full"),
-        -2: ("out of every range", "o", LIGHT.places[0], "hollow"),
+        **{index: (f"{servers[index]} alone", *_look(index)) for index in areas},
+        _SEVERAL: ("several", "o", "", LIGHT.ink, LIGHT.ink),
+        _NONE: ("none", "o", "", LIGHT.places[0], LIGHT.paper),
     }
-    for group in sorted(members, key=lambda index: (index < 0, abs(index))):
-        name, shape, colour, fill = looks[group]
-        axes.scatter(
-            [place.east_m for place in members[group]],
-            [place.north_m for place in members[group]],
-            s=16,
-            marker=shape,
-            facecolors=colour if fill == "full" else LIGHT.paper,
-            edgecolors=colour,
-            linewidths=0.7,
-            zorder=4,
-            label=f"{name} ({len(members[group])})",
+    for group, (name, shape, dashes, colour, fill) in looks.items():
+        own = members.get(group, [])
+        look: Mapping[str, Any] = {
+            "marker": shape,
+            "color": colour,
+            "markerfacecolor": fill,
+            "markersize": 4.0,
+            "markeredgewidth": 0.7,
+        }
+        axes.plot(
+            [place.east_m for place in own], [place.north_m for place in own], **look, linestyle="", zorder=4
         )
+        if own or group >= 0:  # a range has the same dashes
+            axes.plot([], [], **look, linestyle=dashes, linewidth=1.0, label=f"{name} ({len(own)})")
+
+
+def _look(index: int) -> tuple[str, Any, str, str]:
+    colour = LIGHT.of_server(index)
+    return SHAPES[index % len(SHAPES)], DASHES[index % len(DASHES)], colour, colour
 
 
 def _straights(places: Sequence[Position]) -> Iterator[tuple[Position, Position]]:

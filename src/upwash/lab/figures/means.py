@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import accumulate, groupby
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 
-from upwash.lab.figures.style import PAGE_IN, SHAPES, grid, in_style, legend, new_figure, write
+from upwash.lab.figures.style import (
+    PAGE_IN,
+    SHAPES,
+    few_ticks,
+    grid,
+    in_style,
+    legend,
+    new_figure,
+    wrapped,
+    write,
+)
 from upwash.report.palette import LIGHT
 from upwash.support.confidence import Mean
 
-_ROW_IN, _GROUP_IN, _REST_IN = 0.21, 0.26, 0.85
+_LINE_IN, _GAP_IN, _AXIS_IN = 0.135, 0.085, 0.6
+_LONGEST_LABEL, _LONGEST_FIRST = 36, 22  # characters of a line
+_TICKS = 6
 _MINUTE_S = 60.0
+_BOUND: Mapping[str, Any] = {
+    "color": LIGHT.ink,
+    "linewidth": 1.0,
+    "linestyle": (0, (2, 1.5)),
+    "label": "theoretical minimum",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,72 +53,69 @@ class DrawnMean:
 
 @in_style
 def draw_means(rows: Sequence[DrawnMean], files: Iterable[Path]) -> None:
-    """Draws the mission times, and the paired differences beside them."""
-    groups = [list(group) for _, group in groupby(rows, key=lambda row: row.group)]
-    height_in = _REST_IN + _GROUP_IN * len(groups) + _ROW_IN * len(rows)
-    figure = new_figure(PAGE_IN, height_in)
-    times, saved = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
+    """Draws the mission times, each with its bound, and the paired differences beside them where there are any."""
     cases = list(dict.fromkeys(row.case for row in rows))
-    labels: dict[float, str] = {}
-    y = 0.0
-    for group in groups:
-        y += _GROUP_IN / _ROW_IN
-        times.annotate(
-            group[0].group,
-            (0, y - 0.75),
-            xycoords=("axes fraction", "data"),
-            xytext=(2, 0),
-            textcoords="offset points",
-            va="center",
-            fontweight="bold",
-        )
-        _draw_bound(times, group, y)
-        for row in group:
-            labels[y] = row.case
-            _draw_mean(times, row.time_s, y, cases.index(row.case))
-            if row.saved_s is not None:
-                _draw_mean(saved, row.saved_s, y, cases.index(row.case))
-            y += 1
-    for axes in (times, saved):
-        axes.set_ylim(y - 0.4, -0.1)
+    names: list[str] = []
+    drawn: list[DrawnMean | None] = []  # None beside the name of a group
+    for group, own in groupby(rows, key=lambda row: row.group):
+        members = list(own)
+        names += [wrapped(name, _LONGEST_LABEL) for name in (group, *(row.case for row in members))]
+        drawn += [None, *members]
+    heights_in = [_GAP_IN + _LINE_IN * (1 + name.count("\n")) for name in names]
+    ends_in = list(accumulate(heights_in))
+    middles_in = [end_in - height_in / 2 for end_in, height_in in zip(ends_in, heights_in, strict=True)]
+    paired = any(row.saved_s for row in rows)
+    figure = new_figure(PAGE_IN, _AXIS_IN + ends_in[-1])
+    times, *beside = figure.subplots(
+        1, 2 if paired else 1, sharey=True, squeeze=False, width_ratios=(3, 2)[: 1 + paired]
+    )[0]
+    bounds: list[tuple[float, float, float]] = []  # minutes, and from where to where
+    for row, y_in, height_in in zip(drawn, middles_in, heights_in, strict=True):
+        if row is None:
+            continue
+        look = _look(cases.index(row.case), alone=len(rows) == len(cases))
+        _draw_mean(times, row.time_s, y_in, look)
+        if row.saved_s is not None:
+            _draw_mean(beside[0], row.saved_s, y_in, look)
+        if row.bound_s is not None:
+            bounds.append((row.bound_s / _MINUTE_S, y_in - height_in / 2, y_in + height_in / 2))
+    if bounds:
+        times.vlines(*zip(*bounds, strict=True), **_BOUND)
+    for axes in (times, *beside):
+        axes.set_ylim(ends_in[-1] + _GAP_IN, 0)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
+        few_ticks(axes.xaxis, most=_TICKS)
         grid(axes, along="x")
-    times.set_yticks(list(labels), list(labels.values()))
-    times.set_xlabel("mission time (min), mean and 95 % confidence")
-    saved.axvline(0, color=LIGHT.soft, linewidth=0.8)
-    saved.set_xlabel(f"less than {cases[0]}, paired (min)")
-    legend(figure, columns=2)
+    times.set_yticks(middles_in, names)
+    for label, row in zip(times.get_yticklabels(), drawn, strict=True):
+        label.set_fontweight("bold" if row is None else "normal")
+    times.set_xlabel("mission time (min), mean and\n95 % confidence")
+    for axes in beside:
+        axes.axvline(0, color=LIGHT.soft, linewidth=0.8)
+        first = cases[0] if len(cases[0]) <= _LONGEST_FIRST else "the first row"
+        axes.set_xlabel(f"less than {first},\npaired (min)")
+    legend(figure)
     write(figure, files)
 
 
-def _draw_mean(axes: Axes, mean: Mean, y: float, number: int) -> None:
-    places = LIGHT.places
+def _look(case: int, *, alone: bool) -> Mapping[str, Any]:
+    """How a case looks in each group; the first one, which the others are compared with, is hollow."""
+    face = LIGHT.paper if case == 0 else LIGHT.ink
+    marks = ("o", *SHAPES)
+    return {"marker": "o" if alone else marks[case % len(marks)], "color": LIGHT.ink, "markerfacecolor": face}
+
+
+def _draw_mean(axes: Axes, mean: Mean, y_in: float, look: Mapping[str, Any]) -> None:
     axes.errorbar(
         mean.value / _MINUTE_S,
-        y,
+        y_in,
         xerr=mean.margin / _MINUTE_S if mean.count > 1 else None,
-        marker=("o", *SHAPES)[number % (1 + len(SHAPES))],
-        color=places[number % len(places)],
+        **look,
         markersize=4.5,
         elinewidth=1.2,
         capsize=2.0,
         zorder=3,
-    )
-
-
-def _draw_bound(axes: Axes, group: Sequence[DrawnMean], y: float) -> None:
-    bound_s = group[0].bound_s
-    if bound_s is None:
-        return
-    is_named = "theoretical minimum" in axes.get_legend_handles_labels()[1]
-    axes.plot(
-        [bound_s / _MINUTE_S] * 2,
-        [y - 0.45, y + len(group) - 0.55],
-        color=LIGHT.ink,
-        linewidth=1.0,
-        linestyle=(0, (2, 1.5)),
-        label=None if is_named else "theoretical minimum",
     )
 
 
@@ -107,35 +124,37 @@ def draw_sweep(
     values: Sequence[float], rows: Sequence[DrawnMean], files: Iterable[Path], *, key: str
 ) -> None:
     """Draws the mission times over one numeric setting: mean, 95 % confidence, and the theoretical minimum."""
-    figure = new_figure(PAGE_IN / 2, 2.6)
+    figure = new_figure(PAGE_IN / 2, 2.2)
     axes = figure.subplots()
     order = sorted(range(len(values)), key=lambda index: values[index])
     x = [values[index] for index in order]
     means = [rows[index].time_s for index in order]
-    minutes = [mean.value / _MINUTE_S for mean in means]
-    axes.plot(x, minutes, color=LIGHT.places[2], marker="o", markersize=3.5, label="mean")
-    if all(mean.count > 1 for mean in means):
-        axes.fill_between(
-            x,
-            [(mean.value - mean.margin) / _MINUTE_S for mean in means],
-            [(mean.value + mean.margin) / _MINUTE_S for mean in means],
-            color=LIGHT.places[2],
-            alpha=0.2,
-            linewidth=0,
-            label="95 % confidence",
-        )
     bounds = [rows[index].bound_s for index in order]
-    if all(bound_s is not None for bound_s in bounds):
+    minutes = [mean.value / _MINUTE_S for mean in means]
+    margins = [mean.margin / _MINUTE_S if mean.count > 1 else math.nan for mean in means]
+    known = any(mean.count > 1 for mean in means)
+    axes.errorbar(
+        x,
+        minutes,
+        yerr=margins if known else None,
+        color=LIGHT.ink,
+        marker="o",
+        markersize=3.5,
+        elinewidth=1.0,
+        capsize=2.0,
+        label="mean and 95 % confidence" if known else "mean",
+    )
+    if any(bound_s is not None for bound_s in bounds):
         axes.plot(
             x,
-            [(bound_s or 0.0) / _MINUTE_S for bound_s in bounds],
-            color=LIGHT.ink,
-            linewidth=1.0,
-            linestyle=(0, (2, 1.5)),
-            label="theoretical minimum",
+            [math.nan if bound_s is None else bound_s / _MINUTE_S for bound_s in bounds],
+            **_BOUND,
+            marker=".",
+            markersize=3.0,
         )
-    axes.set_xlabel(key)
+    few_ticks(axes.xaxis, most=_TICKS, whole=all(value == round(value) for value in x))
+    axes.set_xlabel(wrapped(key, _LONGEST_LABEL))
     axes.set_ylabel("mission time (min)")
     grid(axes, along="y")
-    legend(figure, columns=2)
+    legend(figure)
     write(figure, files)
