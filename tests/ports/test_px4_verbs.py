@@ -63,6 +63,7 @@ async def follow(
     off_m: float = 0.0,
     within_s: float = 30.0,
     drifts: Callable[[int], float] = lambda _: 0.0,
+    beats: Callable[[int], int] = lambda _: 0,
 ) -> int:
     """It reports eight times a second that it is at the setpoint, or off it, with the setpoint's velocity and more.
 
@@ -85,7 +86,8 @@ async def follow(
                 vy=round(setpoint.vy * 100),
                 vz=round(setpoint.vz * 100),
                 hdg=0,
-            )
+            ),
+            *[script.heartbeat()] * beats(number),
         )
     return -1
 
@@ -120,7 +122,7 @@ async def test_a_take_off_is_taken_over_before_it_ends(
     for altitude, state, taken in (
         (from_m + 1.0, ON_GROUND, False),
         (from_m - 0.01, IN_AIR, False),
-        (from_m + 0.01, IN_AIR, True),
+        (from_m, IN_AIR, True),
     ):
         await asyncio.sleep(1.0)
         await script.say(landed(state), script.place(GROUND.at_altitude(altitude), up))
@@ -130,8 +132,11 @@ async def test_a_take_off_is_taken_over_before_it_ends(
     last = script.of_kind(SETPOINT)[-1]
     assert last.alt == pytest.approx(488.0 + altitude_m)
     assert modes(script) == [(1.0, 6.0, 0.0)]
-    assert script.autopilot.position.altitude_m == pytest.approx(altitude_m, abs=0.1)
     assert rising.done()
+    moved = script.place(GROUND.at_altitude(altitude_m))
+    moved.relative_alt -= 3000
+    await script.say(moved)
+    assert script.autopilot.position.altitude_m == pytest.approx(altitude_m), "it counts from the ground"
 
 
 @played(tell, flies=False)
@@ -186,7 +191,7 @@ async def test_setpoints_come_before_the_mode_and_lead_to_the_target(script: Scr
         (0.97, lambda _: 0.0, True),
         (1.03, lambda _: 0.0, False),
         (0.0, lambda _: 0.49, True),
-        (0.0, lambda _: 0.51, False),
+        (0.0, lambda _: 0.5, False),
         (0.0, lambda number: 0.9 * (-1) ** number, True),  # noise, of a vehicle that hovers
     ],
 )
@@ -198,12 +203,33 @@ async def test_a_leg_ends_within_a_metre_at_rest_over_a_second(
     await follow(script, leg, off_m=off_m, drifts=drifts)
     assert leg.done() is arrives
     leg.cancel()
+    hold = await begun(script.autopilot.hold())
+    await follow(script, hold, off_m=off_m, drifts=drifts)
+    assert hold.done() is arrives
+    hold.cancel()
+
+
+@pytest.mark.parametrize("mode", [Mode.LOITER, Mode.OFFBOARD])
+@played(tell)
+async def test_a_leg_that_ends_before_its_mode_is_there_does_not_hinder_the_next(
+    script: Script, *, mode: Mode
+) -> None:
+    leg = await begun(script.autopilot.goto(HERE))
+    await asyncio.sleep(0.25)
+    await script.beat(mode=mode)  # setpoints alone may lead to their mode
+    assert script.autopilot.control.is_ours
+    leg.cancel()
+    leg = await begun(script.autopilot.goto(THERE))
+    await follow(script, leg)
+    assert leg.done()
+    assert modes(script) == ([(1.0, 6.0, 0.0)] if mode == Mode.LOITER else [])
 
 
 @played(tell)
 async def test_a_vehicle_is_at_rest_by_its_velocities_of_a_second(script: Script) -> None:
     leg = await begun(script.autopilot.goto(THERE))
-    reports = await follow(script, leg, drifts=lambda number: 3.9 if number < 100 else 0.0)
+    drifts, says = (lambda number: 3.9 if number < 100 else 0.0), (lambda number: 50 * (number == 100))
+    reports = await follow(script, leg, drifts=drifts, beats=says)
     assert reports == 108, "of nine reports one says 3.9 m/s"
 
 
@@ -280,6 +306,7 @@ async def test_a_mode_that_the_vehicle_does_not_enter_is_commanded_eight_times(
     times_s = [at_s for at_s, sent in script.sent if getattr(sent, "command", 0) == SET_MODE]
     gaps_s = [later_s - earlier_s for earlier_s, later_s in itertools.pairwise(times_s)]
     assert all(1.49 < gap_s < 2.01 for gap_s in gaps_s)
+    assert min(gaps_s) == pytest.approx(1.5)
     asked_s = [at_s - times_s[0] for at_s in script.asked_for(HEARTBEAT) if 0 < at_s - times_s[0] < 1.4]
     assert asked_s == pytest.approx([0.5, 1.0], abs=0.01)
     since_s = script.now_s
@@ -305,14 +332,32 @@ async def test_a_landing_ends_the_setpoints(script: Script) -> None:
     assert landing.done()
 
 
+@pytest.mark.parametrize(("after_s", "sent"), [(0.125, 0), (0.75, 1)])
 @played(tell)
-async def test_a_pilot_who_takes_it_before_its_mode_changes_keeps_it(script: Script) -> None:
+async def test_a_pilot_who_takes_it_before_its_mode_changes_keeps_it(
+    script: Script, *, after_s: float, sent: int
+) -> None:
+    script.obeys = False
     leg = await begun(script.autopilot.goto(THERE))
-    await asyncio.sleep(0.125)
+    await asyncio.sleep(after_s)
     await script.beat(mode=Mode.POSCTL)
+    await asyncio.sleep(0.0625)
+    assert leg.done()
     with pytest.raises(AutopilotOverruled):
         await leg
-    assert modes(script) == []
+    assert len(modes(script)) == sent
+
+
+@pytest.mark.virtual
+async def test_nothing_goes_on_after_the_driver_is_closed() -> None:
+    before = asyncio.all_tasks()
+    async with scripted(armed=True, kind=Px4Script) as script:
+        await script.resumed(HERE)
+        leg = await begun(script.autopilot.goto(THERE))
+        await follow(script, leg, within_s=3.0)
+        leg.cancel()
+    await asyncio.sleep(0)
+    assert asyncio.all_tasks() == before
 
 
 # --- before the flight --------------------------------------------------------------------------------------
