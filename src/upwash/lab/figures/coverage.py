@@ -33,7 +33,7 @@ from upwash.missions.bundled import load_specs
 from upwash.report.palette import LIGHT
 from upwash.support.text import by_name
 
-_REST_IN = 0.6  # left of the map, and below it
+_REST_IN, _LINE_IN = 0.6, 0.16  # left of the map and below it, and a line of the title
 _LOW, _HIGH = 0.15, 1.4  # the map's height, of its width: at least and at most
 _WIDE = 0.5  # a map that is less high, of its width, takes a page
 _LONGEST_NAME, _LONGEST_TITLE = 20, 46  # characters of a line
@@ -54,7 +54,9 @@ def draw_coverage(config: DroneConfig, files: Iterable[Path], *, title: str = ""
     areas = {index: area for index, name in enumerate(servers) if isinstance(area := reaches[name], Circle)}
     height = _height(places, areas.values())
     width_in = COLUMN_IN if height >= _WIDE else PAGE_IN
-    figure = new_figure(width_in, _REST_IN + (width_in - _REST_IN) * min(_HIGH, max(_LOW, height)))
+    head = wrapped(title, _LONGEST_TITLE)
+    head_in = _LINE_IN * (1 + head.count("\n")) if title else 0.0
+    figure = new_figure(width_in, head_in + _REST_IN + (width_in - _REST_IN) * min(_HIGH, max(_LOW, height)))
     axes = figure.subplots()
     for start, end in _straights(places):
         axes.annotate(
@@ -76,7 +78,7 @@ def draw_coverage(config: DroneConfig, files: Iterable[Path], *, title: str = ""
     few_ticks(axes.yaxis, most=_TICKS)
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
-    axes.set_title(wrapped(title, _LONGEST_TITLE))
+    axes.set_title(head)
     legend(figure, title="waypoints in range of", handlelength=3.6)
     figure.draw_without_rendering()  # which settles where everything is
     _name_areas(axes, places, servers, areas)
