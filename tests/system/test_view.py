@@ -93,6 +93,19 @@ def test_any_moment_of_a_flight_is_shown_as_the_log_has_it(
     assert page.elsewhere(one) == []
 
 
+def test_a_call_has_its_like_under_another_policy_beside_it(
+    page: Browser, two: str, logs: tuple[Path, Path]
+) -> None:
+    ours, theirs = read_records(logs)
+    opened(page, two)
+    number = 41
+    call = ours.calls[number].result
+    page.seek(round(call.at_s + call.delay_s + 0.1, 1))
+    other = theirs.calls[number].result
+    name = f"{theirs.result.policy} ({theirs.name})"
+    assert f"{name}: drone, {other.delay_s:.1f} s" in page.text(".others")
+
+
 def test_a_drone_that_turns_back_for_an_answer_is_shown_to(page: Browser, tmp_path: Path) -> None:
     goes = scenario(policy={"name": "local-only", "stay_or_go": "go"}, event={"every": 6, "offset": 2})
     run = simulate(goes)

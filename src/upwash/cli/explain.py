@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 
 from upwash.cli.arguments import OneOf, option
+from upwash.cli.other_policies import OTHERS_FLY
 from upwash.lab.explanation import CallChoice, show_explanation
 
 ARGUMENTS = {
     "log LOG": "an event log, of `fly`, `demo` or `simulate`",
-    "--scenario FILE": "fly other policies in this world to compare; its programs run (default: none)",
+    "--scenario FILE": OTHERS_FLY,
     "--drone NAME": "the drone of that world whose policy changes (default: the log's)",
     "calls": OneOf(
         {

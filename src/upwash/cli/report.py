@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from upwash.cli.arguments import option
+from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.errors import UsageError
 from upwash.report.exports import write_csv, write_geojson, write_json
 from upwash.report.finding_files import FORMATS, findings_file
@@ -31,6 +32,7 @@ ARGUMENTS = {
     "--geojson FILE": "tracks, waypoints, ranges, calls and photos",
     "--findings FILE": "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures",
     "--mcap FILE": "a recording that Foxglove opens",
+    "--scenario FILE": OTHERS_FLY,
     "--photos DIR": "with -o, --mcap or --findings: the folder of the photos that the logs name",
     "--json": "print the results as one JSON array",
 }
@@ -39,7 +41,7 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> None:
     """Make the wanted files."""
     files: list[tuple[Path | None, Writer]] = [
-        (options.out, _in_utf8(functools.partial(write_page, options.logs, photos=options.photos))),
+        (options.out, functools.partial(_page, options=options)),
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
         (options.findings, functools.partial(_findings, file=options.findings, photos=options.photos)),
@@ -53,6 +55,8 @@ def run(options: argparse.Namespace) -> None:
         raise UsageError(
             f"{options.findings} does not say which format the findings must have: end it in one of {endings}"
         )
+    if options.scenario and not options.out:
+        raise UsageError("--scenario goes with -o: only the page says what other policies would have done")
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted:
         raise UsageError(
@@ -68,6 +72,11 @@ def run(options: argparse.Namespace) -> None:
         else:
             write_file(file, content)
             print(f"written: {file}", file=sys.stderr)
+
+
+def _page(records: Sequence[Record], *, options: argparse.Namespace) -> bytes:
+    flown = others_flown(options.logs, options.scenario)
+    return write_page(options.logs, records, photos=options.photos, flown=flown).encode()
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

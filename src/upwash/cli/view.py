@@ -7,6 +7,7 @@ import asyncio
 import os
 
 from upwash.cli.arguments import LIVE_PORT, announce, option, port
+from upwash.cli.other_policies import OTHERS_FLY, others_flown
 from upwash.support.loading import extra
 
 _NICENESS = 10  # a flight that goes on beside it comes first, and the page is not starved
@@ -19,6 +20,7 @@ ARGUMENTS = {
         nargs="+",
     ),
     "--port": option(f"on this machine (default: {LIVE_PORT}; 0: any)", type=port, default=LIVE_PORT),
+    "--scenario FILE": OTHERS_FLY,
     "--photos FOLDER": "where the photos are that the log names",
     "--tiles URL": "load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
     "--credit TEXT": option("the credit to show for the tiles", default=""),
@@ -37,6 +39,7 @@ def run(options: argparse.Namespace) -> None:
             options.logs,
             port=options.port,
             photos=options.photos,
+            flown=others_flown(options.logs, options.scenario),
             tiles=Tiles(options.tiles, options.credit) if options.tiles else None,
             ready=lambda address: announce(f"view ready at {address}"),
         )

@@ -134,6 +134,13 @@ class RunResult:
     failed_calls: list[int | None] = field(default_factory=list)
     not_looked_at: list[int | None] = field(default_factory=list)
 
+    def made_the_calls_of(self, other: RunResult) -> bool:
+        """Whether the two runs asked for the same calls at the same waypoints, in the same order."""
+        mine, its = (
+            [(call.waypoint, call.asked or call.operation) for call in run.calls] for run in (self, other)
+        )
+        return mine == its
+
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
 

@@ -15,7 +15,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.narration import ran_on
 from upwash.eventlog.reasons import CallText, explained_calls, worst_of
-from upwash.eventlog.results import CallResult, read_result
+from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import Simulation, simulate, simulate_fleet
@@ -122,7 +122,7 @@ def explain(events: Iterable[Event], replayed: Replay, wanted: CallChoice) -> It
         yield text.heading
         yield from (f"    {reason}" for reason in text.reasons)
         if replayed.runs:
-            yield f"    {_elsewhere(text.call.number, len(result.calls), replayed, result.policy)}"
+            yield f"    {_elsewhere(text.call.number, result, replayed)}"
         yield ""
     if not chosen:
         yield "no call took longer than was expected of the best place for it"
@@ -145,12 +145,12 @@ def _in_its_world(events: Iterable[Event]) -> str:
     return f" (the log names {printable(named.scenario)}, whose programs run then)" if named else ""
 
 
-def _elsewhere(number: int, count: int, replayed: Replay, own: str) -> str:
+def _elsewhere(number: int, own: RunResult, replayed: Replay) -> str:
     """A text on the other policies' decisions for this call, if their missions made the same calls."""
     others = []
     for policy, run in replayed.runs.items():
-        if policy != own:
-            same: CallResult | None = run.calls[number] if len(run.calls) == count else None
+        if policy != own.policy:
+            same = run.calls[number] if run.made_the_calls_of(own) else None
             others.append(
                 f"{policy}: {ran_on(same.server)}, {same.delay_s:.2f} s" if same else f"{policy}: other calls"
             )

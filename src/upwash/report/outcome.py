@@ -15,11 +15,12 @@ UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run of that name set out to do, and what it came to."""
+    """What a run of that name set out to do, and what it came to; `world` is a simulation's scenario and seed."""
 
     name: str
     plan: schema.Planned
     result: RunResult
+    world: tuple[str, int] | None = None
 
     @property
     def saved_s(self) -> float | None:
@@ -32,6 +33,7 @@ class OutcomeSoFar:
 
     def __init__(self) -> None:
         self._plan = UNPLANNED
+        self._world: tuple[str, int] | None = None
         self._tally = Tally()
 
     def take(self, event: Event) -> None:
@@ -41,10 +43,16 @@ class OutcomeSoFar:
         self._tally.take(event)
         if type(event) is schema.Planned and self._plan is UNPLANNED:
             self._plan = event
+        elif type(event) is schema.Simulated:
+            self._world = event.scenario, event.seed
 
     def named(self, name: str) -> Outcome | None:
         """What the run of that name came to so far; None where no mission has begun."""
-        return None if self._tally.began_s is None else Outcome(name, self._plan, self._tally.result())
+        return (
+            None
+            if self._tally.began_s is None
+            else Outcome(name, self._plan, self._tally.result(), self._world)
+        )
 
 
 def what_it_came_to(run: Outcome, runs: Sequence[Outcome]) -> str:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
 
+from upwash.eventlog.results import RunResult
 from upwash.report.numbering import FlightFindings, are_a_fleet, numbers_of, what_was_found
 from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of
+from upwash.view.elsewhere import Elsewhere, elsewhere
 from upwash.view.recording import Piece, Recording, as_one
 from upwash.view.tiles import Tiles
 
@@ -65,10 +67,17 @@ class _Seen:
 class Feed:
     """Follows logs, and tells any number of pages what they have told; none of them holds up another."""
 
-    def __init__(self, recordings: Sequence[Recording], tiles: Tiles | None = None) -> None:
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        tiles: Tiles | None = None,
+        flown: Mapping[str, RunResult] | None = None,
+    ) -> None:
         self.recordings = list(recordings)
         self._names = names_of([recording.log for recording in recordings])
         self._tiles = tiles
+        self._flown = flown or {}  # by policy, in the world of the one log
+        self._elsewhere: Mapping[int, Sequence[Elsewhere]] = {}
         self._identity = secrets.token_hex(4)  # so that no page takes this feed for one before it
         self._summaries: dict[int, str] = {}
         self._summarized: dict[int, int] = {}
@@ -121,6 +130,8 @@ class Feed:
         self._summaries = {
             log: what_it_came_to(outcome, list(outcomes.values())) for log, outcome in outcomes.items()
         }
+        together = _are_of_several_drones(self.recordings)
+        self._elsewhere = {} if together else elsewhere(outcomes, self._flown)
 
     @property
     def flights(self) -> list[FlightFindings]:
@@ -158,6 +169,7 @@ class Feed:
             *batches,
             ("findings", self._found),
             ("summaries", self._summaries),
+            ("elsewhere", self._elsewhere),
             ("end", None),
         ]
 
@@ -180,6 +192,7 @@ class Feed:
             if summaries != self._summaries:
                 summaries = self._summaries
                 yield _message("summaries", summaries)
+                yield _message("elsewhere", self._elsewhere)
             if closed:
                 break
             await news.wait()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
 from upwash.eventlog.narration import counted
+from upwash.eventlog.results import RunResult
 from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
 from upwash.report.markup import Markup, element
@@ -35,14 +36,21 @@ class _Photo(msgspec.Struct, frozen=True):
     height: int
 
 
-def write_page(logs: Sequence[Path], records: Sequence[Record], *, photos: Path | None = None) -> str:
+def write_page(
+    logs: Sequence[Path],
+    records: Sequence[Record],
+    *,
+    photos: Path | None = None,
+    flown: Mapping[str, RunResult] | None = None,
+) -> str:
     """The page about these logs, whose records these are.
 
-    Photos are of that folder where the logs name them, and rendered ones. Raises UsageError for what is no event log.
+    Photos are of that folder where the logs name them, and rendered ones. `flown` is what other policies did in the
+    world of the one log, by name. Raises UsageError for what is no event log.
     """
     shelf = PhotoShelf(photos)
     with reading(logs, shelf.keeps, most_bytes=_MOST_BYTES // len(logs)) as recordings:
-        told = Feed(recordings).everything()
+        told = Feed(recordings, flown=flown).everything()
         shown = dict(itertools.islice(_photos(recordings, shelf), _PHOTOS))
     names = ", ".join(record.name for record in records)
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"

@@ -6,13 +6,14 @@ import asyncio
 import contextlib
 import signal
 import socket
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from upwash.errors import UsageError
+from upwash.eventlog.results import RunResult
 from upwash.real.host.signals import stopping_politely
 from upwash.report.photos import PhotoShelf
 from upwash.support.background import beside
@@ -64,15 +65,17 @@ async def serve_view(
     port: int,
     photos: Path | None,
     tiles: Tiles | None = None,
+    flown: Mapping[str, RunResult] | None = None,
     ready: Callable[[str], None],
 ) -> None:
     """Serves a page about the logs on this machine's loopback until SIGTERM or Ctrl-C.
 
-    `ready` is told its address. Port 0 is any that is free. Raises UsageError for what is no event log.
+    `ready` is told its address. Port 0 is any that is free. `flown` is what other policies did, by name, in the world
+    of the one log. Raises UsageError for what is no event log.
     """
     shelf = PhotoShelf(photos)
     with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
-        feed = Feed(recordings, tiles)
+        feed = Feed(recordings, tiles, flown)
         server = _Server(
             uvicorn.Config(
                 application(feed, shelf, images=tiles.sources if tiles else ()),

@@ -4,7 +4,7 @@
 import { element, write } from "./element.js";
 import { nameOf } from "./places.js";
 
-const OTHERS = "Other policies, with the same server in use, would expect:";
+const OTHERS = "The same call under other policies:";
 
 export class DecisionCard {
   #shown = null;
@@ -31,12 +31,13 @@ export class DecisionCard {
     const gone = decision && going && going.at_s >= decision.began_s && going.waypoint === decision.waypoint;
     const [cause = "", ...words] = about?.words ?? [];
     if (gone) words.push(`The drone goes on before the answer: ${going.words}.`);
-    const shown = JSON.stringify([about?.at_s, cause, words]);
+    const { story } = moment;
+    const shown = JSON.stringify([about?.at_s, cause, words, story.run, story.others.length]);
     if (shown === this.#shown) return;
     this.#shown = shown;
     write(this.cause, cause);
     this.#drawBars(about);
-    this.others.replaceChildren(...(about ? othersOf(about, this.places) : []));
+    this.others.replaceChildren(...(about ? othersOf(story, decision?.number ?? moment.count("call") - 1, this.places) : []));
     this.reasons.replaceChildren(...words.map((each) => element("li", {}, each)));
   }
 
@@ -87,10 +88,11 @@ function wholeCourse(decision, moment) {
   return `${decision.doing}${courseOf(decision, moment)}${since}`;
 }
 
-// What other policies would have decided, where that is another place.
-function othersOf({ others = [] }, places) {
-  const items = others.map(([policy, place, expectedS]) =>
-    element("li", {}, places.icon(place), ` ${policy}: ${nameOf(place)}, ${expectedS.toFixed(1)} s`),
+// Where the call of that number ran under other policies, and what it took.
+function othersOf({ others }, number, places) {
+  const known = others.filter(({ calls }) => calls[number]).map(({ name, calls }) => ({ name, ...calls[number] }));
+  const items = known.map(({ name, place, delay_s }) =>
+    element("li", {}, places.icon(place), ` ${name}: ${nameOf(place)}, ${delay_s.toFixed(1)} s`),
   );
   return items.length ? [element("p", {}, OTHERS), element("ul", {}, ...items)] : [];
 }

@@ -29,12 +29,22 @@ export class Feed {
         grown();
       },
       summaries: summarized,
+      elsewhere: (told) => {
+        for (const [log, others] of Object.entries(told)) this.stories[log].others = others.map((other) => this.#callsOf(other));
+        grown();
+      },
       end: () => {
         this.open = false;
         for (const story of this.stories) story.isBehind = false;
         grown();
       },
     };
+  }
+
+  // The calls of another policy, of a flight on this page or flown for it.
+  #callsOf({ policy, log, calls = [] }) {
+    const made = calls.map(([place, delay_s]) => ({ place, delay_s }));
+    return log === undefined ? { name: policy, calls: made } : { name: `${policy} (${this.stories[log].name})`, calls: this.stories[log].call };
   }
 
   start() {

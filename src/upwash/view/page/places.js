@@ -52,7 +52,7 @@ export class Places {
   }
 
   style(place) {
-    return place === "local" ? "place-0" : `place-${1 + (this.#servers.indexOf(place) % this.colours.of("servers"))}`;
+    return place === "local" ? "place-0" : `place-${1 + (this.#number(place) % this.colours.of("servers"))}`;
   }
 
   colour(place) {
@@ -112,7 +112,12 @@ export class Places {
   }
 
   #corners(place) {
-    return SHAPES[this.#servers.indexOf(place) % SHAPES.length];
+    return SHAPES[this.#number(place) % SHAPES.length];
+  }
+
+  // Of a server; another world may have more.
+  #number(place) {
+    return Math.max(0, this.#servers.indexOf(place));
   }
 }
 

@@ -44,6 +44,7 @@ export class Story {
     this.found = { words: "", numbers: [] }; // everything that was found: in a sentence, and by numbers
     this.waits = new Totals();
     this.hidden = new Totals();
+    this.others = []; // the same calls under other policies
     for (const kind of SERIES) this[kind] = [];
   }
 
