@@ -106,6 +106,8 @@ async def test_a_file_is_read_part_by_part_between_two_resets(script: Files) -> 
     assert script.opcodes() == ["RESET_SESSIONS", "OPEN_FILE_READ_ONLY", *parts, "RESET_SESSIONS"]
     assert [request.offset for request in script.asked[2:6]] == [0, 239, 478, 512]
     assert {(request.session, len(request.data)) for request in script.asked[2:6]} == {(SESSION, 239)}
+    others = [script.asked[index] for index in (0, 1, -1)]
+    assert [(request.session, request.offset) for request in others] == [(0, 0)] * 3
     numbers = [request.number for request in script.asked]
     assert numbers == [(numbers[0] + more) % 2**16 for more in range(7)]
 
