@@ -17,7 +17,7 @@ from tests.ports.steps import take_off
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.vehicle.control import Control, Owner
 from upwash.errors import AutopilotError, AutopilotOverruled
-from upwash.eventlog.schema import HomeMoved, LinkLost, LinkRestored, LinkTrouble, VehicleSaid
+from upwash.eventlog.schema import ArmingDelayed, HomeMoved, LinkLost, LinkRestored, LinkTrouble, VehicleSaid
 from upwash.mavlink.px4 import EventMessage, px4_events
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot, Patience
@@ -297,6 +297,31 @@ async def test_a_vehicle_may_say_so_much_and_no_more(flown: Flight) -> None:
     assert len(said) <= 150
     assert flown.troubles("flood")
     await take_off(flown.autopilot)  # and its words are not what a flight goes by
+
+
+@pytest.mark.virtual
+async def test_a_hundred_words_are_told_at_once_and_five_a_second_from_then_on() -> None:
+    feed, told = VehicleNewsFeed(), list[VehicleNews]()
+    feed.listen(told.append)
+    words = VehicleSaid(severity=4, text="words")
+    for wait_s, count in (0.0, 100), (2.0, 110), (60.0, 210):
+        await asyncio.sleep(wait_s)
+        for _ in range(150):
+            feed.tell(words)
+        assert told.count(words) == count
+
+
+@pytest.mark.virtual
+async def test_the_last_thousand_news_are_kept_until_there_is_a_listener() -> None:
+    feed, told = VehicleNewsFeed(), list[VehicleNews]()
+    for number in range(1_001):
+        feed.tell(ArmingDelayed(reasons=(str(number),)))
+    feed.listen(told.append)
+    assert [news.reasons for news in told if isinstance(news, ArmingDelayed)] == [
+        (str(number),) for number in range(1, 1_001)
+    ]
+    feed.tell(ArmingDelayed(reasons=()))
+    assert len(told) == 1_001
 
 
 def said_of(*texts: bytes, number: int = 0) -> list[str]:
