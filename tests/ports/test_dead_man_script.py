@@ -163,6 +163,7 @@ async def test_the_scripts_are_started_anew_for_another_version(
         assert vehicle.now_s - begun_s == pytest.approx(15.0, abs=0.31)
     (order,) = vehicle.commands(SCRIPTING)
     assert (order.get_type(), order.param1, order.target_system) == ("COMMAND_INT", 3.0, SYSTEM)
+    assert (order.x, order.y, order.z) == (0, 0, 0.0)
 
 
 @played(tell)
@@ -235,6 +236,9 @@ async def test_it_is_not_set_in_an_autopilot_without_it(vehicle: Scripting) -> N
     change(vehicle, {VERSION: None})
     with pytest.raises(AutopilotRefused, match="was not started"):
         await vehicle.autopilot.dead_man.watch(silence_s=20.0, action="return")
+    begun_s = vehicle.now_s
+    await vehicle.autopilot.dead_man.release()
+    assert vehicle.now_s == begun_s, "nothing confirms a goodbye"
 
 
 @pytest.mark.parametrize(("confirms", "goodbyes"), [(0.0, 1), (None, 3)])

@@ -249,6 +249,19 @@ ALL = {
 }
 
 
+OF_PX4 = {
+    "GF_ACTION": 3.0,
+    "GF_MAX_HOR_DIST": 150.0,
+    "GF_MAX_VER_DIST": 100.0,
+    "GF_PREDICT": 0.0,
+    "COM_OBL_RC_ACT": 3.0,
+}
+
+
+class FencedPx4(Px4Script, Fenced):
+    """A PX4 with a list of areas."""
+
+
 async def limits_of(
     parameters: dict[str, float], kind: type[Script], *, without: str = "", home: bool = True
 ) -> tuple[VehicleLimits, list[str]]:
@@ -312,28 +325,23 @@ async def test_a_fence_that_is_off_does_not_count() -> None:
         (Script, "FENCE_MARGIN", True, ()),
         (Script, "", False, ("its home",)),
         (Px4Script, "GF_ACTION", True, ("GF_ACTION",)),
+        (FencedPx4, "GF_MAX_HOR_DIST", True, ("GF_MAX_HOR_DIST",)),
+        (FencedPx4, "GF_MAX_VER_DIST", True, ("GF_MAX_VER_DIST",)),
     ],
 )
 @pytest.mark.virtual
 async def test_what_a_vehicle_does_not_tell_of_its_fence_is_named(
     kind: type[Script], without: str, untold: tuple[str, ...], *, home: bool
 ) -> None:
-    limits, _ = await limits_of(OF_PX4 if kind is Px4Script else ALL, kind, without=without, home=home)
+    limits, _ = await limits_of(ALL if kind is Script else OF_PX4, kind, without=without, home=home)
     assert limits.untold == untold
-    assert limits.margin_m == (0.0 if without in ("FENCE_MARGIN", "FENCE_ENABLE", "GF_ACTION") else 3.0)
-
-
-OF_PX4 = {
-    "GF_ACTION": 3.0,
-    "GF_MAX_HOR_DIST": 150.0,
-    "GF_MAX_VER_DIST": 100.0,
-    "GF_PREDICT": 0.0,
-    "COM_OBL_RC_ACT": 3.0,
-}
-
-
-class FencedPx4(Px4Script, Fenced):
-    """A PX4 with a list of areas."""
+    on = without not in ("FENCE_ENABLE", "FENCE_TYPE", "GF_ACTION")
+    assert len(limits.fences) == (on and home and "RADIUS" not in without and "HOR_DIST" not in without)
+    assert limits.highest_m == (100.0 if on and without not in ("FENCE_ALT_MAX", "GF_MAX_VER_DIST") else None)
+    if without in ("FENCE_MARGIN", "FENCE_ALT_MIN"):
+        assert (limits.margin_m, limits.lowest_m) == (
+            (0.0, 5.0) if without == "FENCE_MARGIN" else (3.0, None)
+        )
 
 
 @pytest.mark.parametrize(

@@ -280,3 +280,11 @@ async def test_targets_are_tried_on_a_disarmed_vehicle(
         for message in sent:
             assert abs(message.x) > 90e7 and abs(message.y) > 180e7, "a place on no Earth"
             assert message.param2 == 0, "it does not change the mode"
+
+
+@pytest.mark.virtual
+async def test_targets_are_not_tried_on_a_vehicle_of_another() -> None:
+    async with scripted(armed=True) as script:
+        with pytest.raises(AutopilotOverruled):
+            await require_reposition(script.autopilot.vehicle)
+        assert script.commands(REPOSITION) == []
