@@ -348,6 +348,26 @@ async def test_a_pilot_who_takes_it_before_its_mode_changes_keeps_it(
     assert len(modes(script)) == sent
 
 
+@played(tell)
+async def test_setpoints_end_in_a_silence_and_go_on_once_the_mode_is_known_again(script: Script) -> None:
+    leg = await begun(script.autopilot.goto(Position(30.0, 140.0, 10.0)))
+    await follow(script, leg, within_s=2.0)
+    script.mute, heard_s = True, script.now_s
+    await asyncio.sleep(3.0)
+    last_s = max(at_s for at_s, message in script.sent if message.get_type() == SETPOINT)
+    assert heard_s + 0.5 < last_s <= heard_s + 0.6
+    since_s = script.now_s
+    for _ in range(4):
+        await script.say(script.place(HERE))
+        await asyncio.sleep(0.25)
+    assert script.of_kind(SETPOINT, since_s) == []
+    assert len([at_s for at_s in script.asked_for(HEARTBEAT) if at_s > since_s]) > 4
+    await script.beat()
+    await asyncio.sleep(0.125)
+    assert script.of_kind(SETPOINT, since_s)
+    leg.cancel()
+
+
 @pytest.mark.virtual
 async def test_nothing_goes_on_after_the_driver_is_closed() -> None:
     before = asyncio.all_tasks()

@@ -117,20 +117,20 @@ async def test_a_take_off_ends_at_rest_at_its_altitude_in_the_air(script: Script
     (order,) = script.commands(TAKEOFF)
     assert parameters(order) == (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0)
     for altitude_m, up_m_s, state, done in (
-        (9.1, 0.0, ON_GROUND, False),
+        (9.0, 0.0, ON_GROUND, False),
         (8.9, 0.0, IN_AIR, False),
-        (9.1, 0.5, IN_AIR, False),
-        (9.1, 0.4, IN_AIR, True),
+        (9.0, 0.5, IN_AIR, False),
+        (9.0, 0.4, IN_AIR, True),
     ):
         await script.say(landed(state), script.place(GROUND.at_altitude(altitude_m), Velocity(up_m_s=up_m_s)))
         await asyncio.sleep(0.125)
         assert rising.done() is done
     await script.autopilot.set_ground_speed(3.0)
     assert script.commands(SPEED) == [], "it would lose a speed before its first target"
-    moved = script.place(GROUND.at_altitude(9.1))
+    moved = script.place(GROUND.at_altitude(9.0))
     moved.relative_alt -= 3000
     await script.say(moved)
-    assert script.autopilot.position.altitude_m == pytest.approx(9.1), "it counts from the ground"
+    assert script.autopilot.position.altitude_m == pytest.approx(9.0), "it counts from the ground"
     await script.say(target(THERE))
     assert script.autopilot.control.owner is Owner.GROUND_STATION
 
@@ -238,6 +238,21 @@ async def test_a_leg_ends_at_rest_within_a_metre(
     await asyncio.sleep(0.25)
     at_end = Position(THERE.east_m, THERE.north_m - off_m, 14.0)
     await script.say(script.place(at_end, Velocity(north_m_s=speed_m_s)))
+    await asyncio.sleep(0.25)
+    assert leg.done() is arrives
+    leg.cancel()
+
+
+@pytest.mark.parametrize(("below_m", "arrives"), [(1.0, True), (1.001, False)])
+@played(tell)
+async def test_a_leg_ends_a_metre_away_to_the_millimetre(
+    script: Script, *, below_m: float, arrives: bool
+) -> None:
+    leg = await begun(script, script.autopilot.goto(GROUND.at_altitude(10.0)))
+    for left in range(24, -1, -1):
+        await asyncio.sleep(0.25)
+        place = Position(30.0 * left / 25, 40.0 * left / 25, 10.0 - below_m)
+        await script.say(script.place(place, Velocity(-4.8, -6.4) if left else Velocity()))
     await asyncio.sleep(0.25)
     assert leg.done() is arrives
     leg.cancel()
