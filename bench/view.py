@@ -130,7 +130,7 @@ def open_files(page: Browser, folder: Path, extent: Extent, *, rounds: int) -> N
             over = {"t": waypoints * FIXES_A_WAYPOINT * PERIOD_S, "event": "mission_completed"}
             log.write_text("".join(map(line, [*mission(waypoints), over])))
         file = folder / f"flights-{flights}.html"
-        file.write_text(write_page(logs, read_records(logs)))
+        file.write_bytes(b"".join(write_page(logs, read_records(logs))))
         took_s = [opened_s(page, file.as_uri(), waypoints) for _ in range(rounds)]
         print(
             f"a file of {flights} flights of {waypoints} waypoints, {file.stat().st_size / 1e6:.1f} MB: opened in "

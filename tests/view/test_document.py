@@ -19,6 +19,7 @@ from tests.report.test_findings import BOX, flight
 from upwash.cli.main import main
 from upwash.report.finding_files import as_csv
 from upwash.report.record import findings_of, read_records
+from upwash.services import solar_park
 from upwash.view.document import write_document
 from upwash.view.file import write_page
 
@@ -63,8 +64,12 @@ class Reading(HTMLParser):
         return list(json.loads(told))
 
 
+def whole(*logs: Path) -> str:
+    return b"".join(write_page(logs, read_records(logs))).decode()
+
+
 def read(*logs: Path) -> Reading:
-    return Reading(write_page(logs, read_records(logs)))
+    return Reading(whole(*logs))
 
 
 def log_of(file: Path, *events: tuple[float, str, Mapping[str, object]]) -> Path:
@@ -89,19 +94,43 @@ def test_a_file_refers_to_nothing_outside_itself_and_runs_its_own_scripts_alone(
 
 def test_a_file_has_the_findings_with_their_pictures_and_as_files(tmp_path: Path) -> None:
     log = flight(tmp_path / "f.jsonl", "look here", [BOX], source="park 2")
-    records = read_records([log])
-    document = write_page([log], records)
+    document = whole(log)
     (told,) = [facts for kind, facts in Reading(document).told() if kind == "findings"]
     assert told == [{"words": "2 findings: 1 hot-spot, 1 message", "numbers": None}]
     assert re.findall(r'<image id="(\S+)" href="data:image/jpeg;base64,', document) == ["crop-0-1"]
     (files,) = Reading(document).content["script#files"]
-    assert json.loads(files)["findings.csv"] == as_csv(findings_of(records))
+    assert json.loads(files)["findings.csv"] == as_csv(findings_of(read_records([log])))
     assert set(json.loads(files)) == {"findings.csv", "findings.geojson", "findings.kml"}
+
+
+def test_a_file_renders_each_photo_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    events: list[tuple[float, str, Mapping[str, object]]] = [(1.0, "mission_started", {"policy": "p"})]
+    for number in range(20):
+        place = {"east_m": 5.0 * number, "north_m": 0.0, "altitude_m": 20.0}
+        events.append((10.0 * number + 2, "photo", {"source": "park 2", "position": place}))
+        events.append((10.0 * number + 3, "notified", {"message": [BOX], "at": place}))
+    rendered = []
+    render = solar_park.photograph
+
+    def noted(park: solar_park.Park, view: solar_park.View, *, shot: int) -> object:
+        rendered.append(shot)
+        return render(park, view, shot=shot)
+
+    monkeypatch.setattr(solar_park, "photograph", noted)
+    document = whole(log_of(tmp_path / "f.jsonl", *events))
+    assert (document.count('<image id="crop-'), document.count('"source":"data:image/')) == (20, 20)
+    assert len(rendered) == 20
 
 
 def test_a_file_has_every_fact_and_ends(logs: tuple[Path, Path]) -> None:
     messages = read(*logs).told()
-    assert [kind for kind, _ in messages if kind != "facts"] == ["page", "findings", "summaries", "end"]
+    assert [kind for kind, _ in messages if kind != "facts"] == [
+        "page",
+        "findings",
+        "summaries",
+        "elsewhere",
+        "end",
+    ]
     batches = [batch for kind, batch in messages if kind == "facts"]
     assert {batch["log"] for batch in batches} == {0, 1}
     assert all(batch["trouble"] == "" for batch in batches)
@@ -136,7 +165,7 @@ def test_what_a_log_says_is_never_markup(tmp_path: Path) -> None:
 
 
 def test_without_scripts_a_file_says_what_the_flight_came_to(logs: tuple[Path, Path]) -> None:
-    document = write_page(logs, read_records(logs))
+    document = whole(*logs)
     assert document.index("offloading saved", document.index('class="sheet"')) < document.index(
         '<script type="application/json"'
     )
@@ -145,11 +174,11 @@ def test_without_scripts_a_file_says_what_the_flight_came_to(logs: tuple[Path, P
 
 def test_a_flight_that_ended_before_its_first_call_has_a_page(tmp_path: Path) -> None:
     log = log_of(tmp_path / "early.jsonl", (1.0, "mission_started", {"policy": "p", "waypoints": 1}))
-    assert "was not completed" in write_page([log], read_records([log]))
+    assert "was not completed" in whole(log)
 
 
 def test_each_module_is_a_part_of_the_script() -> None:
-    script = write_document("any")
+    script = "".join(write_document("any"))
     for module in (files("upwash.view") / "page").iterdir():
         if module.name.endswith(".js"):
             assert f'modules["{module.name}"] = ' in script

@@ -36,7 +36,7 @@ def flight(file: Path, policy: str, **unlike: Any) -> Path:
 def told(*logs: Path, **more: Any) -> dict[str, list[dict[str, Any]]]:
     """What the page is told of other policies, by the number of the log."""
     with reading(logs, lambda _: False) as recordings:
-        messages = json.loads(msgspec.json.encode(Feed(recordings, **more).everything()))
+        messages = json.loads(msgspec.json.encode(list(Feed(recordings, **more).everything())))
     return dict(messages)["elsewhere"]  # type: ignore[no-any-return]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from upwash.cli.arguments import option
@@ -20,7 +20,7 @@ from upwash.support.output_files import write_file
 from upwash.support.standard_streams import print_bytes
 from upwash.view.file import write_page
 
-Writer = Callable[[Sequence[Record]], bytes]
+Writer = Callable[[Sequence[Record]], bytes | Iterable[bytes]]
 
 _PRINTED = Path("-")
 
@@ -74,9 +74,9 @@ def run(options: argparse.Namespace) -> None:
             print(f"written: {file}", file=sys.stderr)
 
 
-def _page(records: Sequence[Record], *, options: argparse.Namespace) -> bytes:
+def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:
     flown = others_flown(options.logs, options.scenario)
-    return write_page(options.logs, records, photos=options.photos, flown=flown).encode()
+    return write_page(options.logs, records, photos=options.photos, flown=flown)
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from sys import intern
 
 import msgspec
 
@@ -21,7 +22,7 @@ OF_OBJECT = "the object's own place"
 _LONGEST_WORDS = 300  # characters
 
 
-class Outline(msgspec.Struct, frozen=True, omit_defaults=True):
+class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
     """A box in a photo, in its pixels; without a score where it is the photo's truth."""
 
     left_px: float
@@ -192,7 +193,7 @@ class Finder:
         told = [
             Finding(
                 at_s=event.t,
-                what=printable(what, _LONGEST_WORDS),
+                what=intern(printable(what, _LONGEST_WORDS)),  # a long flight finds the same many times
                 score=box.score if box else None,
                 waypoint=photo.waypoint if photo else self.pairing.here,
                 named=event.at,

@@ -61,10 +61,10 @@ def _forgiving(stream: TextIO | Forgiving) -> Forgiving:
     return stream if isinstance(stream, Forgiving) else Forgiving(stream)
 
 
-def print_bytes(content: bytes) -> None:
-    """Print bytes; raises UpwashError if standard output does not take all of them."""
+def print_bytes(content: bytes | Iterable[bytes]) -> None:
+    """Print bytes, which may come in pieces; raises UpwashError if standard output does not take all of them."""
     try:
-        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.writelines((content,) if isinstance(content, bytes) else content)
         sys.stdout.buffer.flush()
     except OSError as error:
         give_up_output()

@@ -48,7 +48,7 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
     crop_for = functools.lru_cache(_KEPT_CROPS)(lambda finding: crop_of(finding, photos))
 
     async def page(request: Request) -> Response:
-        return HTMLResponse(write_document("upwash: flight"))
+        return HTMLResponse("".join(write_document("upwash: flight")))
 
     async def events(request: Request) -> Response:
         after = request.headers.get("last-event-id", "")

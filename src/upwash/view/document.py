@@ -6,6 +6,7 @@ import base64
 import functools
 import hashlib
 import re
+from collections.abc import Iterable, Iterator
 from graphlib import TopologicalSorter
 from importlib.resources import files
 
@@ -19,8 +20,8 @@ _EXPORT = re.compile(r"^export ((?:class|const|function) (\w+))", re.MULTILINE)
 _LEAFLET_MODULE = "leaflet/leaflet-src.esm.js"  # which leaflet.js is too, as the global L
 
 
-def write_document(title: str, *content: Markup, policy: str = "") -> str:
-    """The page, with the content after its own; a `policy` is stated in the document itself.
+def write_document(title: str, content: Iterable[Markup] = (), *, policy: str = "") -> Iterator[Markup]:
+    """The page in pieces, with the content after its own; a `policy` is stated in the document itself.
 
     A policy is in the words of Content-Security-Policy, without the document's own `sources`.
     """
@@ -39,8 +40,9 @@ def write_document(title: str, *content: Markup, policy: str = "") -> str:
         element("link", rel="icon", href=_icon()),
         element("style", Markup(_style())),
     )
-    body = element("body", Markup(_read("body.html")), *content, element("script", Markup(_script())))
-    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+    yield Markup(f'<!DOCTYPE html>\n<html lang="en">{head}<body>{_read("body.html")}')
+    yield from content
+    yield Markup(f"<script>{_script()}</script></body></html>\n")
 
 
 @functools.cache

@@ -152,26 +152,20 @@ class Feed:
         else:
             self._found = [Found(what_was_found(flight.found), None) for flight in flights]
 
-    def everything(self) -> list[tuple[str, object]]:
+    def everything(self) -> Iterator[tuple[str, object]]:
         """The kind and the data of each message of finished logs."""
         for recording in self.recordings:
             while recording.is_behind:
                 recording.advance()
         self._summarize()
         self._number()
-        batches = [
-            ("facts", batch)
-            for log, recording in enumerate(self.recordings)
-            for batch, _ in _batches(log, recording, _Seen())
-        ]
-        return [
-            ("page", self._page()),
-            *batches,
-            ("findings", self._found),
-            ("summaries", self._summaries),
-            ("elsewhere", self._elsewhere),
-            ("end", None),
-        ]
+        yield "page", self._page()
+        for log, recording in enumerate(self.recordings):
+            yield from (("facts", batch) for batch, _ in _batches(log, recording, _Seen()))
+        yield "findings", self._found
+        yield "summaries", self._summaries
+        yield "elsewhere", self._elsewhere
+        yield "end", None
 
     def _page(self) -> Page:
         return Page(self._names, _are_of_several_drones(self.recordings), self._tiles)

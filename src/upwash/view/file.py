@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -13,8 +13,8 @@ from upwash.eventlog.narration import counted
 from upwash.eventlog.results import RunResult
 from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
-from upwash.report.markup import Markup, element
-from upwash.report.photos import PhotoShelf
+from upwash.report.markup import Markup
+from upwash.report.photos import PhotoShelf, Shot
 from upwash.report.record import Record, findings_of
 from upwash.report.sheet import draw_sheet
 from upwash.view.document import write_document
@@ -36,32 +36,58 @@ class _Photo(msgspec.Struct, frozen=True):
     height: int
 
 
+class _Album(PhotoShelf):
+    """Finds photos, and makes those small that the page is known to show while it has them: rendering takes long."""
+
+    def __init__(self, folder: Path | None, shown: Iterable[Shot]) -> None:
+        super().__init__(folder)
+        self._small: dict[Shot, _Photo | None] = {}
+        self._shown = set(shown)
+
+    def _find(self, shot: Shot) -> bytes | None:
+        jpeg = super()._find(shot)
+        if shot in self._shown:
+            self._small[shot] = _small(jpeg)
+        return jpeg
+
+    def small(self, shot: Shot) -> _Photo | None:
+        """The photo as the page has it."""
+        jpeg = None if shot in self._small else self.find(shot)
+        return self._small[shot] if shot in self._small else _small(jpeg)
+
+
 def write_page(
     logs: Sequence[Path],
     records: Sequence[Record],
     *,
     photos: Path | None = None,
     flown: Mapping[str, RunResult] | None = None,
-) -> str:
-    """The page about these logs, whose records these are.
+) -> Iterator[bytes]:
+    """The page about these logs, whose records these are, piece by piece.
 
     Photos are of that folder where the logs name them, and rendered ones. `flown` is what other policies did in the
     world of the one log, by name. Raises UsageError for what is no event log.
     """
-    shelf = PhotoShelf(photos)
-    with reading(logs, shelf.keeps, most_bytes=_MOST_BYTES // len(logs)) as recordings:
-        told = Feed(recordings, flown=flown).everything()
-        shown = dict(itertools.islice(_photos(recordings, shelf), _PHOTOS))
     names = ", ".join(record.name for record in records)
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"
-    return write_document(
-        title,
-        draw_sheet(records, shelf),
-        _data("told", told),
-        _data("photos", shown),
-        _data("files", _files(records)),
-        policy=_POLICY,
-    )
+    content = _content(logs, records, photos, flown)
+    return (piece.encode() for piece in write_document(title, content, policy=_POLICY))
+
+
+def _content(
+    logs: Sequence[Path],
+    records: Sequence[Record],
+    photos: Path | None,
+    flown: Mapping[str, RunResult] | None,
+) -> Iterator[Markup]:
+    found = [finding.photo.shot for record in records for finding in record.findings if finding.photo]
+    album = _Album(photos, itertools.islice(dict.fromkeys(found), _PHOTOS))
+    yield draw_sheet(records, album)
+    with reading(logs, album.keeps, most_bytes=_MOST_BYTES // len(logs)) as recordings:
+        yield from _data("told", _items(Feed(recordings, flown=flown).everything()))
+        shown = itertools.islice(_photos(recordings, album), _PHOTOS)
+        yield from _data("photos", _members(shown))
+    yield from _data("files", [msgspec.json.encode(_files(records))])
 
 
 def _files(records: Sequence[Record]) -> dict[str, str]:
@@ -73,20 +99,43 @@ def _files(records: Sequence[Record]) -> dict[str, str]:
     return {f"findings.{format_}": text for format_, text in files.items()}
 
 
-def _photos(recordings: Sequence[Recording], shelf: PhotoShelf) -> Iterator[tuple[str, _Photo]]:
+def _photos(recordings: Sequence[Recording], album: _Album) -> Iterator[tuple[str, _Photo]]:
     """The available photos by log and number, photos with findings first."""
     for outlined in (True, False):
         for log, recording in enumerate(recordings):
             for number, shot in enumerate(recording.story.shots):
-                if (number in recording.story.outlined) is outlined and shelf.keeps(shot.source):
-                    jpeg = shelf.find(shot)
-                    if jpeg is not None and (photo := shrunk(jpeg, _PHOTO_PX)) is not None:
-                        content, width, height = photo
-                        source = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
-                        yield f"{log}/{number}", _Photo(source, width, height)
+                if (number in recording.story.outlined) is outlined and album.keeps(shot.source):
+                    photo = album.small(shot)
+                    if photo is not None:
+                        yield f"{log}/{number}", photo
 
 
-def _data(name: str, data: object) -> Markup:
-    """Data for the page's scripts; nothing in it ends the element."""
-    written = msgspec.json.encode(data).replace(b"<", b"\\u003c").decode()
-    return element("script", Markup(written), type="application/json", id=name)
+def _small(jpeg: bytes | None) -> _Photo | None:
+    photo = None if jpeg is None else shrunk(jpeg, _PHOTO_PX)
+    if photo is None:
+        return None
+    content, width, height = photo
+    return _Photo(f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", width, height)
+
+
+def _items(items: Iterable[object]) -> Iterator[bytes]:
+    """A JSON array, piece by piece."""
+    for number, item in enumerate(items):
+        yield (b"," if number else b"[") + msgspec.json.encode(item)
+    yield b"]"
+
+
+def _members(members: Iterable[tuple[str, object]]) -> Iterator[bytes]:
+    """A JSON object, piece by piece."""
+    yield b"{"
+    for number, (name, value) in enumerate(members):
+        yield (b"," if number else b"") + msgspec.json.encode(name) + b":" + msgspec.json.encode(value)
+    yield b"}"
+
+
+def _data(name: str, pieces: Iterable[bytes]) -> Iterator[Markup]:
+    """Data for the page's scripts, as JSON; nothing in it ends the element."""
+    yield Markup(f'<script type="application/json" id="{name}">')
+    for piece in pieces:
+        yield Markup(piece.replace(b"<", b"\\u003c").decode())
+    yield Markup("</script>")
