@@ -427,6 +427,24 @@ async def test_a_parameter_is_missing_after_three_rounds_or_six_on_a_link_that_l
         assert script.now_s - begun_s == pytest.approx(max(took_s, deaf_for_s), abs=0.01)
 
 
+NOT_THERE, DENIED = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST, mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED
+
+
+@pytest.mark.parametrize(("error", "times"), [(NOT_THERE, 1), (DENIED, 3)])
+@pytest.mark.virtual
+async def test_a_vehicle_that_says_so_is_not_asked_again(error: int, times: int) -> None:
+    class Refusing(Script):
+        def _answer(self, message: Any) -> None:
+            if getattr(message, "param_id", "") == "A":
+                self._send([mavlink.MAVLink_param_error_message(255, 191, b"A", -1, error)])
+            super()._answer(message)
+
+    async with scripted(kind=Refusing) as script:
+        reading = await read_parameters(script.autopilot.vehicle, ["A", "B"])
+        assert reading.absent == {"A", "B"}
+        assert (len(asked(script, "A")), len(asked(script, "B"))) == (times, 3)
+
+
 @pytest.mark.virtual
 async def test_a_setting_is_sent_three_times_until_it_is_read_back() -> None:
     async with scripted() as script:
