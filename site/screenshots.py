@@ -38,6 +38,16 @@ from_s = 40.0
 """
 _HIGHEST_PX = 8_000  # of a picture of a whole page
 _COLOURS = 256  # of a kept one
+_CAME = """
+return new Promise((done) => {
+  let before = "0";
+  const look = setInterval(() => {
+    const now = document.getElementById("time").max;
+    if (now !== "0" && now === before) clearInterval(look), done();
+    before = now;
+  }, 1000);
+});
+"""
 _SETTLED = "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
 
@@ -122,7 +132,7 @@ def _take_all(
     for name, (size, scheme) in pictures.items():
         page.open(address, width=size.width, height=size.height, scheme=scheme, scale=size.scale)
         if not scene.is_report:
-            page.wait_until(lambda: page.run("return document.getElementById('time').max > 0"))
+            page.run(_CAME)
             _seek(page, scene.share)
         file = into / f"{name}.png"
         file.write_bytes(_picture(page, size, whole=scene.is_report))

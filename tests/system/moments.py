@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -15,9 +16,11 @@ from tests.programs import ROOT
 
 Event = dict[str, Any]
 SCENARIOS = ROOT / "scenarios"
-FLYING = {"mode": "GUIDED", "armed": True, "gps": "3d", "satellites": 12, "ground_speed_m_s": 4.0}
+FLYING = {"mode": "GUIDED", "armed": True, "gps": "3d", "satellites": 12, "ground_speed_m_s": 0.0}
 RESERVE = "24 % is left in the battery, less than the reserve of 25 %"
 SERVERS = 10
+UNTIL_SILENT_S = 60.0
+DEADLINE_S = 3.9
 
 
 def write(folder: Path, name: str) -> list[Path]:
@@ -27,7 +30,9 @@ def write(folder: Path, name: str) -> list[Path]:
     subprocess.run([*command, "--log", str(log)], check=True, capture_output=True)
     told = [json.loads(line) for line in log.read_text().splitlines()]
     events = MOMENTS[name](told)
-    opened = datetime.now(UTC) - timedelta(seconds=events[-1]["t"])  # so that the flight goes on now
+    opened = datetime.now(UTC) + timedelta(
+        seconds=UNTIL_SILENT_S - events[-1]["t"]
+    )  # so that the flight goes on
     return [written(folder / f"{name}.jsonl", [event("log_opened", 0.0, time=opened.isoformat()), *events])]
 
 
@@ -60,7 +65,7 @@ def in_a_call(told: list[Event]) -> list[Event]:
     before, at_s, server = _sent(told)
     return [
         *before,
-        event("hedged", at_s + 2.0, server=server, check=1, after_s=2.0, deadline_s=3.9),
+        event("hedged", at_s + 2.0, server=server, check=1, after_s=2.0, deadline_s=DEADLINE_S),
         _position(before, at_s + 3.1),
     ]
 
@@ -98,7 +103,9 @@ def taken_over(told: list[Event]) -> list[Event]:
         event("control", at_s, owner="pilot", why=why),
         event("left_to_pilot", at_s + 0.1, why=f"the pilot has the vehicle: {why}"),
         *(event("vehicle_said", at_s + 1 + second, severity=4, text="GPS Glitch") for second in range(4)),
-        _position(flying, at_s + 20.0, mode="LOITER", altitude_m=19.2, battery_percent=44.0),
+        _position(
+            flying, at_s + 20.0, mode="LOITER", altitude_m=19.2, battery_percent=44.0, ground_speed_m_s=1.2
+        ),
     ]
 
 
@@ -153,7 +160,10 @@ MOMENTS: Mapping[str, Callable[[list[Event]], list[Event]]] = {
 
 def long_flight(folder: Path) -> list[Path]:
     """A mission of 2,000 waypoints, with a photo at each."""
-    return [written(folder / "long.jsonl", [*mission(2_000), event("mission_completed", 12_000.0)])]
+    told = (each for each in mission(2_000) if each["event"] != "decided")
+    log = written(folder / "long.jsonl", [*told, event("mission_completed", 12_000.0)])
+    log.write_text(re.sub(r'("altitude_m": )[\d.]+', r"\g<1>20.0", log.read_text()))
+    return [log]
 
 
 def ten_servers(folder: Path) -> list[Path]:
@@ -179,7 +189,7 @@ def _sent(told: list[Event]) -> tuple[list[Event], float, str]:
         for number, each in enumerate(told)
         if each["event"] == "decided" and each["decision"] == "remote"
     )
-    return told[: sent + 1], told[sent]["t"], told[sent]["server"]
+    return [*told[:sent], {**told[sent], "deadline_s": DEADLINE_S}], told[sent]["t"], told[sent]["server"]
 
 
 def _flown_on(told: list[Event]) -> tuple[list[Event], float]:
