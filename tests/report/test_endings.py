@@ -30,13 +30,13 @@ def test_a_flight_in_which_all_went_well_has_no_block(tmp_path: Path) -> None:
         (("left_hovering", {}), WAS_LEFT_HOVERING),
         (
             ("safe_end", {"action": "land", "why": "the mission raised ValueError"}),
-            "At 49.0 s the flight was ended early by landing where it is: the mission raised ValueError.",
+            "At 0:49 the flight was ended early by landing where it is: the mission raised ValueError.",
         ),
         (("safe_end_failed", {"action": "land", "why": "mute"}), "did not obey (landing where it is): mute."),
-        (("control", {"owner": "pilot", "why": "LOITER"}), "From 49.0 s on the pilot had the vehicle: LOITER."),
-        (("control", {"owner": "fail-safe", "why": "RTL"}), "From 49.0 s on a fail-safe had the vehicle: RTL."),
-        (("mission_ended", {"why": "Ctrl-C"}), "The mission ended early, at 49.0 s: Ctrl-C."),
-        (("stopping", {"why": "the reserve"}), "At 49.0 s the mission was stopped: the reserve."),
+        (("control", {"owner": "pilot", "why": "LOITER"}), "From 0:49 on the pilot had the vehicle: LOITER."),
+        (("control", {"owner": "fail-safe", "why": "RTL"}), "From 0:49 on a fail-safe had the vehicle: RTL."),
+        (("mission_ended", {"why": "Ctrl-C"}), "The mission ended early, at 0:49: Ctrl-C."),
+        (("stopping", {"why": "the reserve"}), "At 0:49 the mission was stopped: the reserve."),
     ],
 )  # fmt: skip
 def test_what_a_person_has_to_know_is_in_the_red_block(
@@ -96,7 +96,7 @@ def test_what_went_wrong_is_told_with_its_number_in_the_amber_block(tmp_path: Pa
     (block,) = of_class(parsed(log), "caution")
     assert [text(item) for item in block[1]] == [
         "1 call got no usable answer from a server and fell back to the drone.",
-        "The server s1 was blacklisted 2 times, last at 44.0 s: no answer within 5 s.",
+        "The server s1 was blacklisted 2 times, last at 0:44: no answer within 5 s.",
         "The vehicle fell silent once, at the longest for 5.5 s.",
         "The vehicle said: Battery low (error) (2 times).",
         "Battery watch failed: no report.",

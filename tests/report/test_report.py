@@ -22,6 +22,7 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.causes import clock
 from upwash.lab.run import simulate
 from upwash.report.exports import write_csv, write_geojson
 from upwash.report.photos import PhotoShelf
@@ -101,9 +102,9 @@ def test_what_offloading_saved_is_told_also_against_the_flight_without(records: 
     page = sheet_of(records)
     saved_s = records[0].saved_s
     assert saved_s is not None
-    assert f"offloading saved {saved_s:.1f} s" in page
+    assert f"offloading saved {clock(saved_s)}, " in page
     less_s = records[1].result.mission_time_s - records[0].result.mission_time_s
-    assert f"It took {less_s:.1f} s less than without" in page
+    assert f"It took {clock(less_s)} less than without" in page
     assert "less than" not in sheet_of(records[:1])
 
 

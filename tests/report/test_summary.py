@@ -120,7 +120,7 @@ def test_of_many_flights_those_that_ended_ill_come_first(tmp_path: Path) -> None
     page = parsed(*logs)
     block = of_class(page, "urgent")[0]
     assert "In 1 flight a person had to act" in text(block)
-    assert "fast--field-7-3: The mission ended early, at 3.0 s: Ctrl-C." in text(block)
+    assert "fast--field-7-3: The mission ended early, at 0:03: Ctrl-C." in text(block)
     assert list(page.iter()).index(block) < list(page.iter()).index(of_class(page, "lead")[0])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 
+from upwash.eventlog.causes import clock
 from upwash.report import tables
 from upwash.report.crops import Crop, cut_out
 from upwash.report.findings import MOST_PICTURED, Outline
@@ -56,7 +57,7 @@ def _picture(found: PlacedFinding, outlined: Markup, record: Record) -> Markup:
         "figcaption",
         element("strong", f"{found.number}: {printable(finding.words, _LONGEST_LABEL)}"),
         element("br"),
-        f"{where}at {found.mission_s:.1f} s",
+        f"{where}at {clock(found.mission_s)}",
         element("br"),
         tables.coordinates(found, record.plan.home),
     )

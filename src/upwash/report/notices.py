@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
+from upwash.eventlog.causes import clock
 from upwash.eventlog.narration import (
     SAFE_ENDS,
     WARNING,
@@ -96,7 +97,7 @@ class NoticesTaken:
                     self._trouble(said.text)
 
     def _urgent_of(self, event: Event) -> str | None:
-        at = f"{event.t - self._began_s:.1f} s"
+        at = clock(event.t - self._began_s)
         match event:
             case schema.LeftHovering():
                 return WAS_LEFT_HOVERING
@@ -122,7 +123,7 @@ class NoticesTaken:
     def _blacklist(self, step: schema.ServerStep) -> None:
         times, _ = self._blacklisted.get(step.server, (0, ""))
         why = step.why.removeprefix(f"{step.server}: ")
-        self._blacklisted[step.server] = (times + 1, f"at {step.t - self._began_s:.1f} s: {why}")
+        self._blacklisted[step.server] = (times + 1, f"at {clock(step.t - self._began_s)}: {why}")
 
     def _trouble(self, text: str) -> None:
         if text in self._troubles or len(self._troubles) < _MOST_KINDS:

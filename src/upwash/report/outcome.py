@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from upwash.eventlog import schema
+from upwash.eventlog.causes import clock
 from upwash.eventlog.narration import counted
 from upwash.eventlog.results import RunResult, Tally, Totals
 from upwash.eventlog.schema import Event
 
+_MINUTE_S = 60.0
 UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
 
@@ -55,13 +57,18 @@ class OutcomeSoFar:
         )
 
 
+def lasting(seconds: float) -> str:
+    """How long something took, or how much shorter it was, as on the flight page: "15.4 s", "3:46"."""
+    if abs(seconds) < _MINUTE_S:
+        return f"{seconds:z.1f} s"
+    return f"{'-' if seconds < 0 else ''}{clock(abs(seconds))}"
+
+
 def what_it_came_to(run: Outcome, runs: Sequence[Outcome]) -> str:
     """What the run came to, also against a run without offloading, where one is among the records."""
     result = run.result
     ended = "" if result.completed else " and was not completed"
-    took = (
-        f"{run.name}: the mission took {result.mission_time_s:.1f} s under the policy {result.policy}{ended}."
-    )
+    took = f"{run.name}: the mission took {lasting(result.mission_time_s)} under the policy {result.policy}{ended}."
     took += _going(result.totals)
     if not result.totals.calls:
         return f"{took} It made no calls."
@@ -83,7 +90,7 @@ def _going(totals: Totals) -> str:
     back = totals.turned_back or "none"
     return (
         f" The drone flew on before {counted(totals.went_on, 'answer')} and turned back for {back}: "
-        f"during {totals.hidden_s:.1f} s of the calls it did something else."
+        f"during {lasting(totals.hidden_s)} of the calls it did something else."
     )
 
 
@@ -95,7 +102,7 @@ def _saving(run: Outcome) -> str:
         return "What offloading saved is not known: that takes a completed mission with calls on the drone."
     return (
         f"With every call on the drone, at the local delays measured in it, it would have taken "
-        f"{local_only_s:.1f} s: offloading saved {saved_s:z.1f} s, {100 * saved_s / local_only_s:z.0f} %."
+        f"{lasting(local_only_s)}: offloading saved {lasting(saved_s)}, {100 * saved_s / local_only_s:z.0f} %."
     )
 
 
@@ -106,5 +113,5 @@ def _against_reference(run: Outcome, runs: Sequence[Outcome]) -> str:
         if same and run.result.completed and reference.result.calls and not reference.result.totals.remote:
             longer_s = reference.result.mission_time_s
             less_s = longer_s - run.result.mission_time_s
-            return f" It took {less_s:.1f} s less than {reference.name}, {100 * less_s / longer_s:.0f} %."
+            return f" It took {lasting(less_s)} less than {reference.name}, {100 * less_s / longer_s:.0f} %."
     return ""

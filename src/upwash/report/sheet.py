@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from upwash.eventlog.causes import clock
 from upwash.report import tables
 from upwash.report.endings import draw_endings, draw_urgent
 from upwash.report.gallery import draw_findings
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
-from upwash.report.outcome import what_it_came_to
+from upwash.report.outcome import lasting, what_it_came_to
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, WorstCall, findings_of
 from upwash.report.summary import draw_summary
@@ -28,7 +29,7 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
     folded = [
         element(
             "details",
-            element("summary", element("strong", record.name), f": {record.result.mission_time_s:.1f} s"),
+            element("summary", element("strong", record.name), f": {lasting(record.result.mission_time_s)}"),
             *_flights([record], records, found, shelf, pictures=pictures),
             class_="flight-details",
         )
@@ -107,7 +108,7 @@ def _worst_calls(record: Record) -> Markup:
 def _explained(worst: WorstCall) -> Markup:
     result = worst.call.result
     where = "before the first waypoint" if result.waypoint is None else f"waypoint {result.waypoint}"
-    at = f"at {result.at_s:.1f} s, {worst.loss_s:.1f} s lost"
+    at = f"at {clock(result.at_s)}, {worst.loss_s:.1f} s lost"
     heading = element("strong", f"{where}: {result.operation}, {at}")
     reasons = [element("li", reason) for reason in worst.reasons]
     return element("li", heading, element("ul", *reasons) if reasons else "")

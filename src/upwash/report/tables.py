@@ -8,6 +8,7 @@ from typing import TypeVar
 from upwash.core.geo import GeoPosition
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
+from upwash.eventlog.causes import clock
 from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
@@ -187,7 +188,7 @@ def calls(record: Record) -> Markup:
     def row(call: ReportedCall) -> list[str]:
         return [
             _at(call.result.waypoint),
-            f"{call.result.at_s:.1f} s",
+            clock(call.result.at_s),
             _ran_as(call.result),
             call.place,
             f"{call.result.delay_s:.2f} s",
@@ -257,7 +258,7 @@ def findings(record: Record, found: Sequence[PlacedFinding]) -> Markup:
     def row(each: PlacedFinding) -> list[str]:
         return [
             str(each.number),
-            f"{each.mission_s:.1f} s",
+            clock(each.mission_s),
             _at(each.finding.waypoint),
             coordinates(each, home),
             each.finding.words,
@@ -286,7 +287,7 @@ def answers(record: Record) -> Markup:
     def row(each: OpenAnswer) -> list[str]:
         turned = each.turned_at
         where = f"{turned.east_m:.1f} m east, {turned.north_m:.1f} m north" if turned else ""
-        return [_at(each.waypoint), f"{each.from_s:.1f} s", f"{each.to_s:.1f} s", where]
+        return [_at(each.waypoint), clock(each.from_s), clock(each.to_s), where]
 
     heads = ["waypoint", "from", "to", "turned back"]
     return _long("Gone on before the answer", heads, record.answers, row, rest=_IN_THE_LOG)
@@ -312,7 +313,7 @@ def steps(record: Record) -> Markup:
 
     def row(step: tuple[str, Stretch]) -> list[str]:
         server, stretch = step
-        return [server, stretch.state.value, f"{stretch.from_s:.1f} s", f"{stretch.to_s:.1f} s", stretch.why]
+        return [server, stretch.state.value, clock(stretch.from_s), clock(stretch.to_s), stretch.why]
 
     stretches = [(server, each) for server, stretches in record.stretches.items() for each in stretches]
     return _long(
