@@ -133,10 +133,11 @@ class Browser:
         """How wide what it shows is."""
         return float(self.run("return document.documentElement.scrollWidth"))
 
-    def too_small(self, selector: str) -> list[str]:
+    def too_small(self, selector: str, *, least_px: int = 24) -> list[str]:
         """Which of these are lower than fingers hit."""
         shown = self.each(
-            selector, "each.offsetParent && each.getBoundingClientRect().height < 24 && each.outerHTML"
+            selector,
+            f"each.offsetParent && each.getBoundingClientRect().height < {least_px} && each.outerHTML",
         )
         return [each for each in shown if each]
 

@@ -23,6 +23,7 @@ from tests.waiting import wait_for
 from upwash import read_log, read_result
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
+from upwash.eventlog.causes import clock
 from upwash.eventlog.reasons import explained_calls
 from upwash.lab.run import simulate
 from upwash.report.record import Record, read_records
@@ -207,6 +208,7 @@ def test_two_flights_are_shown_at_the_same_second_side_by_side(
     assert page.errors() == []
     page.seek(2000.0)
     assert "mission completed" in page.text(".doing"), "the shorter one is over"
+    assert page.text(".aside").startswith(f"with · {clock(records[0].result.mission_time_s)} · ")
 
 
 # --- at a glance --------------------------------------------------------------------------------------------
@@ -320,10 +322,29 @@ def test_keys_play_and_move_anywhere_on_the_page(page: Browser, one: str) -> Non
 
 def test_on_a_phone_the_controls_are_one_row_that_fingers_hit(page: Browser, one: str) -> None:
     opened(page, one, width=390)
-    controls = ["#controls", "#controls button", "#controls select", ".delays summary", ".leaflet-bar a"]
-    heights = [page.find(control).rect["height"] for control in controls]
-    assert heights[0] <= 64
-    assert min(heights[1:]) >= 44
+    assert page.find("#controls").rect["height"] <= 64
+    assert page.too_small("button, select, summary, input, .leaflet-bar a", least_px=44) == []
+
+
+def test_the_slider_ends_at_the_end_of_the_flight(page: Browser, tmp_path: Path) -> None:
+    log = tmp_path / "short.jsonl"
+    here = {"east_m": 0.0, "north_m": 0.0, "altitude_m": 0.0}
+    began = line("mission_started", 0.0, policy="x", waypoints=1) + line("arrived", 3.0, waypoint=0, **here)
+    log.write_bytes(began + line("landed", 6.04, position=here) + line("mission_completed", 6.04))
+    with view_of(log) as address:
+        opened(page, address)
+        page.seek(1.0)
+        assert page.text(".who") == "PROGRAM"
+        page.seek(6.0)
+        assert page.text(".who") == "LANDED"
+
+
+def test_the_map_fits_above_the_controls_beneath_an_alarm(page: Browser, stuck: str) -> None:
+    page.open(stuck, width=1400, height=900)
+    page.wait_until(lambda: page.text(".summary"))
+    page.drawn()
+    bottom, top = (page.find(part).rect for part in (".map", "#controls"))
+    assert bottom["y"] + bottom["height"] <= top["y"]
 
 
 # --- for everybody ------------------------------------------------------------------------------------------
@@ -516,7 +537,7 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         )  # the browser tells the page of the click when it gets to it
         result = read_result(read_log(log))
         assert [row[4] for row in page.rows(".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
-        assert f"the mission took {result.mission_time_s:.1f} s" in page.text(".summary")
+        assert f"the mission took {clock(result.mission_time_s)}" in page.text(".summary")
         assert page.errors() == []
         assert page.elsewhere(address) == []
     finally:

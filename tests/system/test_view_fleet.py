@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -230,3 +230,20 @@ def test_an_old_log_without_an_end_is_no_flight_without_news(page: Browser, tmp_
         page.wait_until(lambda: page.text("#mode"))
         assert page.text("#mode") == "playback"
         assert "No news" not in page.text("#alarms")
+
+
+def test_the_last_state_of_a_flight_without_news_is_not_told_as_its_state_now(
+    page: Browser, tmp_path: Path
+) -> None:
+    ago = datetime.now(UTC) - timedelta(minutes=5)
+    log = _not_over(flight(1)).replace(b"2026-01-01T00:00:04", ago.strftime("%Y-%m-%dT%H:%M:%S").encode())
+    (tmp_path / "silent.jsonl").write_bytes(log)
+    with view_of(tmp_path / "silent.jsonl") as address:
+        page.open(address)
+        page.wait_until(lambda: page.text(".who") == "NO NEWS")
+        assert "alarm" in (page.find(".bar").get_attribute("class") or "")
+        assert page.text(".aside") == "0:16 last heard: PROGRAM · at waypoint 4"
+        assert not page.find(".tiles").text
+        assert "No news of the flight for 4:4" in page.text("#alarms")
+        page.seek(1.0)
+        assert page.text(".who") == "PROGRAM"

@@ -111,10 +111,11 @@ def test_the_map_and_the_photo_are_side_by_side_in_the_first_view(
 
 def test_on_a_phone_the_parts_follow_each_other(page: Browser, one: str) -> None:
     opened(page, one, 34.0, width=390)
-    parts = [".head", ".map-frame", ".photos", ".findings", ".servers", ".delays", ".journal"]
+    parts = [".map-frame", ".head", ".photos", ".findings", ".servers", ".delays", ".journal"]
     tops = [boxes(page, part)[0][1] for part in parts]
     assert tops == sorted(tops)
     assert page.width() <= 390
+    assert page.too_small("button, select, summary, input, .leaflet-bar a", least_px=44) == []
 
 
 # --- the photo and the findings -----------------------------------------------------------------------------------

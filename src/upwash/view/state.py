@@ -82,7 +82,7 @@ class Control:
                 return self._phase.upper(), "landing"
             case "waiting" if self._owner is Owner.NOBODY:
                 return "WAITING", "ground"
-        return "PROGRAM", "program"
+        return "PROGRAM", "ground" if self.armed is False else "program"
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""

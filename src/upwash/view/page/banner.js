@@ -2,7 +2,7 @@
 
 import { told } from "./clock.js";
 import { element, write } from "./element.js";
-import { STALE_S, byUrgency } from "./story.js";
+import { byUrgency } from "./story.js";
 
 export class Banner {
   constructor(alarms, cautions) {
@@ -46,8 +46,8 @@ class Notice {
 
 // What holds at the moment.
 function noticesOf(moment, live) {
-  const silentS = live && moment.story.goesOn && moment.isLatest ? moment.story.silentS(Date.now() / 1000) : 0;
-  if (silentS <= STALE_S) return moment.notices;
+  const silentS = moment.withoutNewsS(live);
+  if (!silentS) return moment.notices;
   const cause = `No news of the flight for ${told(silentS)}`;
   const action = "Look whether its program runs.";
   return [{ level: "alarm", rank: -1, at_s: 0, since_s: null, cause, action }, ...moment.notices];

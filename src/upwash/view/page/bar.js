@@ -1,8 +1,9 @@
 // The state of a flight for a person who looks for half a second: who has the vehicle, what it does, and how it is.
 
 import { told } from "./clock.js";
+import { badge } from "./badge.js";
 import { courseOf } from "./decision.js";
-import { drawn, element, write } from "./element.js";
+import { drawn, element, unparted, write } from "./element.js";
 import { STALE_S } from "./story.js";
 
 const LOW_PERCENT = 30; // of a battery whose vehicle does not tell its own stages
@@ -11,6 +12,7 @@ const WEAK_FIXES = new Set(["none", "2d"]);
 
 export class Bar {
   constructor(name) {
+    this.sign = element("span", { class: "sign" });
     this.who = element("strong", { class: "who" });
     this.words = element("span", { class: "doing", role: "status" });
     this.passing = element("span"); // what changes all the time, which no screen reader should read all the time
@@ -20,25 +22,43 @@ export class Bar {
     this.element = element(
       "section",
       { class: "bar", "aria-label": `State of ${name}` },
-      element("div", { class: "says" }, element("p", {}, this.who, this.words, this.passing), this.aside),
+      element("div", { class: "says" }, element("p", {}, this.sign, this.who, this.words, this.passing), this.aside),
       element("dl", { class: "tiles" }, ...[...this.tiles.values()].map((tile) => tile.element)),
       this.progress,
     );
   }
 
-  // `name` is the drone's, of several.
-  show(moment, name) {
+  // `name` is the drone's, of several, and `number` its number on their map; for `silentS` the flight has told nothing.
+  show(moment, { name, number = "", silentS }) {
+    if (this.sign.textContent !== String(number)) this.sign.replaceChildren(...(number ? [badge(number)] : []));
+    if (silentS && !moment.silence) this.#showSilence(moment, name, silentS);
+    else this.#showState(moment, name);
     const { story, reached } = moment;
+    this.progress.hidden = !story.waypoints;
+    this.progress.value = story.waypoints ? reached / story.waypoints : 0;
+  }
+
+  #showSilence(moment, name, silentS) {
+    const doing = moment.last("doing");
+    const words = moment.underWay?.doing || inWords(moment);
+    const before = doing ? `${moment.story.timeOf(moment.atS)} last heard: ${[doing.who, words].filter(Boolean).join(" · ")}` : "";
+    this.element.className = "bar alarm";
+    write(this.who, "NO NEWS");
+    write(this.words, "");
+    write(this.passing, `for ${told(silentS)}`);
+    write(this.aside, [name, before].filter(Boolean).join(" · "));
+    for (const tile of this.tiles.values()) tile.element.hidden = true;
+  }
+
+  #showState(moment, name) {
     const doing = moment.last("doing");
     const calling = moment.underWay;
     this.element.className = `bar ${doing?.tone ?? "ground"}${calling ? " calling" : ""}`;
     write(this.who, doing?.who ?? "WAITING");
     write(this.words, calling ? calling.doing : inWords(moment));
-    write(this.passing, (calling ? [courseOf(calling, moment)] : figures(moment, doing)).filter(Boolean).join(" · "));
+    write(this.passing, unparted((calling ? [courseOf(calling, moment)] : figures(moment, doing)).filter(Boolean).join(" · ")));
     this.words.classList.toggle("alone", !calling && Boolean(this.passing.textContent));
-    write(this.aside, [name, ...beside(moment, doing, calling)].filter(Boolean).join(" · "));
-    this.progress.hidden = !story.waypoints;
-    this.progress.value = story.waypoints ? reached / story.waypoints : 0;
+    write(this.aside, unparted([name, ...beside(moment, doing, calling)].filter(Boolean).join(" · ")));
     this.#showTiles(moment);
   }
 
@@ -52,7 +72,7 @@ export class Bar {
     const silent = lost && told(moment.atS - lost.since_s);
     this.tiles.get("link").show(lost ? `lost ${silent}` : heard ? "ok" : "", { tone: lost ? "critical" : "" });
     const satellites = known.satellites === undefined ? "" : ` · ${known.satellites}`;
-    this.tiles.get("GPS").show(known.gps ? `${known.gps.replace("rtk-", "RTK ")}${satellites}` : "", {
+    this.tiles.get("GPS").show(known.gps ? `${known.gps.replace("rtk-", "RTK ").replace("fixed", "fix")}${satellites}` : "", {
       tone: WEAK_FIXES.has(known.gps) ? "critical" : "",
     });
     this.tiles.get("mode").show(known.mode ?? "");
@@ -111,16 +131,17 @@ function figures(moment, doing) {
 // In small letters: when it is; since when another party has the vehicle; and of a flight of the program how far it is.
 function beside(moment, doing, calling) {
   const { story } = moment;
+  const atS = Math.min(moment.atS, story.ended?.at_s ?? Infinity); // beside a longer flight too
   const place = moment.position;
   const motion = moment.last("vehicle")?.armed === false ? null : moment.recent("motion", STALE_S);
   const others = doing && (doing.tone === "person" || doing.tone === "alarm");
   return [
-    story.began ? story.timeOf(moment.atS) : "",
-    story.timeOfDay(moment.atS),
+    story.began ? story.timeOf(atS) : "",
+    story.timeOfDay(atS),
     calling ? doing?.words : "",
     others ? `since ${story.timeOf(moment.heldSince)}` : "",
     story.waypoints ? `${moment.reached} of ${story.waypoints} waypoints reached` : "",
     calling && place ? `${place.altitude_m.toFixed(0)} m` : "",
-    motion && doing?.tone !== "ground" ? `${motion.ground_speed_m_s.toFixed(1)} m/s` : "",
+    motion?.ground_speed_m_s >= 0.05 && doing?.tone !== "ground" ? `${motion.ground_speed_m_s.toFixed(1)} m/s` : "",
   ];
 }

@@ -51,6 +51,12 @@ export class Clock {
   }
 }
 
+// How long something takes, or how much shorter it is: "15.4 s", "3:46".
+export function lasting(seconds) {
+  if (Math.abs(seconds) >= 60) return `${seconds < 0 ? "-" : ""}${told(Math.abs(seconds))}`;
+  return `${(Math.round(10 * seconds) / 10 + 0).toFixed(1)} s`; // no -0.0
+}
+
 export function told(seconds) {
   const whole = Math.max(0, Math.floor(seconds));
   const parts = [Math.floor(whole / 60) % 60, whole % 60];

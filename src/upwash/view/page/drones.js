@@ -1,12 +1,12 @@
 // The list of several drones: what each is doing, and which one is in focus.
 
 import { badge } from "./badge.js";
-import { told } from "./clock.js";
+import { lasting, told } from "./clock.js";
 import { element, table, write } from "./element.js";
 import { inWords } from "./bar.js";
 
 const HEADS = ["drone", "doing", "waypoints", "server", "calls", "saved", "battery"];
-const WIDE = new Set(["doing", "calls", "battery"]); // left out on a phone
+const WIDE = new Set(["server", "calls", "saved"]); // left out on a phone
 
 export class DroneList {
   constructor(stories, chosen) {
@@ -53,7 +53,7 @@ function showRow(cells, moment) {
   const { count, places } = moment.calls;
   write(cells.calls, `${count}, ${count - (places.get("local") ?? 0)} on servers`);
   const saved = moment.savedS;
-  write(cells.saved, saved === null || !count ? "" : `${(Math.round(10 * saved) / 10 + 0).toFixed(1)} s`); // no -0.0
+  write(cells.saved, saved === null || !count ? "" : lasting(saved));
   const battery = moment.last("battery");
   write(cells.battery, battery ? `${battery.battery_percent.toFixed(0)} %` : "");
 }

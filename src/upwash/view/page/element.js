@@ -36,6 +36,11 @@ export function scrolled(content, name, style = "scroll") {
   return element("div", { class: style, tabindex: "0", role: "region", "aria-label": name }, content);
 }
 
+// A number and its unit are not parted at the end of a line.
+export function unparted(words) {
+  return words.replace(/(\d) (?=(?:m|s|ms|m\/s|%)(?:[^\w/]|$))/g, "$1\u00a0");
+}
+
 // Sets the text only where it changes, so that screen readers are told no more than is new.
 export function write(where, text) {
   if (where.textContent !== text) where.textContent = text;

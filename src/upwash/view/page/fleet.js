@@ -34,6 +34,10 @@ export class Fleet {
     return this.stories[this.#focus];
   }
 
+  get number() {
+    return this.#focus + 1;
+  }
+
   focus(index) {
     if (index >= this.stories.length || index === this.#focus) return;
     this.#focus = index;

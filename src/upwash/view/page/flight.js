@@ -4,7 +4,7 @@ import { aboutFlight } from "./about.js";
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
 import { DecisionCard } from "./decision.js";
-import { card, element, write } from "./element.js";
+import { card, element, unparted, write } from "./element.js";
 import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
@@ -112,7 +112,7 @@ export class Flight {
   #showHead(moment) {
     const { story } = this;
     write(this.about, aboutFlight(moment));
-    write(this.outlook, outlook(moment).join(" · "));
+    write(this.outlook, unparted(outlook(moment).join(" · ")));
     write(this.totals, this.#calls(moment));
     write(this.where, this.#where(moment.position));
     this.summary.hidden = !moment.isOver || !this.summary.textContent;
@@ -124,7 +124,7 @@ export class Flight {
     if (!place) return "";
     const [east, north, up] = [place.east_m, place.north_m, place.altitude_m].map((metres) => metres.toFixed(0));
     const there = degrees(this.story.plan, place.east_m, place.north_m);
-    return [`${east} m east, ${north} m north, ${up} m up`, there].filter(Boolean).join(" · ");
+    return unparted([`${east} m east, ${north} m north, ${up} m up`, there?.replace(", ", ",\u00a0")].filter(Boolean).join(" · "));
   }
 
   #calls(moment) {

@@ -121,9 +121,7 @@ function show() {
     before: stories.some((story) => story.call[0]?.waypoint === null),
   };
   for (const view of views) view.show(clock.nowS, limits);
-  const many = shown().length > 1;
-  views.forEach(({ watched }, index) => bars[index].show(watched.at(clock.nowS), many ? watched.name : ""));
-  showNotices();
+  showNow();
   showControls();
 }
 
@@ -131,7 +129,13 @@ function shown() {
   return views.flatMap((view) => view.stories);
 }
 
-function showNotices() {
+// What changes with the time of day too.
+function showNow() {
+  const many = feed.stories.length > 1;
+  views.forEach(({ watched, number }, index) => {
+    const moment = watched.at(clock.nowS);
+    bars[index].show(moment, { name: many ? watched.name : "", number, silentS: moment.withoutNewsS(feed.open) });
+  });
   const alarms = banner.show(shown().map((story) => story.at(clock.nowS)), feed.open);
   document.title = alarms ? `ALARM · ${title}` : title;
 }
@@ -145,6 +149,7 @@ function showControls() {
   write(on("clock"), innerWidth > PHONE_PX ? parts.filter(Boolean).join(" · ") : told(clock.nowS));
   write(on("play"), clock.playing ? "Pause" : "Play");
   on("latest").hidden = !live;
+  on("controls").classList.toggle("following", live && clock.following);
   showMode();
   on("latest").setAttribute("aria-pressed", String(clock.following));
 }
@@ -185,7 +190,10 @@ function toggle() {
 }
 
 on("play").addEventListener("click", toggle);
-on("time").addEventListener("input", () => seek(Number(on("time").value)));
+on("time").addEventListener("input", () => {
+  const { value, max } = on("time"); // which are rounded
+  seek(Number(value) < Number(max) ? Number(value) : clock.endS);
+});
 on("time").addEventListener("keydown", (event) => {
   const direction = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key];
   if (!direction) return;
@@ -222,5 +230,5 @@ write(on("connection"), "Loading the flight.");
 feed.start();
 setInterval(() => {
   showMode();
-  if (feed.stories.length) showNotices();
+  if (feed.stories.length) showNow();
 }, 1000);

@@ -218,12 +218,13 @@ export class FlightMap {
     this.#servers.set(server, { centre, range, chip, said, inUse: false });
   }
 
-  // The state of each server, for the one drone that there is.
+  // For the one drone that there is, the state of each server that it is busy with or leaves alone.
   #showStates(moment) {
     for (const [server, drawn] of this.#servers) {
       const step = moment.step(server);
-      write(drawn.said, step?.state ?? "AVL");
-      drawn.said.className = `state ${step?.tone ?? "aside"}`;
+      const told = step?.tone && step.tone !== "aside" ? step : null;
+      write(drawn.said, told?.state ?? "");
+      drawn.said.className = told ? `state ${told.tone}` : "";
       showUse(drawn, moment.using.includes(step));
     }
   }

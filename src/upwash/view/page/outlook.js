@@ -1,6 +1,6 @@
 // What lies ahead of a flight that the program flies: when it ends, which server it uses and which is next, what was saved.
 
-import { told } from "./clock.js";
+import { lasting, told } from "./clock.js";
 import { STALE_S } from "./story.js";
 
 const ON_TIME = 0.01; // of the mission: a difference from the forecast that is not worth a word
@@ -9,11 +9,12 @@ const ON_TIME = 0.01; // of the mission: a difference from the forecast that is 
 export function outlook(moment) {
   if (moment.isOver) return moment.story.isCompleted ? [ended(moment)] : [];
   if (!moment.isOnMission) return [];
-  const saved = moment.calls.count && moment.using.length ? moment.savedS : null;
+  const { count, places } = moment.calls;
+  const saved = moment.using.length && count > (places.get("local") ?? 0) ? moment.savedS : null;
   return [
     expectedEnd(moment),
     serverInWords(moment),
-    saved === null ? "" : `${(Math.round(10 * saved) / 10 + 0).toFixed(1)} s saved so far`, // no -0.0
+    saved === null ? "" : `${lasting(saved)} saved so far`,
   ].filter(Boolean);
 }
 
@@ -47,7 +48,8 @@ function serverInWords(moment) {
   const trip = used && link?.server === used.server ? ` (${(1000 * link.round_trip_s).toFixed(0)} ms)` : "";
   const now = used ? `${used.server} ${used.state}${trip}` : "no server";
   const next = nextServer(moment, used?.server);
-  return next ? `${now} → ${next.server} in ${told(next.inS)}` : now;
+  const when = next?.inS >= 1 ? ` in ${told(next.inS)}` : ""; // of one that is overdue nobody knows
+  return next ? `${now} → ${next.server}${when}` : now;
 }
 
 // The first usable server in whose range a waypoint ahead lies that lies not in that of the one in use.

@@ -1,4 +1,4 @@
-// Each server in a line: its state in a word and a colour, why, how far away it is, and its calls. Many scroll.
+// Each server: its state in a word and a colour, why, how far away it is (bold in its range), and its calls. Many scroll.
 
 import { card, element, scrolled, table, write } from "./element.js";
 
@@ -23,7 +23,10 @@ export class ServerList {
       write(row.state, step?.state ?? "AVL");
       write(row.means, step ? step.why || step.means : "available");
       row.means.title = step ? [step.means, step.why].filter(Boolean).join(": ") : ""; // a line has no room for all
-      write(row.away, away(moment.story.plan?.ranges[server], position));
+      const [words, isInside] = away(moment.story.plan?.ranges[server], position);
+      write(row.away, words);
+      write(row.inside, isInside ? ", in range" : "");
+      row.away.classList.toggle("inside", isInside);
       write(row.calls, String(places.get(server) ?? 0));
     }
   }
@@ -33,18 +36,18 @@ export class ServerList {
     this.body.replaceChildren();
     for (const server of servers) {
       const row = {
-        state: element("span"), means: element("span", { class: "means" }), away: element("td"), calls: element("td"),
+        state: element("span"), means: element("span", { class: "means" }), away: element("span"), inside: element("span", { class: "unseen" }), calls: element("td"),
       };
       const name = element("th", { scope: "row" }, this.places.icon(server), ` ${server}`);
-      this.body.append(element("tr", {}, name, element("td", {}, row.state, " ", row.means), row.away, row.calls));
+      this.body.append(element("tr", {}, name, element("td", {}, row.state, " ", row.means), element("td", {}, row.away, row.inside), row.calls));
       this.#rows.set(server, row);
     }
   }
 }
 
 function away(range, position) {
-  if (!range || !position) return "";
+  if (!range || !position) return ["", false];
   const [east, north, radius] = range;
   const metres = Math.hypot(position.east_m - east, position.north_m - north);
-  return `${metres.toFixed(0)} m${metres <= radius ? ", in range" : ""}`;
+  return [`${metres.toFixed(0)} m`, metres <= radius];
 }

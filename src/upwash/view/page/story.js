@@ -310,6 +310,12 @@ export class Moment {
     return this.atS >= this.story.endsS - 1e-6;
   }
 
+  // For how long the flight has told nothing, of which more should come; 0 while it tells. `live` is whether more can come.
+  withoutNewsS(live) {
+    const silentS = live && this.story.goesOn && this.isLatest ? this.story.silentS(Date.now() / 1000) : 0;
+    return silentS > STALE_S ? silentS : 0;
+  }
+
   get isOver() {
     return Boolean(this.story.ended && this.atS >= this.story.ended.at_s);
   }
