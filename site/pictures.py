@@ -4,37 +4,39 @@ A page asks for a picture in a comment, which other viewers of the page do not s
 
     <!-- picture map.png: what it shows -->
 
-An HTML page among them is linked to.
+An HTML page among them is linked to. All are drawn in this process, which imports what they need once.
 """
 
 from __future__ import annotations
 
-import os
+import contextlib
+import io
 import re
-import subprocess
-import sys
+import runpy
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from posixpath import relpath
 from tempfile import TemporaryDirectory
 
+from bench.gains import figure as gains
+from bench.gains.kept import TABLE, read
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from upwash.cli.exit_codes import ExitCode
+from upwash.cli.main import main
+
 ROOT = Path(__file__).parents[1]
 THESIS = str(ROOT / "scenarios" / "thesis.toml")
-UPWASH = ("-m", "upwash")
 COMMANDS = (
-    (*UPWASH, "simulate", THESIS, "--figures", ".", "--log", "with.jsonl"),
-    (*UPWASH, "simulate", THESIS, "--policy", "local-only", "--log", "without.jsonl"),
-    (*UPWASH, "check", THESIS, "--figures", "."),
-    (*UPWASH, "report", "with.jsonl", "without.jsonl", "-o", "report.html"),
-    (*UPWASH, "reproduce", "--seeds", "1", "--figures", "."),
-    (str(ROOT / "site" / "states.py"), "states.png"),
-    (str(ROOT / "site" / "call_flow.py"), "call_flow.png"),
-    ("-m", "bench.gains", "--figure", "gains.png"),
+    ("simulate", THESIS, "--figures", ".", "--log", "with.jsonl"),
+    ("simulate", THESIS, "--policy", "local-only", "--log", "without.jsonl"),
+    ("report", "with.jsonl", "without.jsonl", "-o", "report.html"),
+    ("reproduce", "--seeds", "1", "--figures", "."),
 )
+DIAGRAMS = {"states": "draw_states", "call_flow": "draw_call_flow"}
 MADE = ("*.png", "report.html")
 
 _ASKED_FOR = re.compile(r"<!-- picture ([\w.]+): (.+?) -->", re.DOTALL)
@@ -43,16 +45,15 @@ _LINK = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+[^)#]+)(?:#[^)]*)?\)")
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pictures, and the report that a page shows."""
-    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]  # bench/ is not installed
     with TemporaryDirectory(prefix="upwash-docs-") as folder:
-        for command in COMMANDS:
-            subprocess.run(
-                [sys.executable, *command],
-                cwd=folder,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
-                check=True,
-                capture_output=True,
-            )
+        said = io.StringIO()
+        with contextlib.chdir(folder), redirect_stdout(said), redirect_stderr(said):
+            for command in COMMANDS:
+                if main(command) != ExitCode.DONE:
+                    raise PluginError(f"upwash {' '.join(command)} failed:\n{said.getvalue()}")
+            for program, draw in DIAGRAMS.items():
+                runpy.run_path(str(ROOT / "site" / f"{program}.py"))[draw](Path(f"{program}.png"))
+            gains.draw(read(TABLE), Path("gains.png"))
         for pattern in MADE:
             for file in sorted(Path(folder).glob(pattern)):
                 files.append(File.generated(config, f"pictures/{file.name}", content=file.read_bytes()))
@@ -68,7 +69,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         if files.get_file_from_path(f"pictures/{name}") is None:
             raise PluginError(f"{page.file.src_uri} asks for the picture {name}, which no command draws")
         path = relpath(f"pictures/{name}", here)
-        return f"![{what}]({path})\n*{what}*" if name.endswith(".png") else f"[{what}]({path})"
+        return f"![{what}]({path}){{ .diagram }}\n*{what}*" if name.endswith(".png") else f"[{what}]({path})"
 
     def name(link: re.Match[str]) -> str:
         target = (Path(config.docs_dir) / here / link[2]).resolve()

@@ -1,15 +1,17 @@
 """Takes pictures of the pages: `make pictures`, or `python site/screenshots.py FOLDER`.
 
-Chromium draws each page in each size, in light and dark colours. The pages show the demonstration, flown with its
-daemons and its detector, the moments that matter to a pilot, and simulated flights with good and bad ends. `--keep`
-also updates docs/pictures, which the README and the documentation show, in 256 colours to keep the files small.
+Chromium draws each page in each size, in light and dark colours. The pages show the demonstration and a survey
+without gaps, flown with daemons and the detector, the moments that matter to a pilot, and simulated flights with good
+and bad ends. `--keep` also updates docs/pictures, which the README and the documentation show.
 """
 
 from __future__ import annotations
 
 import argparse
 import base64
+import contextlib
 import functools
+import io
 import itertools
 import subprocess
 import sys
@@ -18,10 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from msgspec.structs import replace
 from PIL import Image
 from tests.system import moments
 from tests.system.browser import Browser, browser, why_not
 
+from upwash.cli.demonstration import fly_demonstration, read_demonstration
 from upwash.launch.processes import ready_program
 
 ROOT = Path(__file__).parents[1]
@@ -37,7 +41,7 @@ kind = "stuck"
 from_s = 40.0
 """
 _HIGHEST_PX = 8_000  # of a picture of a whole page
-_COLOURS = 256  # of a kept one
+_QUALITY = 80  # of a kept one, of 100
 _CAME = """
 return new Promise((done) => {
   let before = "0";
@@ -47,6 +51,16 @@ return new Promise((done) => {
     before = now;
   }, 1000);
 });
+"""
+_COUNTING = """
+window.imagesToCome = 0; // those that the page draws itself, such as photos on the map
+window.Image = class extends Image {
+  constructor() {
+    super();
+    window.imagesToCome += 1;
+    for (const end of ["load", "error"]) this.addEventListener(end, () => (window.imagesToCome -= 1));
+  }
+};
 """
 _SETTLED = "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
@@ -82,10 +96,9 @@ SIZES = (
 )
 SCHEMES = ("light", "dark")
 BEST = {  # what docs/pictures has, by what it is taken from
-    "live-1400-light": "live.png",
-    "live-1400-dark": "live-dark.png",
-    "alarm-1400-light": "alarm.png",
-    "live-phone-light": "phone.png",
+    "live-1400-light": "live.webp",
+    "live-1400-dark": "live-dark.webp",
+    "alarm-1400-light": "alarm.webp",
 }
 
 
@@ -100,6 +113,7 @@ def main() -> None:
         sys.exit(f"no picture can be taken: {missing}")
     options.folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix="upwash-pictures-") as folder, browser(Path(folder) / "profile") as page:
+        page.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": _COUNTING})
         for scene in SCENES:
             names = {
                 f"{scene.name}-{size.name}-{scheme}": (size, scheme)
@@ -148,7 +162,7 @@ def _seek(page: Browser, share: float) -> None:
     page.run(_SETTLED)
     page.wait_until(
         lambda: page.run(
-            "return [...document.querySelectorAll('.photo:not([hidden]) img')].every("
+            "return !window.imagesToCome && [...document.querySelectorAll('.photo:not([hidden]) img')].every("
             "(image) => !image.hidden && image.complete && image.naturalWidth)"
         )
     )
@@ -171,9 +185,7 @@ def keep(folder: Path) -> None:
     KEPT.mkdir(exist_ok=True)
     for name, kept in BEST.items():
         with Image.open(folder / f"{name}.png") as picture:
-            picture.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
-                KEPT / kept, optimize=True
-            )
+            picture.convert("RGB").save(KEPT / kept, quality=_QUALITY, method=6)
         print(f"{KEPT / kept}: {(KEPT / kept).stat().st_size / 1000:.0f} kB")
 
 
@@ -193,6 +205,24 @@ def demonstration(folder: Path) -> list[Path]:
     """With photos, daemons and the detector, in a minute and a half."""
     upwash("demo", "--folder", str(folder / "run"))
     return [folder / "run" / "events.jsonl"]
+
+
+def survey(folder: Path) -> list[Path]:
+    """The demonstration over a field, with photos that leave no gaps."""
+    config = read_demonstration()
+    rows = [[(10.0 * column, 8.0 * row) for column in range(5)] for row in range(6)]
+    waypoints_m = [place for number, row in enumerate(rows) for place in row[:: -1 if number % 2 else 1]]
+    s1, s2 = config.servers
+    servers = (
+        replace(s1, east_m=12.0, north_m=14.0, range_m=17.5),
+        replace(s2, east_m=26.0, north_m=26.0, range_m=20.0),
+    )
+    closer = replace(config, mission=replace(config.mission, waypoints_m=tuple(waypoints_m)), servers=servers)
+    run = folder / "solar-park"
+    run.mkdir()
+    with contextlib.redirect_stdout(io.StringIO()):
+        fly_demonstration(run, closer, runtime="", live_port=None)
+    return [run / "events.jsonl"]
 
 
 def fleet(folder: Path) -> list[Path]:
@@ -235,7 +265,7 @@ def _thesis(folder: Path, policy: str, seed: int, name: str) -> Path:
 
 
 SCENES = (
-    Scene("live", demonstration, share=0.62),
+    Scene("live", survey, share=0.7),
     Scene("fleet", fleet, share=0.5),
     Scene("alarm", stuck),
     *(Scene(name, functools.partial(moments.write, name=name)) for name in moments.MOMENTS),

@@ -142,19 +142,14 @@ def test_a_command_line_that_is_shown_is_understood(page: Path) -> None:
                 pytest.fail(f"{page.name} shows {command!r}")
 
 
-def test_the_readme_shows_the_example_that_is_tested() -> None:
-    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
-    example = (ROOT / "examples" / "patrol.py").read_text()
-    for line in block.splitlines():
-        code = line.partition("#")[0].strip()
-        assert code in example, f"README's {code!r} is not in examples/patrol.py"
-
-
 def test_make_run_and_make_test_are_the_readmes_commands() -> None:
     readme, makefile = (ROOT / "README.md").read_text(), (ROOT / "Makefile").read_text()
     for command in ("run", "test"):
         assert re.search(rf"^    make {command}\b", readme, flags=re.MULTILINE)
         assert re.search(rf"^{command}:", makefile, flags=re.MULTILINE)
+    for page in (readme, (ROOT / "docs/index.md").read_text()):
+        (options,) = re.findall(r"^    make run ARGS=(.*)$", page, flags=re.MULTILINE)
+        command_line().parse_args(["demo", *options.split()])
 
 
 def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+import tomli_w
 from tests.programs import ROOT, ended, upwash
 
 from upwash.config import read_daemon_config, read_drone_config
@@ -27,6 +30,21 @@ def test_an_example_is_flown_on_the_drone_and_on_its_server(scenario: Path) -> N
     totals = msgspec.json.decode(run.stdout)["totals"]
     assert totals["local"] > 0
     assert totals["remote"]["s1"] > 0
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_the_mission_that_a_reader_sees_first_flies_past_both_servers(page: str, tmp_path: Path) -> None:
+    (mission,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
+    (tmp_path / "mission.py").write_text(mission)
+    scenario = tomllib.loads((ROOT / "scenarios/demonstration.toml").read_text())
+    scenario["mission"] |= {"program": "mission.py:survey"}
+    del scenario["mission"]["mode"]
+    (tmp_path / "scenario.toml").write_text(tomli_w.dumps(scenario))
+    run = upwash("simulate", tmp_path / "scenario.toml", "--json")
+    assert run.returncode == 0, run.stderr
+    totals = msgspec.json.decode(run.stdout)["totals"]
+    assert totals["local"] > 0
+    assert set(totals["remote"]) == {"s1", "s2"}
 
 
 def test_a_notebook_shows_what_a_server_is_worth_in_any_folder(tmp_path: Path) -> None:

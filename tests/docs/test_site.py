@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from tests.programs import ROOT, ended
+from tests.system.browser import Browser, browser, why_not
 
 from upwash.config import read_drone_config
 
@@ -59,6 +63,58 @@ def test_every_picture_that_a_page_asks_for_is_shown(site: Path) -> None:
             asked += 1
     assert asked > 3
     assert "<!-- picture" not in "".join(page.read_text() for page in site.glob("**/*.html"))
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Browser]:
+    if missing := why_not():
+        pytest.skip(missing)
+    with browser(tmp_path / "profile") as page:
+        yield page
+
+
+@pytest.mark.system
+@pytest.mark.root
+def test_the_search_finds_words_and_no_parts_of_words_in_a_file_too(site: Path, page: Browser) -> None:
+    page.open((site / "decisions" / "clock.html").as_uri())
+
+    def found(query: str) -> list[str]:
+        field = page.find(".find input")
+        field.clear()
+        field.send_keys(query)
+        page.wait_until(lambda: page.text(".found [role=status]"))
+        assert {word.lower() for word in page.each(".found mark", "each.textContent")} <= {*seen[query]}
+        return page.each(".found li strong", "each.textContent")
+
+    seen = {
+        "candidate": ("candidate", "candidates"),
+        "did": ("did", "didn"),
+        "hedg": ("hedg", "hedge", "hedged", "hedges", "hedging"),
+        "fences": ("fence", "fences"),
+        "nowhereatall": (),
+    }
+    assert found("candidate")
+    assert found("did"), "though the word is in no title"
+    assert found("hedg")[0] == "Hedging", "a title first, and a word that is not typed to its end"
+    assert found("fences")[0] == "Fences"
+    assert found("nowhereatall") == []
+    assert not page.errors()
+    field = page.find(".find input")
+    field.clear()
+    field.send_keys("fences\n")
+    page.wait_until(lambda: page.driver.current_url.endswith("/fences.html"))
+
+
+@pytest.mark.system
+@pytest.mark.root
+def test_a_diagram_is_bright_on_dark_ground_in_dark_colours(site: Path, page: Browser) -> None:
+    for name in ("policies.html", "reproduction.html", "start.html"):
+        page.open((site / name).as_uri(), scheme="dark")
+        for diagram in page.all(".diagram"):
+            with Image.open(io.BytesIO(diagram.screenshot_as_png)) as picture:
+                grey = sorted(picture.convert("L").tobytes())
+            assert grey[len(grey) // 2] < 60, "its ground"
+            assert grey[-len(grey) // 500] > 150, "what is drawn on it"
 
 
 def test_the_drone_of_the_raspberry_pi_is_understood(tmp_path: Path) -> None:
