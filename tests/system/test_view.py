@@ -224,6 +224,38 @@ from_s = 40.0
 """
 
 
+@pytest.mark.parametrize("width", [390, 1400])
+def test_of_ten_servers_with_long_names_each_has_its_number_and_its_state_in_sight(
+    page: Browser, tmp_path: Path, width: int
+) -> None:
+    names = [f"edge-server-on-the-roof-of-building-{number}" for number in range(1, 11)]
+    ranges = {
+        name: {"centre": {"east_m": 40.0 * index, "north_m": 0.0, "altitude_m": 0.0}, "radius_m": 50.0}
+        for index, name in enumerate(names)
+    }
+    failed = {"server": names[9], "before": "CHECK", "after": "BLACKLISTED", "why": "no answer in 2.8 s"}
+    log = tmp_path / "ten.jsonl"
+    log.write_bytes(
+        line("planned", 0.0, waypoints_m=[[0, 0], [360, 0]], ranges=ranges)
+        + line("mission_started", 1.0, policy="look-ahead", waypoints=2)
+        + line("position", 2.0, east_m=0.0, north_m=0.0, altitude_m=20.0)
+        + line("check_failed", 3.0, **failed)
+        + line("mission_ended", 6.0, why="")
+    )
+    with view_of(log) as address:
+        opened(page, address, width=width)
+        assert page.each(".servers tbody th", "each.title") == names
+        for shown in (".servers tbody th", ".chip"):
+            numbers = page.each(shown, "each.textContent.match(/[0-9]+/)[0]")
+            assert numbers == [str(number) for number in range(1, 11)]
+        assert page.rows(".servers")[9][1].startswith("BLACKLISTED")
+        right = "Math.round({}.getBoundingClientRect().right)"
+        for border in ("each.closest('td')", "each.closest('.scroll')"):
+            assert all(page.each(".servers .state", f"{right.format('each')} <= {right.format(border)}")), (
+                border
+            )
+
+
 @pytest.fixture(scope="module")
 def stuck(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a page about a flight whose vehicle stops on its way, and is left hovering."""
@@ -437,7 +469,7 @@ def test_what_a_log_says_is_never_markup(page: Browser, tmp_path: Path) -> None:
     with view_of(log) as address:
         opened(page, address)
         page.click(".delays summary")
-        assert HOSTILE in page.text(".servers")
+        assert page.each(".servers tbody th", "each.title") == [HOSTILE]
         page.wait_until(lambda: HOSTILE in page.text(".delays table"))
         assert (
             page.run("return document.querySelectorAll('main img:not(.photo img), main script').length") == 0

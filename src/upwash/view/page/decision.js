@@ -2,8 +2,9 @@
 // expected to take.
 
 import { element, write } from "./element.js";
-import { nameOf } from "./places.js";
+import { inBrief, nameOf } from "./places.js";
 
+const NAME = 16; // characters
 const OTHERS = "The same call under other policies:";
 
 export class DecisionCard {
@@ -43,7 +44,7 @@ export class DecisionCard {
 
   // A bar for each place that was considered, and for what the call took; the pale part is the wait.
   #drawBars(about) {
-    const bars = (about?.estimates ?? []).map(({ place, wait_s, call_s }) => [place, nameOf(place), wait_s ?? 0, call_s]);
+    const bars = (about?.estimates ?? []).map(({ place, wait_s, call_s }) => [place, inBrief(nameOf(place), NAME), wait_s ?? 0, call_s]);
     const { delay_s, waited_s, wait, place } = about ?? {};
     if (bars.length && delay_s !== undefined) {
       const waitedS = wait ? waited_s : 0;

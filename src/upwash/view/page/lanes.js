@@ -3,9 +3,11 @@
 import { inShort, line } from "./chart.js";
 import { told } from "./clock.js";
 import { card, element, write } from "./element.js";
+import { inBrief } from "./places.js";
 
-const [LEFT, RIGHT, AXIS] = [76, 12, 20];
+const [LEFT, RIGHT, AXIS] = [88, 12, 20];
 const [LANE, BAR] = [18, 12];
+const MARK = 4; // the radius of a place's mark: beside a server's name, and on a call that is long enough
 const STATES = { ready: "ready", checking: "check", trouble: "listed" }; // the colours of a server's states, by tone
 const NEAR_PX = 6; // of a call, to be pointed at
 const ZOOM = 1.25; // with each step of a wheel
@@ -95,7 +97,7 @@ export class Lanes {
     const context = this.canvas.getContext("2d");
     context.font = "12px system-ui, sans-serif";
     this.#drawAxis(context);
-    lanes.forEach(({ name }, lane) => this.#drawName(context, name, lane));
+    lanes.forEach(({ kind, name }, lane) => this.#drawName(context, kind, name, LANE * lane + LANE / 2));
     context.save();
     context.beginPath();
     context.rect(LEFT, 0, this.width - LEFT - RIGHT, this.height - AXIS);
@@ -120,12 +122,14 @@ export class Lanes {
     }
   }
 
-  #drawName(context, name, lane) {
+  #drawName(context, kind, name, middle) {
+    const right = LEFT - (kind === "server" ? 8 + 3 * MARK : 8);
     context.fillStyle = this.places.colours.of("ink");
     context.textAlign = "right";
     let short = name;
-    while (short && context.measureText(`${short}…`).width > LEFT - 8) short = short.slice(0, -1);
-    context.fillText(short === name ? name : `${short}…`, LEFT - 8, LANE * lane + LANE / 2 + 4, LEFT - 8);
+    for (let most = name.length; most > 3 && context.measureText(short).width > right; most -= 1) short = inBrief(name, most);
+    context.fillText(short, right, middle + 4, right);
+    if (kind === "server") this.places.paint(context, { place: name }, LEFT - 8 - MARK, middle, MARK);
   }
 
   #drawLane(context, kind, name, top) {
@@ -144,6 +148,8 @@ export class Lanes {
           const fromS = call.at_s - call.delay_s;
           bar(fromS, call.at_s, this.places.colour(call.place), 0.85);
           if (call.wait) bar(fromS, fromS + call.waited_s, colours.of("ink"), 0.5);
+          const [left, right] = [fromS, call.at_s].map((atS) => this.#x(story.clockS(atS)));
+          if (right - left > 4 * MARK) this.places.paint(context, { place: call.place }, (left + right) / 2, top + BAR / 2, MARK, 1);
         }
         break;
       case "server":

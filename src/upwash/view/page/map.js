@@ -8,10 +8,12 @@ import { homeIcon } from "./icons.js";
 import { Labels } from "./labels.js";
 import { FlightLayer } from "./layer.js";
 import { Marks, STILL, paintCross } from "./marks.js";
+import { inBrief } from "./places.js";
 import { Pills } from "./pills.js";
 
 const PAPER_PX = 660; // the width of what is printed on A4
 const DRONE_PX = 36; // nothing may cover that much
+const NAME = 16; // characters of a server's, which its place in the list has whole
 const IN_USE = { weight: 2.5, opacity: 1, fillOpacity: 0.1 };
 const ASIDE = { weight: 1.2, opacity: 0.45, fillOpacity: 0.03 };
 
@@ -208,11 +210,12 @@ export class FlightMap {
 
   #drawRange(server, centre, radius) {
     const color = this.places.colour(server);
-    const range = L.circle(centre, { ...STILL, ...ASIDE, color, dashArray: "7 4", radius }).addTo(this.areas);
+    const dashArray = this.places.dashes(server);
+    const range = L.circle(centre, { ...STILL, ...ASIDE, color, dashArray, radius }).addTo(this.areas);
     const paint = (context, _, x, y) => paintCross(context, color, x, y);
     new Marks({ place: () => centre, paint, reach: 8, pane: "overlayPane" }).addTo(this.areas).show(1);
     const said = element("span");
-    const chip = element("span", { class: "chip aside" }, this.places.icon(server), server, " ", said);
+    const chip = element("span", { class: "chip aside" }, this.places.icon(server), inBrief(server, NAME), " ", said);
     const icon = L.divIcon({ html: chip, className: "server", iconSize: null });
     L.marker(centre, { ...STILL, icon }).addTo(this.areas);
     this.#servers.set(server, { centre, range, chip, said, inUse: false });

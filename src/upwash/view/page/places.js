@@ -10,6 +10,8 @@ const SHAPES = [ // corners of the servers' marks, on a circle of radius 1
   [0, 1, 2, 3, 4].map((turn) => [Math.sin((turn * 2 * Math.PI) / 5), -1.15 * Math.cos((turn * 2 * Math.PI) / 5)]),
 ];
 
+const DASHES = ["7 4", "2 3", "13 3 3 3"]; // of the servers' ranges
+
 const NAMES = new Intl.Collator("en", { numeric: true });
 
 const FILLS = ["filled", "hollow", "dotted"]; // of operations, in the order of their names
@@ -53,6 +55,10 @@ export class Places {
 
   style(place) {
     return place === "local" ? "place-0" : `place-${1 + (this.#number(place) % this.colours.of("servers"))}`;
+  }
+
+  dashes(server) {
+    return DASHES[this.#servers.indexOf(server) % DASHES.length];
   }
 
   colour(place) {
@@ -137,4 +143,12 @@ export function nameOf(place) {
 // In a sentence.
 export function theNameOf(place) {
   return place === "local" ? "the drone" : place;
+}
+
+// The name in at most so many characters: its beginning and its end, which names of one kind differ by.
+export function inBrief(name, most) {
+  const letters = [...name];
+  const head = Math.floor((most - 1) / 3);
+  if (letters.length <= most) return name;
+  return [...letters.slice(0, head), "…", ...letters.slice(head + 1 - most)].join("");
 }

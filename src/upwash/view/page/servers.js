@@ -1,6 +1,9 @@
 // Each server: its state in a word and a colour, why, how far away it is (bold in its range), and its calls. Many scroll.
 
 import { card, element, scrolled, table, write } from "./element.js";
+import { inBrief } from "./places.js";
+
+const NAME = 12; // characters; all of it is shown where it is pointed at
 
 export class ServerList {
   #rows = new Map();
@@ -38,8 +41,9 @@ export class ServerList {
       const row = {
         state: element("span"), means: element("span", { class: "means" }), away: element("span"), inside: element("span", { class: "unseen" }), calls: element("td"),
       };
-      const name = element("th", { scope: "row" }, this.places.icon(server), ` ${server}`);
-      this.body.append(element("tr", {}, name, element("td", {}, row.state, " ", row.means), element("td", {}, row.away, row.inside), row.calls));
+      const name = element("th", { scope: "row", title: server }, this.places.icon(server), ` ${inBrief(server, NAME)}`);
+      const state = element("td", {}, element("div", {}, row.state, " ", row.means));
+      this.body.append(element("tr", {}, name, state, element("td", {}, row.away, row.inside), row.calls));
       this.#rows.set(server, row);
     }
   }
