@@ -158,6 +158,8 @@ async def test_a_take_off_whose_answer_was_lost_shows_within_a_second(
 
 @played(tell)
 async def test_a_speed_waits_for_the_first_target_of_each_flight(script: Script) -> None:
+    await script.autopilot.set_ground_speed(5.0)
+    assert script.commands(SPEED) == []
     leg = await begun(script, script.autopilot.goto(THERE))
     await script.say(script.place(Position(30.0, 41.0, 10.0), Velocity(north_m_s=1.0)))
     await asyncio.sleep(0.125)
@@ -206,7 +208,7 @@ async def test_a_target_is_a_place_above_the_sea_and_repeated_without_progress(s
 async def test_the_speed_is_sent_once_it_flies_and_again_while_it_flies_faster(script: Script) -> None:
     leg = await begun(script, script.autopilot.goto(THERE))
     begun_s, north_m = script.now_s, 40.0
-    for fast_m_s, sent in (6.0, 1), (6.1, 2), (6.1, 3), (5.0, 3):
+    for fast_m_s, sent in (6.0, 1), (6.0, 1), (6.1, 2), (6.1, 3), (5.0, 3):
         for _ in range(10):
             await asyncio.sleep(0.5)
             north_m += 0.6
@@ -299,6 +301,24 @@ async def test_a_target_that_was_refused_is_no_target_of_the_program(
     with suppress(AutopilotRefused, asyncio.CancelledError):
         leg.cancel()
         await leg
+
+
+@pytest.mark.parametrize(
+    ("verb", "command"),
+    [
+        (lambda autopilot: autopilot.goto(THERE), REPOSITION),
+        (lambda autopilot: autopilot.takeoff(20.0), TAKEOFF),
+    ],
+)
+@played(tell)
+async def test_a_refusal_after_a_pilot_took_over_is_the_pilots_doing(
+    script: Script, *, verb: Verb, command: int
+) -> None:
+    script.results[command] = FAILED
+    trying = await begun(script, verb(script.autopilot))
+    await script.beat(mode=mavlink.COPTER_MODE_LOITER)
+    with pytest.raises(AutopilotOverruled, match="LOITER"):
+        await trying
 
 
 @pytest.mark.parametrize("avoids", [0.0, 1.0])
