@@ -60,7 +60,7 @@ def pictures(page: ElementTree.Element) -> list[ElementTree.Element]:
 def test_a_finding_has_its_place_on_the_photo_and_on_the_earth(tmp_path: Path, photos: Path) -> None:
     page = parsed(flight(tmp_path / "f.jsonl", [BOX]), photos=photos)
     (picture,) = pictures(page)
-    assert "1: hot-spot 87 %" in text(picture)
+    assert "1: hot-spot 87\N{NO-BREAK SPACE}%" in text(picture)
     assert "waypoint 1, at 0:15" in text(picture)
     assert "39.000000°, 22.000231°" in text(picture)
     assert table_named(page, "Findings")[1:] == [

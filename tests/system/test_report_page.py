@@ -88,6 +88,14 @@ def test_the_alarm_is_the_first_thing_that_is_seen(page: Browser, few: str, many
         assert box["bottom"] < 450
 
 
+def test_of_many_flights_the_one_that_is_shown_comes_before_all_in_words(page: Browser, many: str) -> None:
+    page.open(many, width=1400)
+    page.drawn()
+    tops = page.each(".together, main, .folded", "each.getBoundingClientRect().top")
+    assert len(tops) == 3 and tops == sorted(tops)
+    assert page.text(".aside").startswith("ill · ")
+
+
 def test_what_is_folded_is_not_printed_and_no_figure_is_cut_from_its_heading(
     page: Browser, many: str
 ) -> None:
@@ -104,6 +112,10 @@ def test_what_is_folded_is_not_printed_and_no_figure_is_cut_from_its_heading(
         assert page.run("return getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
         kept = "return [...document.querySelectorAll('h2, .note')].map((each) => getComputedStyle(each).breakAfter)"
         assert set(page.run(kept)) == {"avoid"}
+        torn = page.each("main, main > div, .flight", "getComputedStyle(each).display")
+        assert "grid" not in torn, "parts of a grid cover each other where a page ends"
+        drawn = page.each(":is(.chart, .lanes) canvas:not(.over)", "getComputedStyle(each).position")
+        assert set(drawn) == {"static"}, "as high as its width on paper makes it"
     finally:
         page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 

@@ -55,7 +55,12 @@ def _picture(found: PlacedFinding, outlined: Markup, record: Record) -> Markup:
     where = "" if finding.waypoint is None else f"waypoint {finding.waypoint}, "
     caption = element(
         "figcaption",
-        element("strong", f"{found.number}: {printable(finding.words, _LONGEST_LABEL)}"),
+        element(
+            "strong",
+            f"{found.number}: {printable(finding.words, _LONGEST_LABEL)}".replace(
+                " %", "\N{NO-BREAK SPACE}%"
+            ),
+        ),
         element("br"),
         f"{where}at {clock(found.mission_s)}",
         element("br"),

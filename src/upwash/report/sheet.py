@@ -36,7 +36,9 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
         for record in records
     ]
     each = element("section", element("h2", "Each flight"), *folded, class_="folded")
-    return _whole(*draw_urgent(records), *draw_summary(records), each)
+    summary = [*draw_urgent(records), *draw_summary(records)]
+    together = element("section", *summary, class_="sheet together", aria_label="All flights together")
+    return _whole(together, each)
 
 
 def _whole(*parts: Markup) -> Markup:

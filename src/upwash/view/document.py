@@ -66,7 +66,8 @@ def _icon() -> str:
 
 @functools.cache
 def _style() -> str:
-    own = sorted(file.name for file in _PAGE.iterdir() if file.name.endswith(".css"))
+    names = (file.name for file in _PAGE.iterdir() if file.name.endswith(".css"))
+    own = sorted(names, key=lambda name: (name == "print.css", name))  # paper has the last word
     leaflet = (_LEAFLET / "leaflet.css").read_text(encoding="utf-8")
     return "\n".join([leaflet, stylesheet(), *map(_read, own)])
 

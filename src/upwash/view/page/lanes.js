@@ -9,6 +9,7 @@ const [LEFT, RIGHT, AXIS] = [88, 12, 20];
 const [LANE, BAR] = [18, 12];
 const MARK = 4; // the radius of a place's mark: beside a server's name, and on a call that is long enough
 const STATES = { ready: "ready", checking: "check", trouble: "listed" }; // the colours of a server's states, by tone
+const TOLD = { aside: "pale: in range", checking: "checked", ready: "ready", trouble: "left alone" }; // in their colours
 const NEAR_PX = 6; // of a call, to be pointed at
 const ZOOM = 1.25; // with each step of a wheel
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400]; // between numbers on the axis
@@ -27,7 +28,8 @@ export class Lanes {
     this.over = element("canvas", { class: "over", "aria-hidden": "true" });
     this.tip = element("p", { class: "tip", hidden: "" });
     this.frame = element("div", { class: "lanes" }, this.canvas, this.over, this.tip);
-    this.element = card("Flight over time", this.frame);
+    const states = Object.entries(TOLD).map(([tone, words]) => element("span", { class: `state ${tone}` }, words));
+    this.element = card("Flight over time", element("p", { class: "legend" }, ...states), this.frame);
     this.element.classList.add("over-time");
     this.over.addEventListener("pointermove", (event) => this.#point(event.offsetX, event.offsetY));
     this.over.addEventListener("pointerleave", () => (this.tip.hidden = true));

@@ -40,8 +40,8 @@ const feed = new Feed({
     const flights = many ? stories.slice(0, 1) : stories;
     setViews(together ? [fleetOf(stories, page.tiles)] : flights.map((story, log) => flightOf(story, log, page.tiles)));
     if (many) offerChoice(stories, page.tiles);
-    const sheet = document.querySelector(".sheet");
-    if (sheet && stories.length > MOST_BESIDE) on("flights").before(sheet); // first what they came to together
+    const summary = document.querySelector(".together");
+    if (summary) on("flights").before(summary);
     title = `upwash: ${listed(stories.map((story) => story.name))}`;
   },
   grown,
@@ -116,9 +116,9 @@ function show() {
   const operations = stories.flatMap((story) => [...story.operations]);
   if (places.know(stories.flatMap((story) => story.servers), operations)) views.forEach((view) => view.restyle());
   const limits = {
-    waypoints: Math.max(0, ...stories.map((story) => story.waypoints)),
-    longestS: Math.max(0.1, ...stories.map((story) => story.longestS)),
-    before: stories.some((story) => story.call[0]?.waypoint === null),
+    waypoints: Math.max(0, ...shown().map((story) => story.waypoints)),
+    longestS: Math.max(0.1, ...shown().map((story) => story.longestS)),
+    before: shown().some((story) => story.call[0]?.waypoint === null),
   };
   for (const view of views) view.show(clock.nowS, limits);
   showNow();

@@ -35,6 +35,6 @@ export class WorstCalls {
     const button = element("button", { type: "button" }, `${where}, ${told(story.missionS(call.at_s))}`);
     button.addEventListener("click", () => this.picked(call));
     const lost = element("strong", {}, `${call.lost_s.toFixed(1)} s lost:`);
-    return element("li", {}, button, " ", lost, ` ${call.words[0] ?? ""}`);
+    return element("li", {}, button, element("span", {}, lost, ` ${call.words[0] ?? ""}`));
   }
 }
