@@ -175,4 +175,4 @@ def test_a_flight_that_was_stopped_is_not_among_those_that_were_completed(tmp_pa
     stopped = DemonstratedFlight.of(log, INTERRUPTED)
     assert stopped.in_words == "ended early"
     assert DemonstratedFlight(INTERRUPTED, None).in_words == "did not begin"
-    assert summary([stopped.result]) == "none of 1 flights was completed"
+    assert summary([stopped.result]) == "no flight was completed"

@@ -38,7 +38,7 @@ def test_drones_that_wait_follow_those_with_a_slot_in_the_order_of_their_turns()
     for drone in ("avocet", "heron"):
         host.availability("s1", [], Client(drone), now_s=32.0)
     assert printed(host.servers(now_s=32.0))[2:] == [
-        "s1: 1 of 1 slots in use, 2 drones wait",
+        "s1: 1 of 1 slot in use, 2 drones wait",
         "  1 slot, as configured; a turn lasts 30 s, 1 has ended so far",
         "  egret: has a slot for 2 s, counts as having had 2 s; lease ends in 28 s",
         "  avocet: waits for 0 s, counts as having had 2 s",
@@ -54,7 +54,7 @@ def test_a_slot_that_is_held_names_the_peer_that_asked_and_turns_may_have_no_end
     peer = Client("s2", "02", role=Role.SERVER)
     host.hold("s1", [], Client("tern", "03"), peer=peer, for_s=9.0, now_s=0.0)
     assert printed(host.servers(now_s=1.0))[2:5] == [
-        "s1: 1 of 1 slots in use",
+        "s1: 1 of 1 slot in use",
         "  1 slot, as no service is offered; turns have no end",
         "  tern: has a slot for 1 s, counts as having had 1 s; lease ends in 8 s, certificate 03, held as s2 asked",
     ]

@@ -57,7 +57,7 @@ def test_a_table_is_a_radio_and_tells_what_it_depends_on(tmp_path: Path) -> None
         ("0,nan", "not finite"),
         ("0,11\ninf,0", "not finite"),
         ("0,-1", "negative"),
-        ("0", "a row of 1 columns: 0"),
+        ("0", "a row of 1 column: 0"),
     ],
 )
 def test_a_table_in_which_nothing_can_be_looked_up_is_refused(

@@ -129,7 +129,7 @@ async def test_the_reasons_of_a_silence_are_told_together() -> None:
                 other.sendto(beat(8), ("127.0.0.1", port))
             vehicle.sendto(beat(), ("127.0.0.1", port))
             await heard.get()
-        ignored = f"2 datagrams of others were ignored, the last from 127.0.0.1:{other.getsockname()[1]}"
+        ignored = f"2 datagrams of others ignored, the last from 127.0.0.1:{other.getsockname()[1]}"
         assert link.why_silent == f" ({ignored})"
         link.trouble = "it broke"
         assert link.why_silent == f" (it broke; {ignored})"

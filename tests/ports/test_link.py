@@ -493,8 +493,8 @@ async def test_a_request_that_does_not_end_holds_up_no_other() -> None:
 @pytest.mark.parametrize(
     ("concurrently", "per_drone", "refused", "why"),
     [
-        (16, 1, "heron", "this drone has 1 requests under way already"),
-        (1, 16, "stork", "1 requests are under way already"),
+        (16, 1, "heron", "this drone has 1 request under way already"),
+        (1, 16, "stork", "1 request under way already"),
     ],
 )
 async def test_requests_beyond_a_drones_share_or_the_servers_bound_are_refused_at_once_and_in_the_log(

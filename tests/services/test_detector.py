@@ -430,7 +430,7 @@ def test_an_onnx_model_that_does_not_fit_is_refused(
         (
             {"anchors": ((1.0, 2.0),)},
             ModelError,
-            r"not 1 x 7 x 20 x 20, as 1 anchors, 2 names and stride 16 say",
+            r"not 1 x 7 x 20 x 20, as 1 anchor, 2 names and stride 16 say",
         ),
         ({"stride": 33}, UsageError, r"a picture of 320 pixels is not whole cells of 33: give a multiple"),
     ],
@@ -485,7 +485,7 @@ def test_a_file_that_is_no_detection_model_is_refused(
         (b"", "expected the name of a class in every line"),
         (b"one\n\nthree\n", "expected the name of a class in every line"),
         (b"\xff\xfe\x00", "byte 0: not text"),
-        (b"one\n", "as 2 anchors, 1 names and stride 16 say"),
+        (b"one\n", "as 2 anchors, 1 name and stride 16 say"),
         (b"one\ntwo\nthree\n", "as 2 anchors, 3 names and stride 16 say"),
     ],
 )

@@ -347,7 +347,7 @@ async def test_its_status_shows_an_operator_leases_instances_refusals_and_certif
     seen = await asyncio.to_thread(upwash, *status, "alice")
     assert (seen.returncode, seen.stderr) == (0, "")
     for expected in (
-        r"s1: 1 of 1 slots in use, 1 drone waits\n  1 slot, as configured; a turn lasts 30 s\n",
+        r"s1: 1 of 1 slot in use, 1 drone waits\n  1 slot, as configured; a turn lasts 30 s\n",
         r"heron: has a slot for \d+ s, counts as having had \d+ s; lease ends in \d+ s, certificate \w{16}",
         r"stork: waits for \d+ s, counts as having had \d+ s",
         r"workbench +running +:\d+",

@@ -20,13 +20,13 @@ from upwash.config import DroneConfig, read_drone_config, told_in_numbers
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
-from upwash.eventlog.narration import counted
 from upwash.launch.processes import ready_program, ready_vehicle
 from upwash.real.trust.authority import keys_in, make_keys
 from upwash.services import Detection
 from upwash.services.solar_park import TrueBox
 from upwash.support.output_files import write_file
 from upwash.support.sentences import say
+from upwash.support.text import counted
 
 _CONFIGURATION = Path(__file__).with_suffix(".toml")
 _RUNTIME = "[runtime]\nsandbox_as_root = true\n"  # people may try the demonstration as root

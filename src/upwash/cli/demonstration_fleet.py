@@ -31,6 +31,7 @@ from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.trust.authority import make_keys
 from upwash.support.background import beside
 from upwash.support.sentences import say
+from upwash.support.text import counted
 from upwash.view.tail import Tail
 
 _DEPARTURE_S = 3.0  # after the drone before
@@ -63,7 +64,8 @@ def fly_fleet(folder: Path, config: DroneConfig, drones: int, *, runtime: str, l
             write_config(files[drone.name], here)
             logs[drone.name].touch()  # the page shows a flight that has yet to begin
         console.print(
-            f"{len(fleet)} vehicles; the servers are at {', '.join(servers.values())}", soft_wrap=True
+            f"{counted(len(fleet), 'vehicle')}; the servers are at {', '.join(servers.values())}",
+            soft_wrap=True,
         )
         processes.enter_context(shown_live(list(logs.values()), live_port))
         progress = processes.enter_context(FleetProgress(list(logs), len(waypoints(config.mission)), console))
@@ -247,13 +249,13 @@ def summary(results: Sequence[RunResult | None]) -> str:
     """The mean and the worst of the completed flights, in a sentence."""
     completed = [result for result in results if result is not None and result.completed]
     if not completed:
-        return f"none of {len(results)} flights was completed"
+        return "no flight was completed"
     times_s = [result.mission_time_s for result in completed]
     all_saved_s = [saved_s for result in completed if (saved_s := result.saved_s()) is not None]
     saved = (
         f"; saved: mean {mean(all_saved_s):z.1f} s, least {min(all_saved_s):z.1f} s" if all_saved_s else ""
     )
     return (
-        f"{len(completed)} of {len(results)} flights completed; "
+        f"{len(completed)} of {counted(len(results), 'flight')} completed; "
         f"mission time: mean {mean(times_s):.1f} s, worst {max(times_s):.1f} s{saved}"
     )

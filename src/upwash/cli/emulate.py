@@ -9,8 +9,8 @@ from upwash.cli.arguments import FOLDER, new_run_folder, option, repeated, requi
 from upwash.emulation.enclosure import clean, require_root_and_tools
 from upwash.emulation.request import EmulationRequest
 from upwash.errors import UsageError
-from upwash.eventlog.narration import counted
 from upwash.support.loading import extra
+from upwash.support.text import counted
 
 ARGUMENTS = {
     "scenarios SCENARIO": option("TOML files with the same servers", nargs="*", type=Path),

@@ -29,7 +29,6 @@ from upwash.cli.exit_codes import MEANINGS
 from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
 from upwash.errors import MissionStopped, NotKept, UsageError
 from upwash.eventlog import log as event_log
-from upwash.eventlog.narration import counted
 from upwash.eventlog.results import read_result
 from upwash.eventlog.schema import Event, MissionStarted
 from upwash.launch.flight import fly
@@ -39,6 +38,7 @@ from upwash.report.exports import write_result
 from upwash.report.record import record_of
 from upwash.support.loading import extra
 from upwash.support.standard_streams import forgiving_streams
+from upwash.support.text import counted
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -12,6 +12,7 @@ from upwash.cli.arguments import announce, option, repeated
 from upwash.errors import UsageError
 from upwash.real.mavlink.signing import make_signing_key
 from upwash.real.trust.authority import drop_former_authorities, made_in, make_keys, renew_authority, revoke
+from upwash.support.text import counted
 
 _MOST_DAYS = 3652
 
@@ -92,7 +93,7 @@ def _show(folder: Path) -> None:
         )
     now = datetime.now(UTC)
     for key in made:
-        left = "revoked" if key.is_revoked else f"{(key.ends - now).days} days"
+        left = "revoked" if key.is_revoked else counted((key.ends - now).days, "day")
         announce(f"{key.holder}  {key.role}  until {key.ends:%Y-%m-%d}  {left}  {key.fingerprint}")
 
 

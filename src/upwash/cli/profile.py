@@ -27,6 +27,7 @@ from upwash.profiling.report import call_table, chosen_setting, fastest, server_
 from upwash.real.camera.camera import read_photos
 from upwash.rpc.service import spec_of
 from upwash.support.output_files import write_file
+from upwash.support.text import counted
 
 T = TypeVar("T")
 
@@ -167,4 +168,4 @@ def _print(table: Table | None, text: str, out: Path | None) -> None:
 
 
 def _computer() -> str:
-    return f"{platform.node()} ({platform.machine()}, {os.cpu_count()} cores)"
+    return f"{platform.node()} ({platform.machine()}, {counted(os.cpu_count() or 1, 'core')})"

@@ -23,10 +23,10 @@ from upwash.core.admission.clients import (
     TeamUsage,
 )
 from upwash.core.admission.limits import Limits
-from upwash.eventlog.narration import counted
 from upwash.launch.status import ask_status
 from upwash.rpc.protocol import CertificateStatus, StatusReply
 from upwash.support.sentences import say
+from upwash.support.text import counted
 
 _SOON_DAYS = 30
 _MOST_SHOWN = 20
@@ -78,7 +78,7 @@ def print_status(status: StatusReply, console: Console) -> None:
 def _print_server(server: ServerStatus, console: Console) -> None:
     waiting = sum(account.waits_s is not None for account in server.accounts)
     queue = f", {waiting} {'drone waits' if waiting == 1 else 'drones wait'}" if waiting else ""
-    say(f"\n{server.name}: {len(server.leases)} of {server.slots} slots in use{queue}", console)
+    say(f"\n{server.name}: {len(server.leases)} of {counted(server.slots, 'slot')} in use{queue}", console)
     if server.slots_why:  # of a daemon that knows turns
         say(Text(f"  {_slots_and_turns(server)}"), console)
     for line in (*_holders(server), *_waiting(server)):
@@ -189,7 +189,7 @@ def _held(most: Limits) -> Iterator[str]:
     if most.cpus is not None:
         yield counted(most.cpus, "processor")
     if most.processes is not None:
-        yield f"{most.processes} processes"
+        yield counted(most.processes, "process")
     if most.disk_bytes is not None:
         yield f"{_size(most.disk_bytes)} of files"
 
@@ -209,7 +209,8 @@ def _print_certificates(certificates: Sequence[CertificateStatus], console: Cons
         console.print()
     for certificate in certificates:
         days = (certificate.expires - datetime.now(UTC)).days
-        line = f"certificate of {certificate.holder}: valid until {certificate.expires:%Y-%m-%d}, {days} days"
+        until = f"{certificate.expires:%Y-%m-%d}, {counted(days, 'day')}"
+        line = f"certificate of {certificate.holder}: valid until {until}"
         say(Text(line, style="bold red" if days < _SOON_DAYS else ""), console)
 
 

@@ -22,6 +22,7 @@ from upwash.config.runtime import (
 )
 from upwash.config.shorthand import each_table, image_written_out
 from upwash.errors import ConfigError
+from upwash.support.text import counted
 
 _REVOKED = "revoked.txt"
 
@@ -222,8 +223,8 @@ def _port_problems(config: DaemonConfig, *, is_reached: bool) -> Iterator[Proble
     elif ports < instances:
         yield (
             key,
-            f"{ports} ports are too few for {instances} instances, one of each service on each server: "
-            f"end at {first + instances - 1} or later",
+            f"{counted(ports, 'port')} cannot serve {counted(instances, 'instance')}, one of each service on each "
+            f"server: end at {first + instances - 1} or later",
         )
     elif first <= int(config.listen.rpartition(":")[2] or 0) <= last:
         yield key, f'has the daemon\'s own port of listen = "{config.listen}" in it: give others'

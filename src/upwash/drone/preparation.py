@@ -39,6 +39,7 @@ from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Finder
 from upwash.rpc.service import ServiceSpec
+from upwash.support.text import counted
 
 
 def make_selection(
@@ -271,7 +272,7 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
     ]
     best = best_order(given, allowed, forecaster.mission_s)
     if len(allowed) < len(sweeps):
-        forbidden = f"the geofence forbids {len(sweeps) - len(allowed)} of {len(sweeps)} sweeps"
+        forbidden = f"the geofence forbids {len(sweeps) - len(allowed)} of {counted(len(sweeps), 'sweep')}"
         return replace(best, why=f"{best.why}; {forbidden}")
     return best
 

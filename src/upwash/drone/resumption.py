@@ -12,6 +12,7 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces, OpenDemands
 from upwash.eventlog.schema import Event
+from upwash.support.text import counted
 
 _SAME_PLACE_M = 0.01
 
@@ -82,7 +83,8 @@ def _require_same_drone(started: schema.MissionStarted, config: DroneConfig, pla
         raise UsageError(f"this log is of the drone {started.drone}, not of {config.name}")
     if started.waypoints != planned:
         raise UsageError(
-            f"this log is of another plan: it had {started.waypoints} waypoints, and the plan has {planned}"
+            f"this log is of another plan: it had {counted(started.waypoints, 'waypoint')}, "
+            f"and the plan has {planned}"
         )
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from upwash.core.geo import Circle, Measured, Position, Reach, ground_distance_m
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog import schema
-from upwash.eventlog.narration import counted
 from upwash.eventlog.schema import Event
+from upwash.support.text import counted
 
 _REMEMBERED_S = 60.0  # how long the drone believes a server without a free slot
 _NO_ANSWER = "no answer"

@@ -10,7 +10,7 @@ import msgspec
 from upwash.eventlog import schema
 from upwash.eventlog.log import LONGEST_LINE_BYTES, decode
 from upwash.eventlog.schema import LONGEST, LONGEST_TEXT, MOST_FEW, Event
-from upwash.support.text import json_line, printable
+from upwash.support.text import counted, json_line, printable
 
 _LONGEST_WHY = 200  # characters
 _DEEPEST = {
@@ -66,7 +66,7 @@ def _part(fact: object, *, most: int | None, depth: int) -> object:
         case float():
             return None if math.isnan(fact) else max(-LONGEST, min(LONGEST, fact))
         case list() | dict() if depth < 0:
-            return f"{len(fact)} entries"
+            return counted(len(fact), "entry")
         case list():
             return [_part(entry, most=most, depth=depth - 1) for entry in fact[:most]]
         case dict():

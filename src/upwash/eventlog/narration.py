@@ -15,7 +15,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import plural, printable
+from upwash.support.text import counted, printable
 
 SAFE_ENDS = {
     "return": "returning to land",
@@ -50,11 +50,6 @@ def spans(indices: Sequence[int]) -> str:
 def ran_on(server: str | None) -> str:
     """The place of a call as text: "on s1", "on the drone"."""
     return "on the drone" if server is None else f"on {server}"
-
-
-def counted(number: int, noun: str) -> str:
-    """A number with its noun: "1 call", "2 calls", "2 boxes"."""
-    return f"{number} {noun if number == 1 else plural(noun)}"
 
 
 class Tone(StrEnum):

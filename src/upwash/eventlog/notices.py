@@ -19,9 +19,10 @@ from enum import StrEnum
 from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
-from upwash.eventlog.narration import SAFE_ENDS, WARNING, counted, known, who_has_it
+from upwash.eventlog.narration import SAFE_ENDS, WARNING, known, who_has_it
 from upwash.eventlog.progress import as_clock
 from upwash.eventlog.schema import SEVERITIES, Event
+from upwash.support.text import counted
 
 _TAKE_OVER = "Take over with the remote control."
 _BE_READY = "Be ready to take over."

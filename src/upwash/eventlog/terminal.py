@@ -13,11 +13,11 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from upwash.eventlog import schema
-from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Sentence, Tone, counted, left_undone, spans
+from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Sentence, Tone, left_undone, spans
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.sentences import say
-from upwash.support.text import printable
+from upwash.support.text import counted, printable
 
 _STILL_WAITING_S = 10.0  # without a line; then a line repeats the state, if the terminal shows no picture
 _DECISION = 16  # columns at least, so that few words are longer

@@ -24,6 +24,7 @@ from upwash.real.camera.video import VideoCamera
 from upwash.sim.camera import RenderedCamera
 from upwash.support.jpeg import EOI, segments_of
 from upwash.support.loading import extra
+from upwash.support.text import counted
 
 NO_CAMERA = (
     "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
@@ -136,7 +137,9 @@ def _look_at_files(folder: Path) -> Look:
     bad: list[str] = []
     for looked_at, file in enumerate(files):
         if looked_at == _MOST_FILES or time.monotonic() > until_s:
-            bad.append(f"only the first {looked_at} of {len(files)} photos of {folder} were looked at")
+            bad.append(
+                f"only the first {looked_at} of {counted(len(files), 'photo')} of {folder} were looked at"
+            )
             break
         try:
             jpeg = read_photo_file(file)
@@ -152,7 +155,8 @@ def _look_at_files(folder: Path) -> Look:
                 del chosen[list(chosen)[1]]
             chosen[file.name] = jpeg
     more = len(bad) - _MOST_NAMED
-    return Look(chosen, (*bad[:_MOST_NAMED], *([f"and {more} more photos like these"] if more > 0 else [])))
+    others = [f"and {counted(more, 'more photo')} like these"] if more > 0 else []
+    return Look(chosen, (*bad[:_MOST_NAMED], *others))
 
 
 def _device_troubles(camera: str, first: bytes, second: bytes) -> list[str]:

@@ -12,7 +12,7 @@ from upwash.plans.course import make_plan
 from upwash.plans.foreign import WANTED, kind_of_document
 from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Item, PlanRefusal, checked_place, home_at
 from upwash.plans.plan import FlightPlan, PlannedCircle, PlannedPolygon, PlanNotices
-from upwash.support.text import printable
+from upwash.support.text import counted, printable
 
 T = TypeVar("T")
 
@@ -150,7 +150,9 @@ def _items(tables: list[dict[str, Any]], notices: PlanNotices) -> Iterator[Item]
         inner, pattern = _singly(number + 1, table)
         if pattern:
             last = number + len(inner)
-            notices.add(f"{pattern} is flown as its {len(inner)} single commands, items {number + 1}-{last}")
+            notices.add(
+                f"{pattern} is flown as its {counted(len(inner), 'single command')}, items {number + 1}-{last}"
+            )
         for item in inner:
             number += 1
             if number > MOST_ITEMS:
@@ -194,7 +196,7 @@ def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
     for number, polygon in enumerate(polygons, start=1):
         name = _name(polygon, "polygon", number)
         if len(polygon.polygon) < 3:
-            raise PlanRefusal(name, f"{len(polygon.polygon)} corners: a polygon has at least 3")
+            raise PlanRefusal(name, f"{counted(len(polygon.polygon), 'corner')}: a polygon has at least 3")
         corners = tuple(checked_place(name, *corner) for corner in polygon.polygon)
         yield PlannedPolygon(name, polygon.inclusion, corners)
     for number, circle in enumerate(fence.circles, start=1):

@@ -19,11 +19,11 @@ from rich.table import Table
 
 from upwash.config import DroneConfig, Presence
 from upwash.errors import UpwashError, UsageError
-from upwash.eventlog.narration import counted
 from upwash.lab.run import Run, simulate_fleet
 from upwash.lab.scenario import with_policy
 from upwash.preflight.prediction import LOCAL_ONLY
 from upwash.support.sentences import say
+from upwash.support.text import counted
 
 SLOWER = 1.05  # the most that the mean time may grow for drones that are carried
 _NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.config import DroneConfig, drone_config, told_pace
-from upwash.eventlog.narration import counted, spans
+from upwash.eventlog.narration import spans
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.figures import FigureFiles
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
@@ -23,6 +23,7 @@ from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
 from upwash.sim.chance import plays_a_part
 from upwash.support.sentences import say
+from upwash.support.text import counted
 
 _LONGEST_WORD = 20  # columns of a word that is never broken
 _NO_PACE = (
@@ -191,7 +192,7 @@ def _are_lighter(found: MissionCheck) -> bool:
 def _how_sure(found: MissionCheck, config: DroneConfig) -> str:
     missions = found.predictions[0].missions
     if plays_a_part(config):
-        sure = f"means of {missions} simulated missions each, ± 95 % confidence"
+        sure = f"means of {counted(missions, 'simulated mission')} each, ± 95 % confidence"
     else:
         sure = "one simulated mission each, as without [noise] all are alike"
     if found.usable_s is not None or found.usable_wh is not None:

@@ -24,7 +24,7 @@ from upwash.config import (
 )
 from upwash.drone.preparation import order_of
 from upwash.eventlog import schema
-from upwash.eventlog.narration import counted, spans
+from upwash.eventlog.narration import spans
 from upwash.lab import processes
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.scenario import with_policy
@@ -45,6 +45,7 @@ from upwash.preflight.waypoints import coverage, uncovered
 from upwash.sim.chance import plays_a_part
 from upwash.support.confidence import mean_or_none
 from upwash.support.sentences import say
+from upwash.support.text import counted
 
 
 class DroneForecast(Struct, frozen=True, kw_only=True):

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from upwash.eventlog.narration import counted
 from upwash.profiling.profiler import CallProfile, OnboardProfile, ServerProfile
+from upwash.support.text import counted
 
 _MEGA = 1e6
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from upwash.eventlog.narration import counted
 from upwash.report.axes import RIGHT, TOP, WIDTH, Axis, figure, label
 from upwash.report.groups import Difference, Group, in_seconds
 from upwash.report.markup import Markup, element, joined
 from upwash.support.confidence import Mean
+from upwash.support.text import counted
 
 _LEFT, _SPARE = 24.0, 0.06  # of the plot's breadth, either side of the dots
 _ROW, _NAME = 62.0, 16.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from upwash.eventlog.narration import counted
 from upwash.report.markup import Markup, element
 from upwash.report.record import Record
+from upwash.support.text import counted
 
 _MOST = 12  # sentences of a block
 
@@ -21,7 +21,8 @@ def draw_endings(records: Sequence[Record]) -> Markup:
 def _ending(record: Record, *, named: bool) -> list[Markup]:
     of = f"{record.name}: " if named else ""
     notices = record.notices
-    reached = f"all {counted(record.result.waypoints, 'waypoint')} reached"
+    waypoints = record.result.waypoints
+    reached = "its waypoint reached" if waypoints == 1 else f"all {waypoints} waypoints reached"
     blocks = []
     if notices.urgent:
         blocks.append(_block(f"{of}A person had to act, or has to know", notices.urgent, "urgent"))

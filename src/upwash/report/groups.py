@@ -7,9 +7,9 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from upwash.eventlog.narration import counted
 from upwash.report.record import Record
 from upwash.support.confidence import Mean, mean_of
+from upwash.support.text import counted
 
 _APART = "\u00a0"  # where no line ends
 

@@ -15,14 +15,13 @@ from upwash.eventlog.narration import (
     WAS_LEFT_HOVERING,
     Narrator,
     Tone,
-    counted,
     left_undone,
     spans,
     who_has_it,
 )
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.support.text import by_name, printable
+from upwash.support.text import by_name, counted, printable
 
 _LONGEST_LIST = 200  # characters
 _MOST_KINDS = 200  # of troubles that are told apart, however long the log is

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from upwash.core.geo import GeoPosition
-from upwash.eventlog.narration import counted
 from upwash.report.findings import Finding
-from upwash.support.text import printable
+from upwash.support.text import counted, printable
 
 _FAULTS = {
     "hot-spot": "hot-spot",

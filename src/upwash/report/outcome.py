@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from upwash.eventlog import schema
 from upwash.eventlog.causes import clock
-from upwash.eventlog.narration import counted
 from upwash.eventlog.results import RunResult, Tally, Totals
 from upwash.eventlog.schema import Event
+from upwash.support.text import counted
 
 _MINUTE_S = 60.0
 UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log

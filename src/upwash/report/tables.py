@@ -14,6 +14,7 @@ from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
 from upwash.report.numbering import PlacedFinding
 from upwash.report.record import Record, ReportedCall, Stretch
+from upwash.support.text import counted
 
 _MOST_ROWS = 300  # of a table with a row each of what a long flight has many of
 _AT_EITHER_END = 100
@@ -116,7 +117,11 @@ def _ended(record: Record) -> str:
 
 
 def _reached(record: Record) -> str:
-    return f"{record.result.waypoints - len(record.result.undone)} of {record.result.waypoints}"
+    return f"{_reached_count(record)} of {record.result.waypoints}"
+
+
+def _reached_count(record: Record) -> int:
+    return record.result.waypoints - len(record.result.undone)
 
 
 def _remote(record: Record) -> str:
@@ -167,7 +172,11 @@ def flights(records: Sequence[Record]) -> Markup:
 def _how_it_ended(record: Record) -> str:
     if record.result.left_hovering:
         return "left hovering"
-    return "completed" if record.result.completed else f"not completed, {_reached(record)} waypoints reached"
+    if record.result.completed:
+        return "completed"
+    return (
+        f"not completed, {_reached_count(record)} of {counted(record.result.waypoints, 'waypoint')} reached"
+    )
 
 
 def by_operation(record: Record) -> Markup:

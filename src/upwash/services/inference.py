@@ -17,7 +17,7 @@ from upwash.services.darknet.graph import INPUT
 from upwash.services.darknet.heads import HEADS_METADATA, Head, decode_heads
 from upwash.services.provider import Provider, open_session
 from upwash.support.input_files import read_file, text_of
-from upwash.support.text import words_of
+from upwash.support.text import counted, words_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -97,9 +97,10 @@ class Inference(ABC):
             cells = side_px // head.stride
             expected = (1, len(head.anchors) * (5 + len(self.labels)), cells, cells)
             if output.shape != expected:
+                anchors, names = counted(len(head.anchors), "anchor"), counted(len(self.labels), "name")
                 raise self._error(
                     f"output {head.output} is {_by(output.shape)} for a picture of {side_px}, not {_by(expected)}, "
-                    f"as {len(head.anchors)} anchors, {len(self.labels)} names and stride {head.stride} say"
+                    f"as {anchors}, {names} and stride {head.stride} say"
                 )
 
     def cell_px(self, side_px: int) -> int | None:

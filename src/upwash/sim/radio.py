@@ -15,7 +15,7 @@ from pathlib import Path
 from upwash.config import ServerTruth
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of
-from upwash.support.text import printable
+from upwash.support.text import counted, printable
 
 _MOST_BYTES = 10_000_000
 _LONGEST_PROBLEM = 200  # characters
@@ -94,7 +94,7 @@ def _rows(text: str) -> list[tuple[float, float]]:
     table = []
     for row in rows:
         if len(row) <= max(distance, goodput):
-            raise ValueError(f"a row of {len(row)} columns: {','.join(row)}")
+            raise ValueError(f"a row of {counted(len(row), 'column')}: {','.join(row)}")
         table.append((float(row[distance]), 1e6 * float(row[goodput])))
     return table
 

@@ -77,6 +77,11 @@ def command(*words: object) -> str:
     return f"`{shlex.join(map(str, words))}`"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun: "1 call", "2 calls", "2 boxes"."""
+    return f"{number} {noun if number == 1 else plural(noun)}"
+
+
 def plural(noun: str) -> str:
     """Several of the noun, which may have words before it: "broken modules", "boxes", "people"."""
     *before, last = noun.split(" ")

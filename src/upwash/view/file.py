@@ -9,7 +9,6 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.eventlog.narration import counted
 from upwash.eventlog.results import RunResult
 from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
@@ -17,6 +16,7 @@ from upwash.report.markup import Markup
 from upwash.report.photos import PhotoShelf, Shot
 from upwash.report.record import Record, findings_of
 from upwash.report.sheet import draw_sheet
+from upwash.support.text import counted
 from upwash.view.document import write_document
 from upwash.view.feed import Feed
 from upwash.view.recording import Recording, reading

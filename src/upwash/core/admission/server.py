@@ -107,7 +107,7 @@ class HostedServer:
         """Why the peer gets no slot held for the drone; drones that are here come first."""
         others = self.leases.held_by(peer, except_for=drone.name)
         if others >= max(1, self.slots // 2):
-            return f"{peer} has {others} slots held, half of all"
+            return f"{peer} has {others} {'slot' if others == 1 else 'slots'} held, half of all"
         has_room = self.slots - len(self.leases) > len(self.turns.waiting(now_s=now_s))
         return "" if drone.name in self.leases or has_room else self.full
 
@@ -234,7 +234,8 @@ class HostedServer:
         for service in services:
             if (pause_s := self._places[service].failures.pause_s(drone.key, now_s=now_s)) > 0:
                 failures = self._places[service].failures
-                why = f"{self.name} leaves {service} alone, which failed {failures.count} times in a row"
+                often = "" if failures.count == 1 else f" {failures.count} times in a row"
+                why = f"{self.name} leaves {service} alone, which failed{often}"
                 return f"{why}: {failures.why}", pause_s
         return "", 0.0
 

@@ -37,7 +37,8 @@ class LookAhead:
             return Choice(current, "a call is under way")
         best = self._quickest(forecast, current)
         following = best.servers[0]
-        gains = f"serves the next {len(forecast.calls)} calls in {best.total_s:.1f} s"
+        count = len(forecast.calls)
+        gains = f"serves the next {'call' if count == 1 else f'{count} calls'} in {best.total_s:.1f} s"
         if current is None:
             if following in in_range:
                 return Choice(following, gains)

@@ -11,13 +11,13 @@ from rich.progress import MofNCompleteColumn, Progress, ProgressColumn, Task, Ti
 from rich.table import Table
 from rich.text import Text
 
-from upwash.eventlog.narration import counted
 from upwash.lab.campaigns.campaign import CombinationSummary, Cost, Fly, run_campaign
 from upwash.lab.campaigns.file import CampaignFile, CampaignRow
 from upwash.lab.campaigns.sweep import ParameterSweep
 from upwash.lab.figures import FigureFiles
 from upwash.support.confidence import Mean, mean_saving
 from upwash.support.sentences import say
+from upwash.support.text import counted
 
 _LONGEST_SETTING = 14  # columns that it has in any case
 _FAILURES_SHOWN = 10  # of each combination: the file has them all

@@ -18,6 +18,7 @@ from upwash.errors import NotWritten, UsageError
 from upwash.lab.campaigns.sweep import ParameterSweep
 from upwash.support.loading import extra
 from upwash.support.output_files import append_whole, flush_to_disk, write_file
+from upwash.support.text import counted
 
 
 class CampaignRow(msgspec.Struct, frozen=True):
@@ -123,7 +124,9 @@ class CampaignFile:
         try:
             _write(self._csv_file, [self._cells(row) for row in new])
         except OSError as error:
-            kept = f"it has the {len(self.rows)} runs before, and the same command goes on from there"
+            kept = (
+                f"it has the {counted(len(self.rows), 'run')} before, and the same command goes on from there"
+            )
             raise NotWritten(self._csv_file, error, kept) from error
         self.rows += new
 

@@ -29,6 +29,7 @@ from upwash.lab.faults.history import (
 )
 from upwash.lab.faults.mission import ActionReport, demands_something
 from upwash.lab.observer import Observation
+from upwash.support.text import counted
 
 _REMOTE_LEAST_S, _REMOTE_FACTOR = 1.0, 4.0  # of the deadline of a remote call
 
@@ -125,7 +126,7 @@ def one_answer(history: History) -> Iterator[Breach]:
         return
     calls, open_ones = len(history.run.result.calls), _answers_open(history)
     if not calls - open_ones <= len(told) <= calls:
-        yield None, f"{calls} calls ended, and {len(told)} answers reached the mission"
+        yield None, f"{counted(calls, 'call')} ended, and {counted(len(told), 'answer')} reached the mission"
 
 
 def _answers_open(history: History) -> int:

@@ -18,6 +18,7 @@ from upwash.lab.faults.campaign import FlownWorld, WorldVerdict, fly_world, judg
 from upwash.lab.faults.promises import Broken
 from upwash.lab.processes import in_processes
 from upwash.support.output_files import write_file
+from upwash.support.text import plural
 
 _CHUNK = 20  # worlds that a process flies together
 _REPLAYED_EVERY = 20  # every 20th world is flown again and must leave the same log
@@ -158,7 +159,7 @@ def _show_broken(broken: Sequence[Broken], console: Console, *, shown: int, hint
 
 
 def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    return f"{number:,} {noun if number == 1 else plural(noun)}"
 
 
 def _show_summary(summary: Summary, console: Console) -> None:

@@ -17,6 +17,7 @@ from upwash.lab.faults.history import (
     may_be_cut_short,
 )
 from upwash.lab.observer import Observation
+from upwash.support.text import counted
 
 _FAREWELL_S = 0.5  # a drone says goodbye to its last server
 
@@ -37,13 +38,16 @@ def autonomy(history: History) -> Iterator[Breach]:
     if run.failure or not run.result.completed:
         yield (events[-1] if events else None), f"the mission was not completed: {run.failure}"
     elif len(arrived) < len(planned):
-        yield None, f"arrived at {len(arrived)} of {len(planned)} waypoints"
+        yield None, f"arrived at {len(arrived)} of {counted(len(planned), 'waypoint')}"
     if history.alone is not None:
         made, wanted = (
             [(call.waypoint, call.operation) for call in flown.result.calls] for flown in (run, history.alone)
         )
         if made != wanted:
-            yield None, f"{len(made)} calls had a result, the drone alone has {len(wanted)}: {made}"
+            yield (
+                None,
+                f"{counted(len(made), 'call')} had a result, the drone alone has {len(wanted)}: {made}",
+            )
 
 
 def no_harm(history: History) -> Iterator[Breach]:

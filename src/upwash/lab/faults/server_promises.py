@@ -20,6 +20,7 @@ from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, SLACK_S, Breach, His
 from upwash.lab.field import daemon_address
 from upwash.lab.observer import Observation
 from upwash.rpc.protocol import AVAILABILITY, LEAVE, START
+from upwash.support.text import counted
 
 _LOOK_S = 1.0  # a daemon's period of looking for ended leases
 _LEASE_S, _HOLD_S = AdmissionSettings().lease_s, AdmissionSettings().hold_s
@@ -50,7 +51,7 @@ def _instances(facts: Sequence[Observation]) -> Iterator[Breach]:
 def _slots(facts: Sequence[Observation], slots: int) -> Iterator[Breach]:
     for fact in facts:
         if fact.event == "admitted" and len(fact.drones) > slots:
-            yield fact, f"{fact.server} serves {', '.join(fact.drones)}, and has {slots} slots"
+            yield fact, f"{fact.server} serves {', '.join(fact.drones)}, and has {counted(slots, 'slot')}"
 
 
 def _holds(history: History) -> Iterator[Breach]:
@@ -206,8 +207,8 @@ def _started_too_soon(facts: Sequence[Observation]) -> Iterator[Breach]:
             case "instance_started":
                 pause_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** (failed - 1)) if failed else 0.0
                 if fact.t < ended_s + pause_s - ROUNDING_S:
-                    why = f"{fact.service} failed to start {failed} times in a row, last at {ended_s:.3f} s"
-                    yield fact, why
+                    often = f"{counted(failed, 'time')} in a row, last at {ended_s:.3f} s"
+                    yield fact, f"{fact.service} failed to start {often}"
                 if fact.t - ended_s - pause_s > FORGOTTEN_S - SLACK_S:
                     failed = 0
                 is_ready = False
@@ -254,7 +255,7 @@ def _dialled_elsewhere(history: History) -> Iterator[Breach]:
     moved = Counter((event.server, event.check, event.service) for event in moves)
     for (server, check, service), times in moved.items():
         if times > MOST_MOVES:
-            yield moves[0], f"{server} had {service} move {times} times in check {check}"
+            yield moves[0], f"{server} had {service} move {counted(times, 'time')} in check {check}"
     turns_over = deque(event for event in history.run.events if isinstance(event, schema.TurnOver))
     dialled: Counter[str] = Counter()  # of a server, since its daemon was
     allowed: Counter[str] = Counter()

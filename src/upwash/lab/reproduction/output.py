@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from upwash.eventlog.narration import counted
 from upwash.lab.figures import FigureFiles
 from upwash.lab.reproduction import quantities, sensitivity
 from upwash.lab.reproduction.cells import (
@@ -27,6 +26,7 @@ from upwash.lab.reproduction.quantities import Comparison, contradictions, print
 from upwash.lab.reproduction.sensitivity import Moved
 from upwash.lab.run import Run
 from upwash.support.output_files import write_file
+from upwash.support.text import counted
 
 
 class Results(msgspec.Struct, frozen=True):

@@ -13,7 +13,7 @@ import msgspec
 
 from upwash.core.admission.limits import Allowance
 from upwash.support.background import thread
-from upwash.support.text import escaped_lines, printable
+from upwash.support.text import counted, escaped_lines, printable
 
 _TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _LONGEST_MESSAGE = 10_000
@@ -89,7 +89,7 @@ class RateLimitedLog(logging.Filter):
             self._left_out += 1
             return False
         if self._left_out:
-            record.msg = f"{record.getMessage()} ({self._left_out} lines before it were left out)"
+            record.msg = f"{record.getMessage()} ({counted(self._left_out, 'line')} left out before it)"
             record.args = ()
             self._left_out = 0
         return True

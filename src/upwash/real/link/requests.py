@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from upwash.core.admission.clients import Client
 from upwash.errors import Refused, UpwashError
 from upwash.real.host.log import RateLimitedLog
-from upwash.support.text import printable
+from upwash.support.text import counted, printable
 
 _log = logging.getLogger("upwash.listener")
 _log.addFilter(RateLimitedLog())
@@ -81,9 +81,9 @@ class Requests:
     def _counted(self, drone: str) -> Iterator[None]:
         with self._counting:
             if self._under_way.total() >= self.concurrent:
-                raise Refused(f"{self.concurrent} requests are under way already")
+                raise Refused(f"{counted(self.concurrent, 'request')} under way already")
             if self._under_way[drone] >= self._per_drone:
-                raise Refused(f"this drone has {self._per_drone} requests under way already")
+                raise Refused(f"this drone has {counted(self._per_drone, 'request')} under way already")
             self._under_way[drone] += 1
         try:
             yield

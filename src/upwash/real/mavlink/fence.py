@@ -21,6 +21,7 @@ from upwash.ports import FenceNames, VehicleLimits
 from upwash.real.mavlink.gate import LATITUDE_E7, LONGITUDE_E7, Range
 from upwash.real.mavlink.telemetry import place_of_e7
 from upwash.real.mavlink.vehicle import MavlinkVehicle
+from upwash.support.text import counted
 
 ARDUCOPTER_FENCE = (
     "FENCE_ENABLE", "FENCE_AUTOENABLE", "FENCE_TYPE", "FENCE_OPTIONS",
@@ -215,7 +216,7 @@ def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
                 fences.append(Fence(name, polygon, inclusion))
                 corners = []
     if corners:
-        raise _nonsense(f"its last area has {len(corners)} of {corners[0].size:g} corners")
+        raise _nonsense(f"its last area has {len(corners)} of {counted(round(corners[0].size), 'corner')}")
     return fences
 
 

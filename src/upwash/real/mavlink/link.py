@@ -24,6 +24,7 @@ from upwash.mavlink.packets import Message, packed
 from upwash.mavlink.signing import SignatureRefusal, Signing
 from upwash.real.mavlink.receiver import Address, MessageReceiver, Peer, from_autopilot
 from upwash.support.background import end, kept_up, only_logged, start
+from upwash.support.text import counted
 
 COMPANION = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
@@ -83,7 +84,9 @@ class MavlinkLink:
             reasons.append(f"an autopilot was heard, and its messages {self.refused.value}")
         if peer is not None and peer.last_ignored is not None:
             host, port = peer.last_ignored[:2]
-            reasons.append(f"{peer.ignored} datagrams of others were ignored, the last from {host}:{port}")
+            reasons.append(
+                f"{counted(peer.ignored, 'datagram')} of others ignored, the last from {host}:{port}"
+            )
         return f" ({'; '.join(reasons)})" if reasons else ""
 
     @property

@@ -15,6 +15,7 @@ from upwash.mavlink.names import name_of
 from upwash.mavlink.packets import Message
 from upwash.mavlink.version import Version
 from upwash.real.mavlink.observed import ObservedVehicle
+from upwash.support.text import counted
 
 _FRESH_WITHIN_S = 0.5  # until the request for a heartbeat is repeated
 _LATE_TEXT_S = 0.5
@@ -96,7 +97,7 @@ class MavlinkVehicle(ObservedVehicle):
                 return answers[number]
             if self.linked:
                 attempt += 1
-        problem = f"no answer to {name_of('MAV_CMD', number)} after {attempt} attempts"
+        problem = f"no answer to {name_of('MAV_CMD', number)} after {counted(attempt, 'attempt')}"
         raise AutopilotTimeout(step, problem, self.telemetry.said_since(begun_s))
 
     async def confirm_control(self, step: str) -> None:

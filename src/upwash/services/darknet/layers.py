@@ -13,6 +13,7 @@ from typing import Literal, cast
 
 from upwash.errors import ModelError
 from upwash.services.darknet.cfg import Section, read_sections
+from upwash.support.text import counted
 
 Activation = Literal["linear", "leaky", "relu", "logistic"]
 Size = tuple[float, float]
@@ -164,8 +165,8 @@ def _convolutional(section: Section, previous: Shape, _: list[Layer]) -> tuple[O
     )
     if convolution.filters % convolution.groups or previous.channels % convolution.groups:
         raise section.error(
-            f"groups={convolution.groups} divides not both its {previous.channels} channels and its "
-            f"{convolution.filters} filters"
+            f"groups={convolution.groups} divides not both its {counted(previous.channels, 'channel')} and its "
+            f"{counted(convolution.filters, 'filter')}"
         )
     stride = _strided(section, previous, convolution.size, convolution.stride, 2 * padding)
     return convolution, Shape(convolution.filters, stride)
@@ -212,7 +213,7 @@ def _shortcut(section: Section, previous: Shape, before: list[Layer]) -> tuple[O
 def _yolo(section: Section, previous: Shape, _: list[Layer]) -> tuple[Operator, Shape]:
     anchors = section.sizes("anchors")
     if section.integer("num", len(anchors), least=1) != len(anchors):
-        raise section.error(f"num does not fit its {len(anchors)} anchors")
+        raise section.error(f"num does not fit its {counted(len(anchors), 'anchor')}")
     mask = section.integers("mask") if section.has("mask") else tuple(range(len(anchors)))
     if not all(0 <= number < len(anchors) for number in mask):
         raise section.error(f"mask names anchors other than 0 to {len(anchors) - 1}")
@@ -220,8 +221,8 @@ def _yolo(section: Section, previous: Shape, _: list[Layer]) -> tuple[Operator, 
     needed = len(mask) * (5 + head.classes)
     if previous.channels != needed:
         raise section.error(
-            f"the layer before has {previous.channels} filters; {len(mask)} anchors and {head.classes} classes "
-            f"need {needed}"
+            f"the layer before has {counted(previous.channels, 'filter')}; {counted(len(mask), 'anchor')} and "
+            f"{counted(head.classes, 'class')} need {needed}"
         )
     return head, previous
 

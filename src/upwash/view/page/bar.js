@@ -3,7 +3,7 @@
 import { told } from "./clock.js";
 import { badge } from "./badge.js";
 import { courseOf } from "./decision.js";
-import { drawn, element, unparted, write } from "./element.js";
+import { counted, drawn, element, unparted, write } from "./element.js";
 import { STALE_S } from "./story.js";
 
 const LOW_PERCENT = 30; // of a battery whose vehicle does not tell its own stages
@@ -140,7 +140,7 @@ function beside(moment, doing, calling) {
     story.timeOfDay(atS),
     calling ? doing?.words : "",
     others ? `since ${story.timeOf(moment.heldSince)}` : "",
-    story.waypoints ? `${moment.reached} of ${story.waypoints} waypoints reached` : "",
+    story.waypoints ? `${moment.reached} of ${counted(story.waypoints, "waypoint")} reached` : "",
     calling && place ? `${place.altitude_m.toFixed(0)} m` : "",
     motion?.ground_speed_m_s >= 0.05 && doing?.tone !== "ground" ? `${motion.ground_speed_m_s.toFixed(1)} m/s` : "",
   ];

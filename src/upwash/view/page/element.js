@@ -41,6 +41,11 @@ export function unparted(words) {
   return words.replace(/(\d) (?=(?:m|s|ms|m\/s|%)(?:[^\w/]|$))/g, "$1\u00a0");
 }
 
+// A number with its noun: "1 call", "2 calls".
+export function counted(number, noun) {
+  return `${number} ${noun}${number === 1 ? "" : "s"}`;
+}
+
 // Sets the text only where it changes, so that screen readers are told no more than is new.
 export function write(where, text) {
   if (where.textContent !== text) where.textContent = text;

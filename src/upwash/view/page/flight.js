@@ -4,7 +4,7 @@ import { aboutFlight } from "./about.js";
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
 import { DecisionCard } from "./decision.js";
-import { card, element, unparted, write } from "./element.js";
+import { card, counted, element, unparted, write } from "./element.js";
 import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
@@ -130,7 +130,7 @@ export class Flight {
   #calls(moment) {
     const { count, places, waited } = moment.calls;
     const parts = [...places].sort(([one], [other]) => byName(one, other)).map(([place, number]) => `${number} on ${theNameOf(place)}`);
-    const calls = `${count} ${count === 1 ? "call" : "calls"}${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
+    const calls = `${counted(count, "call")}${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
     const gone = moment.count("going");
     if (!gone) return calls;
     const turned = `turned back for ${moment.count("turn")}`;
