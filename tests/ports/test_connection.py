@@ -12,8 +12,11 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.memory import HOME
 
-from upwash.real.mavlink import MavlinkLink
+from upwash.core.geo import LocalFrame
+from upwash.errors import AutopilotNotHeard
+from upwash.real.mavlink import MavlinkLink, connect_autopilot
 
 
 def beat(system: int = 7) -> bytes:
@@ -74,6 +77,20 @@ async def test_a_connection_is_opened_again_a_second_after_it_failed_or_broke() 
     await link.close()
     await asyncio.sleep(5.0)
     assert len(tried_s) == 5
+
+
+@pytest.mark.virtual
+async def test_a_driver_that_finds_no_vehicle_leaves_nothing_behind() -> None:
+    async def opening(_: Any) -> None:
+        raise OSError("nobody listens")
+
+    before = asyncio.all_tasks()
+    with pytest.raises(AutopilotNotHeard):
+        await connect_autopilot(
+            opening, frame=LocalFrame(HOME), ground_speed_m_s=4.0, heartbeat_timeout_s=2.0
+        )
+    await asyncio.sleep(0)
+    assert asyncio.all_tasks() == before
 
 
 # --- sockets ------------------------------------------------------------------------------------------------

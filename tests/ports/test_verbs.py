@@ -81,6 +81,20 @@ async def test_a_verb_has_the_time_of_a_slow_flight(script: Script, *, verb: Ver
     assert script.now_s - begun_s == pytest.approx(limit_s, abs=0.01)
 
 
+@played(tell)
+async def test_silences_before_a_verb_do_not_lengthen_it(script: Script) -> None:
+    for _ in range(2):
+        script.mute = True
+        await asyncio.sleep(8.0)
+        script.mute = False
+        await asyncio.sleep(2.0)
+    await script.say(script.place(HERE, Velocity(east_m_s=3.0)))
+    begun_s = script.now_s
+    with pytest.raises(AutopilotTimeout):
+        await script.autopilot.hold()
+    assert script.now_s - begun_s == pytest.approx(60.0, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("home", "altitude_m", "limit_s"),
     [(Position(30.0, 100.0), 10.0, 60 + 36 + 25 + 620), (Position(30.0, 40.0), 120.0, 60 + 300 + 2 * 360)],
