@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 from tests.events import event
 
-from upwash.eventlog.causes import clock
+from upwash.eventlog.progress import clock
 from upwash.eventlog.reasons import CallText, explained_calls, worst_of
 from upwash.eventlog.schema import Event
 

@@ -22,7 +22,7 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.eventlog.causes import clock
+from upwash.eventlog.progress import clock
 from upwash.lab.run import simulate
 from upwash.report.exports import write_csv, write_geojson
 from upwash.report.photos import PhotoShelf

@@ -23,7 +23,7 @@ from tests.waiting import wait_for
 from upwash import read_log, read_result
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
-from upwash.eventlog.causes import clock
+from upwash.eventlog.progress import clock
 from upwash.eventlog.reasons import explained_calls
 from upwash.lab.run import simulate
 from upwash.report.record import Record, read_records

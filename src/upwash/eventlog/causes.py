@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +9,7 @@ from dataclasses import dataclass, replace
 from upwash.core.geo import Circle, Measured, Position, Reach, ground_distance_m
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog import schema
+from upwash.eventlog.progress import clock
 from upwash.eventlog.schema import Event
 from upwash.support.text import counted
 
@@ -23,13 +23,6 @@ _RAISED = {
     "confirmed": ", and it was raised on the drone too",
     "denied": ", which the drone did not raise",
 }
-
-
-def clock(seconds: float) -> str:
-    """A second of the mission as people read it, as on the flight page: "0:07", "6:12", "1:06:12"."""
-    whole = math.floor(max(0.0, seconds))
-    hours, minutes = divmod(whole // 60, 60)
-    return f"{hours}:{minutes:02}:{whole % 60:02}" if hours else f"{minutes}:{whole % 60:02}"
 
 
 @dataclass(slots=True, eq=False)

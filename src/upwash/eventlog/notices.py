@@ -20,7 +20,7 @@ from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.eventlog.narration import SAFE_ENDS, WARNING, known, who_has_it
-from upwash.eventlog.progress import as_clock
+from upwash.eventlog.progress import clock
 from upwash.eventlog.schema import SEVERITIES, Event
 from upwash.support.text import counted
 
@@ -248,7 +248,7 @@ def _by_content(event: Event) -> Iterator[Notice]:
             cause = f"The flight cannot go on, {SAFE_ENDS[action]}: {why}"
             yield _alarm("safe end", cause, _BE_READY)
         case schema.Foreseen(finish_by_s=float(finish_by_s), lightest_s=float(lightest_s)) if not event.fits:
-            ends, wanted = as_clock(lightest_s), as_clock(finish_by_s)
+            ends, wanted = clock(lightest_s), clock(finish_by_s)
             late = f"The mission is expected to end at {ends}, later than the {wanted} of finish_by_s"
             yield Notice("late", late)
         case schema.ControlChanged(owner=Owner.PROGRAM):

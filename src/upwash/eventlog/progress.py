@@ -59,7 +59,7 @@ class MissionTime:
         return f"{t - self.at_s:.1f} s"
 
 
-def as_clock(seconds: float) -> str:
+def clock(seconds: float) -> str:
     """A second of the mission as the pages show it: "4:05", and from an hour on "1:04:05"."""
     minutes, second = divmod(max(0, int(seconds)), 60)
     hours, minute = divmod(minutes, 60)

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
-from upwash.eventlog.causes import Considered, Standings, clock, ran
+from upwash.eventlog.causes import Considered, Standings, ran
 from upwash.eventlog.narration import ran_on
-from upwash.eventlog.progress import CallPlaces, MissionTime
+from upwash.eventlog.progress import CallPlaces, MissionTime, clock
 from upwash.eventlog.schema import Event
 
 _SELECTION_CHANGES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 
-from upwash.eventlog.causes import clock
+from upwash.eventlog.progress import clock
 from upwash.report import tables
 from upwash.report.crops import Crop, cut_out
 from upwash.report.findings import MOST_PICTURED, Outline

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
-from upwash.eventlog.causes import clock
 from upwash.eventlog.narration import (
     SAFE_ENDS,
     WARNING,
@@ -19,6 +18,7 @@ from upwash.eventlog.narration import (
     spans,
     who_has_it,
 )
+from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
 from upwash.support.text import by_name, counted, printable

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from upwash.eventlog import schema
-from upwash.eventlog.causes import clock
+from upwash.eventlog.progress import clock
 from upwash.eventlog.results import RunResult, Tally, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.text import counted

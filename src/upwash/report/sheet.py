@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from upwash.eventlog.causes import clock
+from upwash.eventlog.progress import clock
 from upwash.report import tables
 from upwash.report.endings import draw_endings, draw_urgent
 from upwash.report.gallery import draw_findings

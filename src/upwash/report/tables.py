@@ -8,7 +8,7 @@ from typing import TypeVar
 from upwash.core.geo import GeoPosition
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
-from upwash.eventlog.causes import clock
+from upwash.eventlog.progress import clock
 from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
