@@ -462,6 +462,24 @@ async def test_a_command_without_an_answer_is_sent_eight_times(script: Script) -
     assert script.now_s - begun_s == pytest.approx(8.0, abs=0.1)
 
 
+@played(tell)
+async def test_an_earlier_answer_does_not_count(script: Script) -> None:
+    await script.autopilot.command(SERVO, "servo", (9.0, 1500.0))
+    script.results[SERVO] = None
+    with pytest.raises(AutopilotTimeout, match="no answer to MAV_CMD_DO_SET_SERVO"):
+        await script.autopilot.command(SERVO, "servo", (9.0, 1000.0))
+
+
+@played(tell)
+async def test_a_mode_that_was_refused_is_no_mode_of_the_program(script: Script) -> None:
+    script.results[mavlink.MAV_CMD_DO_SET_MODE] = FAILED
+    with pytest.raises(AutopilotRefused, match="MAV_RESULT_FAILED to MAV_CMD_DO_SET_MODE"):
+        await script.autopilot.land()
+    assert script.autopilot.control.is_ours
+    await script.beat(mode=mavlink.COPTER_MODE_LAND)
+    assert not script.autopilot.control.is_ours
+
+
 @pytest.mark.parametrize(("text_s", "said"), [(-1.0, ""), (0.25, "too far (warning)"), (0.75, "")])
 @played(tell)
 async def test_a_refusal_waits_half_a_second_for_the_vehicles_words(
@@ -529,6 +547,19 @@ async def test_its_checks_are_asked_for_until_the_time_is_over(script: Script) -
     assert script.now_s - begun_s == pytest.approx(120.0, abs=0.01)
     times_s = [at_s - begun_s for at_s, sent in script.sent if getattr(sent, "command", 0) == CHECKS]
     assert times_s == pytest.approx([5.0 * number for number in range(24)], abs=0.01)
+
+
+@played(tell, flies=False)
+async def test_its_checks_are_not_given_up_in_a_silence(script: Script) -> None:
+    await script.say(*health(passes=False, sure=True))
+    waiting = await begun(script, script.autopilot.ready())
+    await asyncio.sleep(115.0)
+    script.mute = True
+    await asyncio.sleep(15.0)
+    assert not waiting.done()
+    script.mute = False
+    with pytest.raises(AutopilotRefused, match="was not ready within 120 s"):
+        await asyncio.wait_for(waiting, 10.0)
 
 
 @pytest.mark.parametrize(("passes", "sure"), [(True, False), (False, True)])
