@@ -27,6 +27,8 @@ from mkdocs.structure.pages import Page
 
 from upwash.cli.exit_codes import ExitCode
 from upwash.cli.main import main
+from upwash.lab.figures import FigureFiles
+from upwash.lab.reproduction.output import draw_figures
 
 ROOT = Path(__file__).parents[1]
 THESIS = str(ROOT / "scenarios" / "thesis.toml")
@@ -34,7 +36,6 @@ COMMANDS = (
     ("simulate", THESIS, "--figures", ".", "--log", "with.jsonl"),
     ("simulate", THESIS, "--policy", "local-only", "--log", "without.jsonl"),
     ("report", "with.jsonl", "without.jsonl", "-o", "report.html"),
-    ("reproduce", "--seeds", "1", "--figures", "."),
 )
 DIAGRAMS = {"states": "draw_states", "call_flow": "draw_call_flow"}
 MADE = ("*.png", "report.html")
@@ -53,6 +54,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
                     raise PluginError(f"upwash {' '.join(command)} failed:\n{said.getvalue()}")
             for program, draw in DIAGRAMS.items():
                 runpy.run_path(str(ROOT / "site" / f"{program}.py"))[draw](Path(f"{program}.png"))
+            draw_figures(FigureFiles(Path()), seeds=1)
             gains.draw(read(TABLE), Path("gains.png"))
         for pattern in MADE:
             for file in sorted(Path(folder).glob(pattern)):
