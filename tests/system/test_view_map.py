@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
 from tests.events import line
 from tests.system.browser import NEEDED, Browser, view_of
 
@@ -116,6 +117,23 @@ def test_on_a_phone_the_parts_follow_each_other(page: Browser, one: str) -> None
     assert tops == sorted(tops)
     assert page.width() <= 390
     assert page.too_small("button, select, summary, input, .leaflet-bar a", least_px=44) == []
+
+
+def test_the_focus_goes_from_part_to_part_and_is_covered_by_none(page: Browser, one: str) -> None:
+    opened(page, one, 34.0)
+    order = []
+    while (now := page.driver.switch_to.active_element).tag_name != "body" or not order:
+        now.send_keys(Keys.TAB)
+        part, is_seen = page.run(
+            "const { activeElement: now } = document, { left, top } = now.getBoundingClientRect();"
+            "const parts = ['map-frame', 'findings', 'side', 'delays', 'journal', 'buttons'];"
+            "const seen = document.elementFromPoint(left + 10, Math.max(1, top + 10));"
+            "return [parts.find((part) => now.closest('.' + part)), now.contains(seen) || seen?.contains(now)]"
+        )
+        assert is_seen, f"{part}: {now.get_attribute('class')}"
+        order.append(part)
+    parts = list(dict.fromkeys(filter(None, order)))
+    assert parts == ["map-frame", "findings", "side", "delays", "buttons"]
 
 
 # --- the photo and the findings -----------------------------------------------------------------------------------

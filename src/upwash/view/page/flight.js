@@ -54,10 +54,10 @@ export class Flight {
       element("div", { class: "head" }, this.heading, this.about, this.outlook, ...words),
       ...(map ? [map.element] : []),
       this.photo.element,
+      ...(this.own ? [this.own.element] : []),
       element("div", { class: "side" }, this.decision.element, this.servers.element),
       this.lanes.element,
       delays,
-      ...(this.own ? [this.own.element] : []),
       this.journal.element,
     );
   }
