@@ -121,7 +121,7 @@ def test_on_a_phone_the_parts_follow_each_other(page: Browser, one: str) -> None
 
 def test_the_focus_goes_from_part_to_part_and_is_covered_by_none(page: Browser, one: str) -> None:
     opened(page, one, 34.0)
-    order = []
+    order: list[str | None] = []
     while (now := page.driver.switch_to.active_element).tag_name != "body" or not order:
         now.send_keys(Keys.TAB)
         part, is_seen = page.run(

@@ -292,8 +292,9 @@ def test_the_last_that_is_said_is_what_the_mission_came_to_and_the_end(log: Path
             feed.close()
             return [message async for message in page.messages]
 
-    *_, summaries, end = asyncio.run(run())
+    *_, summaries, elsewhere, end = asyncio.run(run())
     assert "the mission took 7.0 s" in summaries
+    assert elsewhere.startswith("event: elsewhere")
     assert end.startswith("event: end")
 
 

@@ -241,7 +241,6 @@ class Shot(Fact, frozen=True):
 class Told(Fact, frozen=True):
     """One object in a message to the user, with its box on the photo numbered `photo`; or a message without boxes.
 
-    `place_is` says what `east_m`, `north_m` is the place of, and `error_m` how far from there the object may lie.
     `pictured` says whether the box can be had as a picture. `waypoint` is None before the first.
     """
 
@@ -249,9 +248,7 @@ class Told(Fact, frozen=True):
     waypoint: int | None
     east_m: float
     north_m: float
-    place_is: str
     score: float | None = None
-    error_m: float | None = None
     box: Outline | None = None
     photo: int | None = None
     pictured: bool = False

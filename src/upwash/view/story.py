@@ -359,9 +359,7 @@ class Story:
             waypoint=found.waypoint,
             east_m=found.place.east_m,
             north_m=found.place.north_m,
-            place_is=found.place_is,
             score=found.score,
-            error_m=found.error_m,
             box=found.box,
             photo=found.photo.number if found.photo else None,
             pictured=found.box is not None

@@ -204,7 +204,7 @@ export class Story {
 }
 
 // A moment of a story: how much of each list lies behind it, and what holds then.
-export class Moment {
+class Moment {
   constructor(story, atS) {
     this.story = story;
     this.atS = atS;
