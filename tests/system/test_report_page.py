@@ -9,10 +9,22 @@ from pathlib import Path
 import pytest
 from tests.events import line
 from tests.system.browser import NEEDED, Browser
+from tests.view.hostile_logs import hostile_log
 
 from upwash.cli.main import main
 
 pytestmark = NEEDED
+
+HANDLE = """
+document.querySelectorAll("details").forEach((each) => (each.open = true));
+const slider = document.getElementById("time");
+for (const share of [0, 0.1, 0.4, 0.8, 1]) {
+  slider.value = share * slider.max;
+  slider.dispatchEvent(new Event("input"));
+  await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+}
+document.querySelectorAll(".finds button, .worst button, #previous").forEach((each) => each.click());
+"""
 
 BOX = {
     "left_px": 700.0,
@@ -141,3 +153,38 @@ def test_it_prints_on_a4_with_its_map(page: Browser, few: str) -> None:
     assert 1 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 6
     scale = page.run("return Number(document.querySelector('.map-frame').style.getPropertyValue('--scale'))")
     assert 0 < scale <= 1, "as wide as the paper"
+
+
+@pytest.mark.parametrize(("seed", "width"), [(seed, 390 if seed % 2 else 1280) for seed in range(8)])
+def test_no_log_breaks_the_page(page: Browser, tmp_path: Path, seed: int, width: int) -> None:
+    log, file = tmp_path / "hostile.jsonl", tmp_path / "page.html"
+    log.write_bytes(hostile_log(seed))
+    assert main(["report", str(log), "-o", str(file)]) == 0
+    page.open(file.as_uri(), width=width)
+    page.driver.execute_async_script(f"(async () => {{{HANDLE}}})().finally(arguments[0])")
+    page.drawn()
+    assert page.errors() == []
+    assert page.width() <= width
+    assert page.all("main script, main iframe, main img:not(.photo img, .thumb img)") == []
+
+
+def test_a_page_of_thousands_of_servers_shows_those_that_were_asked(page: Browser, tmp_path: Path) -> None:
+    here = {"east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0}
+    names = ["constructor", *(f"s{number}" for number in range(5_000))]
+    ranges = {name: {"centre": here, "radius_m": 5} for name in names}
+    log, file = tmp_path / "many.jsonl", tmp_path / "page.html"
+    log.write_bytes(
+        line("planned", 0.0, waypoints_m=[[0, 0]], ranges=ranges)
+        + line("mission_started", 1.0, policy="p", waypoints=1)
+        + line("position", 1.5, **here)
+        + line("started", 2.0, server="s4321", before="CHECK", after="READY")
+        + line("mission_ended", 6.0, why="x")
+    )
+    assert main(["report", str(log), "-o", str(file)]) == 0
+    page.open(file.as_uri())
+    page.wait_until(lambda: len(page.rows(".servers")) == 100)
+    assert ["s4321", "READY", "0 m, in range", "0"] in [
+        [name, state.split()[0], *rest] for name, state, *rest in page.rows(".servers")
+    ]
+    assert "The log has 4901 servers more" in page.text(".side")
+    assert page.errors() == []

@@ -15,8 +15,10 @@ from typing import Any
 import pytest
 from tests.events import line
 from tests.report.test_findings import BOX, flight
+from tests.view.hostile_logs import hostile_log
 
 from upwash.cli.main import main
+from upwash.errors import UpwashError
 from upwash.report.finding_files import as_csv
 from upwash.report.record import findings_of, read_records
 from upwash.services import solar_park
@@ -162,6 +164,29 @@ def test_what_a_log_says_is_never_markup(tmp_path: Path) -> None:
         if fact["fact"] == "call"
     ]
     assert fact["operation"] == HOSTILE
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_no_log_ends_in_a_traceback_or_becomes_markup(tmp_path: Path, seed: int) -> None:
+    log = tmp_path / "hostile.jsonl"
+    log.write_bytes(hostile_log(seed))
+    try:
+        page = read(log)
+    except UpwashError:
+        return
+    assert (len(page.content["script"]), page.handlers) == (1, [])
+    assert all(reference.startswith("data:image/") for reference in page.references)
+    kinds = [kind for kind, _ in page.told()]
+    assert (kinds[0], kinds[-1]) == ("page", "end")
+
+
+def test_a_file_of_thousands_of_servers_has_the_first_and_the_last(tmp_path: Path) -> None:
+    ranges = {f"s{number}": {"centre": HERE, "radius_m": 5} for number in range(5_000)}
+    planned = (0.0, "planned", {"waypoints_m": [], "ranges": ranges})
+    log = log_of(tmp_path / "f.jsonl", planned, (1.0, "mission_started", {"policy": "p"}))
+    document = whole(log)
+    assert document.count("4800 rows are left out: the event log has all of them") == 2
+    assert len(document) < 1.5e6
 
 
 def test_without_scripts_a_file_says_what_the_flight_came_to(logs: tuple[Path, Path]) -> None:

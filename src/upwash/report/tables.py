@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
-from upwash.core.geo import GeoPosition
+from upwash.core.geo import Circle, GeoPosition
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
@@ -217,11 +217,14 @@ def _ran_as(call: CallResult) -> str:
 
 def map_places(record: Record) -> Markup:
     """Where the servers were believed to be in range."""
-    rows = [
-        [name, f"{area.centre.east_m:.1f} m", f"{area.centre.north_m:.1f} m", f"{area.radius_m:g} m"]
-        for name, area in record.plan.ranges.items()
-    ]
-    return table("Ranges of the servers, from home", ["server", "east", "north", "range"], rows)
+
+    def row(server: tuple[str, Circle]) -> list[str]:
+        name, area = server
+        return [name, f"{area.centre.east_m:.1f} m", f"{area.centre.north_m:.1f} m", f"{area.radius_m:g} m"]
+
+    heads = ["server", "east", "north", "range"]
+    ranges = list(record.plan.ranges.items())
+    return _long("Ranges of the servers, from home", heads, ranges, row, rest=_IN_THE_LOG)
 
 
 def measured_places(record: Record) -> Markup:
@@ -308,13 +311,16 @@ def _at(waypoint: int | None) -> str:
 
 def states(record: Record) -> Markup:
     """How long each server was in each state."""
-    rows = []
-    for server, stretches in record.stretches.items():
+
+    def row(known: tuple[str, Sequence[Stretch]]) -> list[str]:
+        server, stretches = known
         seconds = dict.fromkeys(State, 0.0)
         for stretch in stretches:
             seconds[stretch.state] += stretch.to_s - stretch.from_s
-        rows.append([server, *(f"{seconds[state]:.1f} s" for state in State)])
-    return table("Time in each state", ["server", *(state.value for state in State)], rows)
+        return [server, *(f"{seconds[state]:.1f} s" for state in State)]
+
+    heads = ["server", *(state.value for state in State)]
+    return _long("Time in each state", heads, list(record.stretches.items()), row, rest=_IN_THE_LOG)
 
 
 def steps(record: Record) -> Markup:

@@ -116,7 +116,8 @@ export class Lanes {
     context.lineWidth = 1;
     context.textAlign = "center";
     const least = (90 * (to - from)) / this.width;
-    const step = STEPS_S.find((each) => each >= least) ?? STEPS_S.at(-1);
+    const longest = STEPS_S.at(-1);
+    const step = STEPS_S.find((each) => each >= least) ?? longest * Math.ceil(least / longest);
     for (let second = Math.ceil(from / step) * step; second <= to; second += step) {
       const x = Math.round(this.#x(second)) + 0.5;
       line(context, x, 0, x, this.height - AXIS);
@@ -128,9 +129,9 @@ export class Lanes {
     const right = LEFT - (kind === "server" ? 8 + 3 * MARK : 8);
     context.fillStyle = this.places.colours.of("ink");
     context.textAlign = "right";
-    let short = name;
-    for (let most = name.length; most > 3 && context.measureText(short).width > right; most -= 1) short = inBrief(name, most);
-    context.fillText(short, right, middle + 4, right);
+    let most = Math.min(name.length, LEFT); // no letter is narrower than a pixel
+    while (most > 3 && context.measureText(inBrief(name, most)).width > right) most -= 1;
+    context.fillText(inBrief(name, most), right, middle + 4, right);
     if (kind === "server") this.places.paint(context, { place: name }, LEFT - 8 - MARK, middle, MARK);
   }
 
@@ -184,7 +185,7 @@ export class Lanes {
 
   // From when to when the drone was in the server's range, in seconds of the log.
   #inRange(story, server) {
-    const range = story.plan?.ranges[server];
+    const range = story.plan?.ranges.get(server);
     if (!range) return [];
     const known = this.#within.get(server) ?? { seen: 0, found: [], since: null };
     this.#within.set(server, known);

@@ -161,7 +161,7 @@ export class FlightLayer {
   // From the drone to the server that it uses; dashed while that is being checked.
   #showLink(moment, position) {
     const [used] = moment.using;
-    const range = used && this.plan?.ranges[used.server];
+    const range = used && this.plan?.ranges.get(used.server);
     if (!range || !position) {
       this.link?.remove();
       this.link = null;

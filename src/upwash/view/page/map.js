@@ -106,7 +106,7 @@ export class FlightMap {
 
   fit() {
     const corners = this.#plans.filter(Boolean).flatMap((plan) => {
-      const ranges = Object.values(plan.ranges).flatMap(([east, north, radius]) => {
+      const ranges = [...plan.ranges.values()].flatMap(([east, north, radius]) => {
         return [[east - radius, north - radius], [east + radius, north + radius]];
       });
       return [[0, 0], ...plan.waypoints_m, ...ranges, ...(this.#painted ? around(plan.waypoints_m, this.#painted) : [])].map(([east, north]) => this.ground.latLng(east, north, plan));
@@ -140,7 +140,7 @@ export class FlightMap {
 
   // Each flight at its moment, and the finding that is looked at.
   show(moments, current) {
-    const plans = moments.map((moment) => moment.story.plan);
+    const plans = moments.map((moment) => moment.story.shownPlan);
     const homes = moments.map((moment) => moment.story.home);
     const others = plans.some((plan, index) => plan !== this.#plans[index] || homes[index] !== this.#homes[index]);
     const painted = this.#painted;
@@ -196,7 +196,7 @@ export class FlightMap {
     const homes = new Map();
     for (const [index, plan] of this.#plans.entries()) {
       if (!plan) continue;
-      for (const [server, [east, north, radius]] of Object.entries(plan.ranges)) {
+      for (const [server, [east, north, radius]] of plan.ranges) {
         if (!this.#servers.has(server)) this.#drawRange(server, this.ground.latLng(east, north, plan), radius);
       }
       const told = this.#homes[index]; // by the vehicle; before that and where it tells none it is nobody's

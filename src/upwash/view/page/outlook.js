@@ -57,7 +57,7 @@ function nextServer(moment, current) {
   const { story, reached, position } = moment;
   if (!story.plan) return null;
   const covers = ([east, north, radius], place) => Math.hypot(place[0] - east, place[1] - north) <= radius;
-  const ranges = Object.entries(story.plan.ranges).filter(([server]) => moment.step(server)?.tone !== "trouble");
+  const ranges = [...story.plan.ranges].filter(([server]) => moment.step(server)?.tone !== "trouble");
   const here = position ? ranges.filter(([, range]) => covers(range, [position.east_m, position.north_m])) : [];
   const within = new Set(here.map(([server]) => server)); // no time is left until these
   for (let index = reached; index < story.waypoints; index += 1) {
@@ -77,7 +77,8 @@ function arrivalS(moment, index) {
   const { story, reached } = moment;
   if (moment.lateS !== null) {
     const { reached_s } = story.forecast;
-    return reached_s[index - (story.waypoints - reached_s.length)] + moment.lateS;
+    const forecastS = reached_s[index - (story.waypoints - reached_s.length)];
+    return forecastS === undefined ? null : forecastS + moment.lateS;
   }
   return reached ? ((index + 1) * moment.reachedAtS) / reached : null;
 }

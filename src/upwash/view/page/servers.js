@@ -7,17 +7,21 @@ const NAME = 12; // characters; all of it is shown where it is pointed at
 
 export class ServerList {
   #rows = new Map();
+  #servers = null;
 
   constructor(places, name) {
     this.places = places;
     this.body = element("tbody");
     const list = table(["server", "state", "away", "calls"], this.body, { class: "servers" });
-    this.element = card("Servers", scrolled(list, `Servers, ${name}`, "scroll many"));
+    this.more = element("p", { class: "note" });
+    this.element = card("Servers", scrolled(list, `Servers, ${name}`, "scroll many"), this.more);
   }
 
   show(moment) {
     const servers = moment.story.servers;
-    if (servers.length !== this.#rows.size) this.#begin(servers);
+    if (servers !== this.#servers) this.#begin(servers);
+    const more = moment.story.known.size - servers.length;
+    write(this.more, more ? `The log has ${more} servers more, which the page does not show.` : "");
     const position = moment.position;
     const { places } = moment.calls;
     for (const [server, row] of this.#rows) {
@@ -26,7 +30,7 @@ export class ServerList {
       write(row.state, step?.state ?? "AVL");
       write(row.means, step ? step.why || step.means : "available");
       row.means.title = step ? [step.means, step.why].filter(Boolean).join(": ") : ""; // a line has no room for all
-      const [words, isInside] = away(moment.story.plan?.ranges[server], position);
+      const [words, isInside] = away(moment.story.plan?.ranges.get(server), position);
       write(row.away, words);
       write(row.inside, isInside ? ", in range" : "");
       row.away.classList.toggle("inside", isInside);
@@ -35,6 +39,7 @@ export class ServerList {
   }
 
   #begin(servers) {
+    this.#servers = servers;
     this.#rows.clear();
     this.body.replaceChildren();
     for (const server of servers) {

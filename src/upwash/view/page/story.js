@@ -6,10 +6,14 @@ import { Totals, countUntil } from "./totals.js";
 
 const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
 export const STALE_S = 5; // a flight tells where it is every second: what it told longer ago says nothing about now
+const MOST_SERVERS = 100; // that a page shows
 const OVER_S = 3600; // without news, after which a flight is over, whatever its log says last
+const USES = new Set(["ready", "checking"]); // the tones of servers that the drone uses or is about to
 const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
+  #listed; // the servers that the page shows, and of which
+
   constructor(name) {
     this.name = name;
     this.zeroS = 0; // the second of the log at which the page's clock begins
@@ -35,6 +39,8 @@ export class Story {
     this.arrivals = []; // when the first, the second, ... waypoint was reached
     this.steps = new Map();
     this.known = new Set(); // servers
+    this.asked = new Set(); // of these, those that the drone wanted something of
+    this.#listed = { servers: [], of: "" };
     this.operations = new Set();
     this.keepsPhotos = false;
     this.painted = []; // what photos show of the ground, by its corners
@@ -74,8 +80,8 @@ export class Story {
     this.lastS = fact.at_s;
     switch (fact.fact) {
       case "plan":
-        this.plan = fact;
-        for (const server of Object.keys(fact.ranges)) this.known.add(server);
+        this.plan = { ...fact, ranges: new Map(Object.entries(fact.ranges)) }; // a server may be called "constructor"
+        for (const server of this.plan.ranges.keys()) this.known.add(server);
         break;
       case "opened":
       case "began":
@@ -95,6 +101,7 @@ export class Story {
         break;
       case "step":
         this.known.add(fact.server);
+        this.asked.add(fact.server);
         if (!this.steps.has(fact.server)) this.steps.set(fact.server, []);
         this.steps.get(fact.server).push(fact);
         break;
@@ -145,13 +152,34 @@ export class Story {
     this.delays.place.add(place, at_s, delay_s);
     this.delays.operation.add(operation, at_s, delay_s);
     if (place === "local") this.delays.local.add(operation, at_s, delay_s - waited_s);
-    else this.known.add(place);
+    else {
+      this.known.add(place);
+      this.asked.add(place);
+    }
     if (call.wait) this.waits.add("", at_s, waited_s);
     this.call.push(call);
   }
 
+  // Those that the page shows, the same array until they are others: of very many those that were asked for something.
   get servers() {
-    return [...this.known].sort(byName);
+    const { asked, known } = this;
+    const of = known.size > MOST_SERVERS ? `${known.size} ${asked.size}` : String(known.size);
+    if (of !== this.#listed.of) {
+      const shown = [...new Set([...asked, ...known])].slice(0, MOST_SERVERS);
+      this.#listed = { servers: shown.sort(byName), of };
+    }
+    return this.#listed.servers;
+  }
+
+  // The plan with the ranges of these servers, the same until it is another one.
+  get shownPlan() {
+    const { plan, servers } = this;
+    if (!plan || plan.ranges.size <= servers.length) return plan;
+    if (this.#listed.plan?.of !== plan || this.#listed.plan.servers !== servers) {
+      const ranges = new Map(servers.filter((name) => plan.ranges.has(name)).map((name) => [name, plan.ranges.get(name)]));
+      this.#listed.plan = { ...plan, ranges, of: plan, servers };
+    }
+    return this.#listed.plan;
   }
 
   get waypoints() {
@@ -248,6 +276,7 @@ class Moment {
   get lateS() {
     const { forecast, waypoints } = this.story;
     if (!forecast || !this.story.began || this.atS < this.story.began.at_s) return null;
+    if (forecast.reached_s.length > waypoints) return null; // of another plan
     const nowS = this.story.missionS(this.isOver ? this.story.endsS : this.atS);
     if (this.isOver) return nowS - forecast.ends_s;
     const next = this.reached - (waypoints - forecast.reached_s.length); // it has the waypoints of a resumed flight only
@@ -322,8 +351,9 @@ class Moment {
 
   // The servers that the drone uses or is about to, those that are ready first.
   get using() {
-    const steps = this.story.servers.map((server) => this.step(server)).filter(Boolean);
-    return ["ready", "checking"].flatMap((tone) => steps.filter((step) => step.tone === tone));
+    const steps = [...this.story.steps.keys()].map((server) => this.step(server)).filter((step) => step && USES.has(step.tone));
+    steps.sort((one, other) => byName(one.server, other.server));
+    return [...USES].flatMap((tone) => steps.filter((step) => step.tone === tone));
   }
 
   // The delays of the calls so far, by place.
