@@ -58,7 +58,7 @@ export class Places {
   }
 
   dashes(server) {
-    return DASHES[this.#servers.indexOf(server) % DASHES.length];
+    return DASHES[this.#number(server) % DASHES.length];
   }
 
   colour(place) {
