@@ -339,6 +339,11 @@ def test_a_line_leads_from_the_drone_to_the_server_that_it_uses(page: Browser, o
 def test_the_drone_points_the_way_it_flies(page: Browser, one: str) -> None:
     opened(page, one, 7.0)
     assert page.find(".airframe").get_attribute("transform") == "rotate(90 16 16)", "to the east"
+    rotors = set()
+    for at_s in (7.0, 8.0, 9.0):
+        page.seek(at_s)
+        rotors.add(page.find(".rotor").value_of_css_property("fill"))
+    assert len(rotors) == 1, "they have the same colour at each moment"
 
 
 def test_the_readout_is_of_the_pointer_alone(page: Browser, one: str) -> None:

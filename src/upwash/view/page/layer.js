@@ -28,6 +28,7 @@ export class FlightLayer {
     this.pills = pills;
     this.current = null; // the finding that is looked at
     this.number = number;
+    this.isFocus = false;
     this.plan = null;
     this.waypoints = new Waypoints(map);
     const latLng = (east, north) => this.latLng(east, north);
@@ -155,7 +156,7 @@ export class FlightLayer {
   }
 
   #line(opacity) {
-    return { color: this.#colour, weight: 2, opacity, ...STILL };
+    return { color: this.#colour, border: this.places.colours.of("paper"), weight: 2, opacity, ...STILL };
   }
 
   // From the drone to the server that it uses; dashed while that is being checked.

@@ -1,12 +1,23 @@
 // The way flown, as a line that grows and shrinks at its end without being drawn anew; stronger where the drone was just now.
 
-import { polyline } from "./leaflet/leaflet-src.esm.js";
+import { Polyline } from "./leaflet/leaflet-src.esm.js";
 
 const ASIDE_M = 0.25; // that a fix may lie beside the line, which nobody sees
 const LEAST_M = 0.5; // that a fix is away from the last corner, to tell which way that leads
 const LONGEST_S = 10; // from a corner to the next
 const RECENT_S = 60;
 const PIECE = 200; // corners; only the last piece is ever touched
+
+// A line with a border, which shows on photos too.
+const Way = Polyline.extend({
+  _updatePath() {
+    const { options } = this;
+    this.options = Object.assign(Object.create(options), { color: options.border, weight: options.weight + 2, opacity: 1 });
+    Polyline.prototype._updatePath.call(this);
+    this.options = options;
+    Polyline.prototype._updatePath.call(this);
+  },
+});
 
 export class Track {
   #corners = []; // indices of fixes: where the way bends
@@ -35,7 +46,7 @@ export class Track {
   show(fixes, count, position, atS) {
     this.#shrink(fixes, count);
     this.#grow(fixes, count);
-    this.#head ??= polyline([], this.recent()).addTo(this.map);
+    this.#head ??= new Way([], this.recent()).addTo(this.map);
     const way = this.#corners.length && position ? [position] : [];
     for (let corner = this.#corners.length - 1; way.length && corner >= 0; corner -= 1) {
       const fix = fixes[this.#corners[corner]];
@@ -70,7 +81,7 @@ export class Track {
     }
     if (this.#corners.length === before) return;
     for (let piece = first; piece * PIECE < this.#corners.length; piece += 1) {
-      this.#pieces[piece] ??= polyline([], this.style()).addTo(this.map);
+      this.#pieces[piece] ??= new Way([], this.style()).addTo(this.map);
       this.#pieces[piece].setLatLngs(this.#piece(fixes, piece));
     }
   }
