@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.events import event
-from tests.report.pages import SVG, Told, arrivals, log_of, of_class, parsed, table_named, text
+from tests.report.pages import SVG, Told, arrivals, heads, log_of, of_class, parsed, table_named, text
 
 from upwash.eventlog.schema import Event
 from upwash.report.crops import HEIGHT_PX, WIDTH_PX, crop_around, pixels_of
@@ -149,6 +149,21 @@ def test_words_need_no_picture_and_an_empty_message_is_no_finding(tmp_path: Path
 def test_without_a_home_places_are_metres(tmp_path: Path) -> None:
     page = parsed(flight(tmp_path / "f.jsonl", [BOX], home=None))
     assert table_named(page, "Findings")[1][3] == "20.0 m east, 0.0 m north of home"
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_the_findings_of_a_fleet_are_one_list(tmp_path: Path, photos: Path, count: int) -> None:
+    logs = [flight(tmp_path / f"d{number}.jsonl", [BOX, BOX]) for number in range(1, count + 1)]
+    for number, log in enumerate(logs, start=1):
+        log.write_bytes(log.read_bytes().replace(b'"drone":""', b'"drone":"d%d"' % number))
+    page = parsed(*logs, photos=photos)
+    assert heads(page).count("Findings") == 1
+    found = [(str(2 * number + each - 2), f"d{number}") for number in range(1, count + 1) for each in (1, 2)]
+    assert [tuple(row[:2]) for row in table_named(page, "Findings")[1:]] == found
+    assert f"{2 * count}: hot-spot" in text(pictures(page)[-1])
+    assert f"d{count}, waypoint 1, at 0:15" in text(pictures(page)[-1])
+    ids = [each.get("id") for each in page.iter() if each.get("id")]
+    assert ids == [f"crop-{log}-{each}" for log in range(count) for each in (0, 1)]
 
 
 def test_pictures_and_rows_are_bounded(tmp_path: Path, photos: Path) -> None:

@@ -151,6 +151,37 @@ def test_a_drone_is_looked_at_by_click_by_number_and_on_the_map(page: Browser, f
     assert page.errors() == []
 
 
+def test_a_click_on_another_drones_finding_shows_that_drone_and_its_photo(
+    page: Browser, tmp_path: Path
+) -> None:
+    logs = [tmp_path / f"drone-{number}.jsonl" for number in (1, 2, 3)]
+    for number, log in enumerate(logs, start=1):
+        at = {"east_m": 100.0, "north_m": 10.0 * number, "altitude_m": 10.0}
+        box = {"left_px": 9.0, "top_px": 9.0, "width_px": 90.0, "height_px": 90.0, "label": f"crack {number}"}
+        *before, landed, completed = flight(number).splitlines(keepends=True)
+        found = [
+            line("photo", BEGAN_S + 17, source="park 2", position=at),
+            line("notified", BEGAN_S + 18, message=[box], at=at),
+        ]
+        log.write_bytes(b"".join([*before, *found, landed, completed]))
+    with view_of(*logs) as address:
+        opened(page, address)
+        assert in_focus(page) == "drone-1"
+        assert page.each(".finds .number", "each.textContent") == ["3", "2", "1"]
+        page.click(".finds li:nth-child(2) button")
+        page.wait_until(lambda: in_focus(page) == "drone-2")
+        page.drawn()
+        assert page.text(".finds [aria-current] .number") == "2"
+        (said,) = [each.text for each in page.all(".photos p:first-of-type") if each.is_displayed()]
+        assert said.startswith("Photo 1, at waypoint 4, ")
+        assert said.endswith("Finding 2: crack 2.")
+        assert page.moment() == APART_S + 18, "the second drone's, by the clock of all"
+        page.wait_until(
+            lambda: [each.text for each in page.all(".boxes text") if each.is_displayed()] == ["2 crack 2"]
+        )
+        assert page.errors() == []
+
+
 def test_the_buttons_go_through_the_calls_of_the_drone_in_focus(page: Browser, fleet: str) -> None:
     opened(page, fleet)
     ActionChains(page.driver).send_keys("2").perform()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections import Counter
 from collections.abc import Sequence
 
 from upwash.eventlog.progress import clock
@@ -12,7 +13,6 @@ from upwash.report.findings import MOST_PICTURED, Outline
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf
-from upwash.report.record import Record
 from upwash.support.text import printable
 
 _WITHOUT = (
@@ -23,23 +23,30 @@ _LONGEST_LABEL = 60  # characters
 
 
 def draw_findings(
-    record: Record, found: Sequence[PlacedFinding], shelf: PhotoShelf, *, log: int, most: int
+    found: Sequence[PlacedFinding], shelf: PhotoShelf, *, logs: Sequence[str], most: int, whose: bool = False
 ) -> Markup:
-    """The findings of the `log`th record: pictures of at most `most` boxes, and a table of all."""
+    """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight.
+
+    `logs` are the names of the page's flights, in their order.
+    """
     pictures: list[Markup] = []
     lacking = False
-    for index, each in enumerate(found[:MOST_PICTURED]):
+    before = Counter[str]()  # how many of each flight
+    for each in found[:MOST_PICTURED]:
+        log = each.flight.log
+        name = f"crop-{logs.index(log)}-{before[log]}"
+        before[log] += 1
         if each.finding.box is not None and len(pictures) < most:
             crop = cut_out(each.finding, shelf)
             lacking |= crop is None
-            outlined = None if crop is None else _outlined(each.finding.box, crop, f"crop-{log}-{index}")
-            pictures += [] if outlined is None else [_picture(each, outlined, record)]
+            outlined = None if crop is None else _outlined(each.finding.box, crop, name)
+            pictures += [] if outlined is None else [_picture(each, outlined, whose=whose)]
     notes = []
     if len(pictures) >= most:
         notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
     elif lacking:
         notes.append(_note(_WITHOUT))
-    table = tables.findings(record, found)
+    table = tables.findings(found, whose=whose)
     if not pictures:
         return joined(*notes, table)
     gallery = element("ul", *pictures[:most], class_="gallery")
@@ -50,8 +57,9 @@ def _note(text: str) -> Markup:
     return element("p", text, class_="note")
 
 
-def _picture(found: PlacedFinding, outlined: Markup, record: Record) -> Markup:
+def _picture(found: PlacedFinding, outlined: Markup, *, whose: bool) -> Markup:
     finding = found.finding
+    flight = f"{found.flight.log}, " if whose else ""
     where = "" if finding.waypoint is None else f"waypoint {finding.waypoint}, "
     caption = element(
         "figcaption",
@@ -62,9 +70,9 @@ def _picture(found: PlacedFinding, outlined: Markup, record: Record) -> Markup:
             ),
         ),
         element("br"),
-        f"{where}at {clock(found.mission_s)}",
+        f"{flight}{where}at {clock(found.mission_s)}",
         element("br"),
-        tables.coordinates(found, record.plan.home),
+        tables.coordinates(found),
     )
     return element("li", element("figure", outlined, caption))
 

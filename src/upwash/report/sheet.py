@@ -9,7 +9,7 @@ from upwash.report import tables
 from upwash.report.endings import draw_endings, draw_urgent
 from upwash.report.gallery import draw_findings
 from upwash.report.markup import Markup, element, joined
-from upwash.report.numbering import PlacedFinding
+from upwash.report.numbering import are_a_fleet
 from upwash.report.outcome import lasting, what_it_came_to
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, WorstCall, findings_of
@@ -21,16 +21,14 @@ _PICTURES = 60
 
 def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
     """Everything about the flights, side by side; more than three flights stand below each other after a summary."""
-    found = findings_of(records)
+    found = _Found(records, shelf)
     if len(records) <= _SIDE_BY_SIDE:
-        parts = _flights(records, records, found, shelf, pictures=_PICTURES // len(records))
-        return _whole(*parts)
-    pictures = max(1, _PICTURES // max(1, sum(bool(record.findings) for record in records)))
+        return _whole(*_flights(records, records, found))
     folded = [
         element(
             "details",
             element("summary", element("strong", record.name), f": {lasting(record.result.mission_time_s)}"),
-            *_flights([record], records, found, shelf, pictures=pictures),
+            *_flights([record], records, found),
             class_="flight-details",
         )
         for record in records
@@ -38,34 +36,52 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
     each = element("section", element("h2", "Each flight"), *folded, class_="folded")
     summary = [*draw_urgent(records), *draw_summary(records)]
     together = element("section", *summary, class_="sheet together", aria_label="All flights together")
-    return _whole(together, each)
+    return _whole(together, *found.of_fleet(), each)
 
 
 def _whole(*parts: Markup) -> Markup:
     return element("section", *parts, class_="sheet", aria_label="In words and tables")
 
 
-def _flights(
-    shown: Sequence[Record],
-    records: Sequence[Record],
-    found: Sequence[PlacedFinding],
-    shelf: PhotoShelf,
-    *,
-    pictures: int,
-) -> list[Markup]:
-    """The flights that are shown, of the records of a page; `pictures` limits the pictures of each flight."""
-    told = [record for record in shown if record.findings]
+class _Found:
+    """Draws what was found: by a fleet in one list, by one drone flight by flight."""
 
-    def findings(record: Record) -> Markup:
-        own = [each for each in found if each.flight.log == record.name]
-        return draw_findings(record, own, shelf, log=records.index(record), most=pictures)
+    def __init__(self, records: Sequence[Record], shelf: PhotoShelf) -> None:
+        self._shelf = shelf
+        self._all = findings_of(records)
+        self._logs = [record.name for record in records]
+        self._is_fleet = are_a_fleet([record.drone for record in records])
+        beside = (
+            len(records) if len(records) <= _SIDE_BY_SIDE else sum(bool(each.findings) for each in records)
+        )
+        self._pictures = max(1, _PICTURES // max(1, beside))
 
+    def of_fleet(self) -> Sequence[Markup]:
+        """The list of the whole fleet; nothing if the flights are no fleet, or found nothing."""
+        if not self._is_fleet or not self._all:
+            return []
+        drawn = draw_findings(self._all, self._shelf, logs=self._logs, most=_PICTURES, whose=True)
+        return [element("section", element("h2", "Findings"), drawn)]
+
+    def of_flights(self, records: Sequence[Record]) -> Sequence[Markup]:
+        """The list of each of these flights; nothing if the flights are a fleet, or found nothing."""
+        told = [record for record in records if record.findings]
+        return [_section(told, "Findings", self._of)] if told and not self._is_fleet else []
+
+    def _of(self, record: Record) -> Markup:
+        own = [each for each in self._all if each.flight.log == record.name]
+        return draw_findings(own, self._shelf, logs=self._logs, most=self._pictures)
+
+
+def _flights(shown: Sequence[Record], records: Sequence[Record], found: _Found) -> list[Markup]:
+    """The flights that are shown, of the records of a page."""
     outcomes = [record.outcome for record in records]
     return [
         draw_endings(shown),
         *(element("p", what_it_came_to(record.outcome, outcomes), class_="lead") for record in shown),
         tables.totals(shown),
-        *([_section(told, "Findings", findings)] if told else []),
+        *(found.of_fleet() if len(shown) == len(records) else []),
+        *found.of_flights(shown),
         _section(shown, "Worst calls", _worst_calls),
         _section(shown, "Calls", _calls),
         _section(shown, "Servers and places", _places),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
-from upwash.core.geo import Circle, GeoPosition
+from upwash.core.geo import Circle
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.progress import clock
@@ -263,31 +263,31 @@ def waypoints(record: Record) -> Markup:
     )
 
 
-def findings(record: Record, found: Sequence[PlacedFinding]) -> Markup:
-    """The findings with their places."""
-    home = record.plan.home
+def findings(found: Sequence[PlacedFinding], *, whose: bool = False) -> Markup:
+    """The findings with their places, and with the names of their flights where it matters `whose` each is."""
 
     def row(each: PlacedFinding) -> list[str]:
         return [
             str(each.number),
+            *([each.flight.log] if whose else []),
             clock(each.mission_s),
             _at(each.finding.waypoint),
-            coordinates(each, home),
+            coordinates(each),
             each.finding.words,
         ]
 
     return _long(
         "Findings",
-        ["finding", "at", "waypoint", "place", "what the user was told"],
+        ["finding", *(["flight"] if whose else []), "at", "waypoint", "place", "what the user was told"],
         found,
         row,
         rest="--findings FILE writes every finding",
     )
 
 
-def coordinates(found: PlacedFinding, home: GeoPosition | None) -> str:
+def coordinates(found: PlacedFinding) -> str:
     """The place in degrees where it is known where home is, else in metres from there."""
-    if found.earth is None or home is None:
+    if found.earth is None or found.flight.home is None:
         place = found.finding.place
         return f"{place.east_m:.1f} m east, {place.north_m:.1f} m north of home"
     return "{:.6f}°, {:.6f}°".format(*found.earth)
