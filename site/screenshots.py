@@ -44,12 +44,15 @@ _HIGHEST_PX = 8_000  # of a picture of a whole page
 _QUALITY = 80  # of a kept one, of 100
 _CAME = """
 return new Promise((done) => {
-  let before = "0";
+  let [before, sinceMs] = ["", 0];
   const look = setInterval(() => {
     const now = document.getElementById("time").max;
-    if (now !== "0" && now === before) clearInterval(look), done();
-    before = now;
-  }, 1000);
+    if (now !== before) [before, sinceMs] = [now, performance.now()];
+    const isOver = document.querySelector(".summary")?.textContent;
+    if (now === "0" || !(isOver || performance.now() - sinceMs > 2500)) return; // a page that loads is drawn each 2 s
+    clearInterval(look);
+    done();
+  }, 100);
 });
 """
 _COUNTING = """
