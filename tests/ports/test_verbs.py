@@ -7,11 +7,13 @@ import itertools
 import math
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.played import played
+from tests.ports.memory import AT_ONCE
 from tests.ports.scripted import FRAME, IN_AIR, ON_GROUND, SYSTEM, Script, landed, scripted
 
 from upwash.core.geo import Position, Velocity
@@ -335,6 +337,23 @@ async def test_a_refusal_after_a_pilot_took_over_is_the_pilots_doing(
         await trying
 
 
+@pytest.mark.parametrize(
+    "verb",
+    [
+        lambda autopilot: autopilot.takeoff(20.0),
+        lambda autopilot: autopilot.turn_to(90.0),
+        lambda autopilot: autopilot.land(),
+    ],
+)
+@played(tell)
+async def test_a_pilot_who_takes_over_in_a_verb_ends_it(script: Script, *, verb: Verb) -> None:
+    await script.say(script.place(HERE, heading_deg=180.0))
+    flying = await begun(script, verb(script.autopilot))
+    await script.beat(mode=mavlink.COPTER_MODE_LOITER)
+    with pytest.raises(AutopilotOverruled, match="LOITER"):
+        await asyncio.wait_for(flying, 1.0)
+
+
 @pytest.mark.parametrize("avoids", [0.0, 1.0])
 @played(tell)
 async def test_a_vehicle_that_flies_round_obstacles_may_change_its_target(
@@ -547,6 +566,33 @@ async def test_its_checks_are_asked_for_until_the_time_is_over(script: Script) -
     assert script.now_s - begun_s == pytest.approx(120.0, abs=0.01)
     times_s = [at_s - begun_s for at_s, sent in script.sent if getattr(sent, "command", 0) == CHECKS]
     assert times_s == pytest.approx([5.0 * number for number in range(24)], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("verb", "armed"),
+    [(lambda autopilot: autopilot.ready(), True), (lambda autopilot: autopilot.arm(), False)],
+)
+@played(tell, flies=False)
+async def test_a_pilot_who_takes_over_ends_the_wait_for_its_checks(
+    script: Script, *, verb: Verb, armed: bool
+) -> None:
+    await script.say(*health(passes=False, sure=True))
+    script.results[ARM], script.results[REPOSITION] = FAILED, DENIED
+    waiting = await begun(script, verb(script.autopilot))
+    await script.beat(armed=armed, mode=mavlink.COPTER_MODE_LOITER)
+    with pytest.raises(AutopilotOverruled):
+        await asyncio.wait_for(waiting, 1.0)
+
+
+@pytest.mark.virtual
+async def test_a_short_time_for_its_checks_is_kept() -> None:
+    async with scripted(replace(AT_ONCE, ready_timeout_s=12.0)) as script:
+        await script.autopilot.claim(resumes=False)
+        await script.say(*health(passes=False, sure=True))
+        begun_s = script.now_s
+        with pytest.raises(AutopilotRefused, match="was not ready within 12 s"):
+            await script.autopilot.ready()
+        assert script.now_s - begun_s == pytest.approx(12.0, abs=0.01)
 
 
 @played(tell, flies=False)
