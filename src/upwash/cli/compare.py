@@ -20,6 +20,7 @@ from upwash.lab.campaigns.sweep import read_overrides
 from upwash.lab.figures import FigureFiles
 from upwash.support.confidence import Mean
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 
 Cell = Callable[[ComparedPolicy], str]
 
@@ -102,7 +103,7 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
             wins = row in winners
             cells = (cell(row) for cell in shown.values())
             table.add_row("*" if wins else "", *cells, style="bold" if wins else None)
-        console.print(table)
+        show_table(table, console)
         console.print()
 
 

@@ -31,6 +31,7 @@ from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.trust.authority import make_keys
 from upwash.support.background import beside
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 from upwash.view.tail import Tail
 
@@ -229,7 +230,7 @@ def print_results(
         table.add_column(head, justify="right", no_wrap=True)
     for drone, flight in flights.items():
         table.add_row(drone, flight.in_words, *_cells(flight.result, servers))
-    console.print(table)
+    show_table(table, console)
     say(summary([flight.result for flight in flights.values()]), console)
 
 

@@ -11,6 +11,7 @@ from rich.table import Column, Table
 from upwash.cli.arguments import config_of
 from upwash.config import read_daemon_config
 from upwash.packaging.shipping import list_images
+from upwash.support.tables import show_table
 
 ARGUMENTS = config_of("daemon")
 
@@ -21,5 +22,5 @@ def run(options: argparse.Namespace) -> bool:
     table = Table("service", Column("program", overflow="fold"), "image", "made with", box=None)
     for offer in offers:
         table.add_row(offer.service, offer.program, offer.image, offer.made_with)
-    Console(markup=False).print(table)
+    show_table(table, Console(markup=False))
     return all(offer.can_run for offer in offers)

@@ -27,6 +27,7 @@ from upwash.profiling.report import call_table, chosen_setting, fastest, server_
 from upwash.real.camera.camera import read_photos
 from upwash.rpc.service import spec_of
 from upwash.support.output_files import write_file
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 
 T = TypeVar("T")
@@ -155,7 +156,7 @@ def _watched(
 def _print(table: Table | None, text: str, out: Path | None) -> None:
     console = Console(markup=False)
     if table is not None:
-        Console(stderr=True).print(table)
+        show_table(table, Console(stderr=True))
     if out is not None:
         try:
             write_file(out, text.encode())

@@ -34,6 +34,7 @@ from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 from upwash.support.output_files import write_file
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 
 _PRINTED = ("scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals", "bound")
 _PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s", "bound")
@@ -156,7 +157,7 @@ def _print_fleet(fleet: FleetSimulation) -> None:
     console = Console(markup=False)
     table = Table(box=None, padding=(0, 2))
     for title in ("drone", "policy"):
-        table.add_column(title, overflow="fold", min_width=len("location-aware"))
+        table.add_column(title, overflow="fold")
     for title in ("mission time", "saved", "on servers"):
         table.add_column(title, justify="right", no_wrap=True)
     for name, drone in fleet.drones.items():
@@ -166,7 +167,7 @@ def _print_fleet(fleet: FleetSimulation) -> None:
         saved = f"{fleet.saved_s[name]:.1f} s" if name in fleet.saved_s else "-"
         remote = f"{sum(drone.totals.remote.values())} of {drone.totals.calls}"
         table.add_row(*map(Text, (name, drone.policy, time, saved, remote)))
-    console.print(table)
+    show_table(table, console)
     for line in _together(fleet):
         say(line, console)
 

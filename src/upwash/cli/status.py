@@ -26,6 +26,7 @@ from upwash.core.admission.limits import Limits
 from upwash.launch.status import ask_status
 from upwash.rpc.protocol import CertificateStatus, StatusReply
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 
 _SOON_DAYS = 30
@@ -84,7 +85,7 @@ def _print_server(server: ServerStatus, console: Console) -> None:
     for line in (*_holders(server), *_waiting(server)):
         say(Text(f"  {line}"), console)
     if server.instances:
-        console.print(_instances(server))
+        show_table(_instances(server), console)
     _print_usage(server, console)
     for instance in server.instances:
         service = instance.service
@@ -139,7 +140,7 @@ def _print_usage(server: ServerStatus, console: Console) -> None:
         for usage in latest[:_MOST_SHOWN]:
             holds = "" if usage.holds_s is None else _duration(usage.holds_s)
             table.add_row(Text(usage.drone), holds, *_used(usage))
-        console.print(table)
+        show_table(table, console)
     if len(latest) > _MOST_SHOWN:
         say(Text(f"  and {len(latest) - _MOST_SHOWN} more: see --json"), console)
     if any(usage.team != usage.drone for usage in server.drones):
@@ -147,7 +148,7 @@ def _print_usage(server: ServerStatus, console: Console) -> None:
         teams = sorted(server.teams, key=lambda team: (-team.slots, _ago_s(team), team.team))
         for team in teams[:_MOST_SHOWN]:
             table.add_row(Text(team.team), str(team.slots), *_used(team))
-        console.print(table)
+        show_table(table, console)
 
 
 def _used(usage: DroneUsage | TeamUsage) -> tuple[str, str, str, str]:
@@ -201,7 +202,7 @@ def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None
             who = map(Text, (refusal.server, refusal.client, refusal.why))
             table.add_row(f"{_duration(refusal.ago_s)} ago", str(refusal.times), *who)
         console.print()
-        console.print(table)
+        show_table(table, console)
 
 
 def _print_certificates(certificates: Sequence[CertificateStatus], console: Console) -> None:

@@ -20,6 +20,7 @@ from upwash.emulation.request import (
 )
 from upwash.errors import MissionStopped, UpwashError, UsageError
 from upwash.support.loading import module_command
+from upwash.support.sentences import say
 
 
 def run_emulation(request: EmulationRequest) -> bool:
@@ -63,11 +64,10 @@ def _run(request: EmulationRequest) -> int:
 
 
 def _print(outcome: EmulationOutcome, console: Console) -> None:
-    console.print(
-        f"radio {outcome.radio}: at most {1000 * outcome.radio_lag_s:.1f} ms late "
-        f"(limit {1000 * RADIO_LAG_LIMIT_S:.0f}); positions at most {1000 * outcome.position_lag_s:.0f} ms late "
-        f"(limit {1000 * POSITION_LAG_LIMIT_S:.0f})",
-        soft_wrap=True,
+    radio = f"at most {1000 * outcome.radio_lag_s:.1f} ms late (limit {1000 * RADIO_LAG_LIMIT_S:.0f})"
+    positions = (
+        f"at most {1000 * outcome.position_lag_s:.0f} ms late (limit {1000 * POSITION_LAG_LIMIT_S:.0f})"
     )
+    say(f"radio {outcome.radio}: {radio}; positions {positions}", console)
     if not outcome.valid:
         console.print("NOT VALID: this machine was too busy to keep up", style="bold red", soft_wrap=True)

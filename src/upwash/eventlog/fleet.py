@@ -13,6 +13,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.narration import Narrator
 from upwash.eventlog.schema import Event
 from upwash.eventlog.terminal import STATE_STYLES, TONE_STYLES, LiveDisplay
+from upwash.support.tables import fit
 from upwash.support.text import printable
 
 _IN_USE = ("READY", "CHECK", "CHECK-R")  # the states of a server that a drone uses or is about to
@@ -50,10 +51,11 @@ class FleetProgress(LiveDisplay):
         self._show(Text(f"{drone:<{self._width}}  ") + line)
 
     def _picture(self) -> Group:
-        table = Table("drone", "", "waypoints", "server", "calls", box=None, padding=(0, 2))
+        table = Table("drone", "", "waypoints", "server", "calls", box=None, padding=(0, 1))
         for name, drone in self._drones.items():
             reached = f"{drone.narrator.reached} of {self._waypoints}"
             table.add_row(name, drone.doing, reached, drone.server, str(drone.calls))
+        fit(table, self._console.width)
         return Group(table)
 
 

@@ -17,14 +17,12 @@ from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Sentence, Tone, l
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.sentences import say
+from upwash.support.tables import fit, show_table
 from upwash.support.text import counted, printable
 
 _STILL_WAITING_S = 10.0  # without a line; then a line repeats the state, if the terminal shows no picture
-_DECISION = 16  # columns at least, so that few words are longer
-_WIDE = 400  # columns of a log file, so that a row is one line
 _WORTH_SHOWING_S = 0.05
 _FEW_CALLS = 20  # their rows leave the verdict in sight
-_LONGEST_NAME = 24  # columns of a name that is never broken
 _LONG_ARMING_S = 1.0
 STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
 TONE_STYLES = {
@@ -125,6 +123,7 @@ class Progress(LiveDisplay):
         servers = Table("server", "state", Column("why", style="dim"), box=None, padding=(0, 2))
         for name, (state, why) in self._states.items():
             servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
+        fit(servers, self._console.width)
         return servers
 
 
@@ -231,12 +230,11 @@ def _print_calls(result: RunResult, console: Console, *, servers: bool) -> None:
     if several:
         table.add_column("operation", no_wrap=True)
     if servers:
-        longest = max(len(call.server or "drone") for call in result.calls)
-        table.add_column("place", overflow="fold", min_width=min(longest, _LONGEST_NAME))
+        table.add_column("place", overflow="fold")
     table.add_column("delay", justify="right", no_wrap=True)
     if servers:
         table.add_column("waited", justify="right", no_wrap=True)
-        table.add_column("decision", min_width=_DECISION)
+        table.add_column("decision")
     for call in result.calls:
         waypoint = "" if call.waypoint is None else str(call.waypoint)
         operation = [shown[call.operation]] if several else []
@@ -245,8 +243,7 @@ def _print_calls(result: RunResult, console: Console, *, servers: bool) -> None:
         why = [waited, call.decision] if servers else []
         cells = (waypoint, *operation, *place, f"{call.delay_s:.2f} s", *why)
         table.add_row(*(Text(printable(cell)) for cell in cells))  # as text: [heavy] is no markup
-    wide = console if console.is_terminal else Console(file=console.file, width=_WIDE)
-    wide.print(table)
+    show_table(table, console)
 
 
 def _short_names(operations: Sequence[str]) -> dict[str, str]:

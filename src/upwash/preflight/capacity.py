@@ -23,6 +23,7 @@ from upwash.lab.run import Run, simulate_fleet
 from upwash.lab.scenario import with_policy
 from upwash.preflight.prediction import LOCAL_ONLY
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 
 SLOWER = 1.05  # the most that the mean time may grow for drones that are carried
@@ -137,7 +138,7 @@ def _print(found: Capacity, console: Console) -> None:
         console,
     )
     console.print()
-    console.print(_table(found))
+    show_table(_table(found), console)
     last = found.loads[-1]
     more = "" if last.drones > found.carried else "; more were not tried"
     console.print()

@@ -23,9 +23,9 @@ from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
 from upwash.sim.chance import plays_a_part
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 
-_LONGEST_WORD = 20  # columns of a word that is never broken
 _NO_PACE = (
     "the file does not say how the vehicle flies, and the predictions assume 1 m/s² and a take-off of 10 s: for an "
     'ArduCopter write profile = "arducopter" in [vehicle], for a PX4 "px4"'
@@ -88,13 +88,13 @@ def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, cons
         )
     console.print()
     if found.servers:
-        console.print(_coverage_table(found.servers, found.waypoints))
+        show_table(_coverage_table(found.servers, found.waypoints), console)
         say(
             Text(f"waypoints out of every server's range: {spans(found.uncovered) or 'none'}"),
             console,
         )
         console.print()
-    console.print(_prediction_table(found))
+    show_table(_prediction_table(found), console)
     say(_how_sure(found, config), console)
     if is_for_flight(config) and told_pace(config.vehicle) is None:
         say(_NO_PACE, console)
@@ -153,9 +153,7 @@ def _prediction_table(found: MissionCheck) -> Table:
         (prediction.mission_time_s for prediction in found.predictions if prediction.case == LOCAL_ONLY), None
     )
     table = Table(box=None, padding=(0, 2))
-    words = [word for prediction in found.predictions for word in prediction.case.split()]
-    longest = max(map(len, ("predicted", *words)))
-    table.add_column("predicted", overflow="fold", min_width=min(longest, _LONGEST_WORD))
+    table.add_column("predicted", overflow="fold")
     for title in (
         "mission time",
         "against\nlocal-only" if _are_lighter(found) else "against local-only",

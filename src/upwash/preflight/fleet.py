@@ -45,6 +45,7 @@ from upwash.preflight.waypoints import coverage, uncovered
 from upwash.sim.chance import plays_a_part
 from upwash.support.confidence import mean_or_none
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 
 
@@ -200,7 +201,7 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
         console,
     )
     console.print()
-    console.print(_forecast_table(found.drones))
+    show_table(_forecast_table(found.drones), console)
     if share := told_share(config):
         say(share, console)
     console.print()
@@ -218,10 +219,10 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
 
 def _forecast_table(drones: tuple[DroneForecast, ...]) -> Table:
     table = Table(box=None, padding=(0, 1))
-    table.add_column("drone", overflow="fold", min_width=8)
+    table.add_column("drone", overflow="fold")
     for title in ("waypoints", LOCAL_ONLY, AS_CONFIGURED):
         table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("out of range", overflow="fold", min_width=8)
+    table.add_column("out of range", overflow="fold")
     for drone in drones:
         by_case = {prediction.case: prediction for prediction in drone.predictions}
         table.add_row(

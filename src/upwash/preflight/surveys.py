@@ -12,6 +12,8 @@ from rich.text import Text
 
 from upwash.config import DroneConfig
 from upwash.errors import UsageError
+from upwash.support.sentences import say
+from upwash.support.tables import show_table
 
 if TYPE_CHECKING:
     from upwash.launch.survey import VehicleSurvey
@@ -50,10 +52,10 @@ def _print(findings: Sequence[SurveyFinding], console: Console) -> bool:
             Text(finding.found),
             Text("no", style="red") if finding.trouble else Text("yes", style="green"),
         )
-    console.print(table)
+    show_table(table, console)
     for finding in findings:
         if finding.trouble:
-            console.print(Text(f"{finding.subject}: {finding.trouble}"), soft_wrap=True)
+            say(Text(f"{finding.subject}: {finding.trouble}"), console)
     return not any(finding.trouble for finding in findings)
 
 
@@ -66,29 +68,29 @@ def check_vehicle(config: DroneConfig, console: Console, *, install_dead_man: bo
 
     found = asyncio.run(survey_vehicle(config, install_dead_man=install_dead_man))
     wanted = config.autopilot.dead_man_s is not None
-    console.print(f"{found.vehicle} was heard on {config.autopilot.connection}", soft_wrap=True)
+    say(Text(f"{found.vehicle} was heard on {config.autopilot.connection}"), console)
     _show_firmware(found, console)
     if found.dead_man_lacks:
         lacks = Text("dead man: ", style="red" if wanted or install_dead_man else "yellow")
-        console.print(lacks + Text(found.dead_man_lacks), soft_wrap=True)
+        say(lacks + Text(found.dead_man_lacks), console)
     else:
         console.print(Text("dead man: ready in the autopilot", style="green"))
     if wanted:
-        console.print(_told(config), soft_wrap=True)
+        say(_told(config), console)
     else:
-        console.print("autopilot.dead_man_s is not given: flights do without it", soft_wrap=True)
+        say("autopilot.dead_man_s is not given: flights do without it", console)
     return not (found.unfit or (found.dead_man_lacks and (wanted or install_dead_man)))
 
 
 def _show_firmware(found: VehicleSurvey, console: Console) -> None:
     version = found.version or "the vehicle does not tell it"
-    console.print(Text(f"version: {version}", style="" if found.version else "yellow"), soft_wrap=True)
+    say(Text(f"version: {version}", style="" if found.version else "yellow"), console)
     for setting in found.settings:
         value = "not known" if setting.value is None else f"{setting.value:g}"
         line = Text(f"{setting.name}: ", style="yellow") + Text(f"{value}: {setting.advice}")
-        console.print(line, soft_wrap=True)
+        say(line, console)
     if found.unfit:
-        console.print(Text("cannot be flown: ", style="red") + Text(found.unfit), soft_wrap=True)
+        say(Text("cannot be flown: ", style="red") + Text(found.unfit), console)
 
 
 def _told(config: DroneConfig) -> str:

@@ -17,9 +17,9 @@ from upwash.lab.campaigns.sweep import ParameterSweep
 from upwash.lab.figures import FigureFiles
 from upwash.support.confidence import Mean, mean_saving
 from upwash.support.sentences import say
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 
-_LONGEST_SETTING = 14  # columns that it has in any case
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
 _FEW_MINUTES_S, _FEW_HOURS_S = 100.0, 6_000.0  # below these times are printed in seconds, in minutes
 
@@ -63,7 +63,7 @@ def show_campaign(
         say(f"interrupted; the same command with --out {out} continues it", console)
         raise
     say(_verdict(sweep, summaries), console)
-    console.print(_table(sweep, summaries))
+    show_table(_table(sweep, summaries), console)
     for summary in summaries:
         for line in _failures(sweep, summary):
             say(line, console)
@@ -138,14 +138,10 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
     table = Table(box=None, padding=(0, 1), caption=caption, caption_justify="left")
     if winners:
         table.add_column("", no_wrap=True)  # the mark of the quickest
-    for key, values in zip(
-        sweep.keys, zip(*(summary.values for summary in summaries), strict=True), strict=True
-    ):
-        parts = key.replace(".", ".\n")
-        longest = max(map(len, (*parts.splitlines(), *values)))
-        table.add_column(Text(parts), overflow="fold", min_width=min(longest, _LONGEST_SETTING))
-    titles = ["completed", "failed", "mission time", "above the\nminimum"]
-    titles += ["worst", "fairness"] if together else []
+    for key in sweep.keys:
+        table.add_column(Text(key.replace(".", ".\n")), overflow="fold")
+    titles = ["completed", "failed", "minutes", "above the\nminimum"]
+    titles += ["worst\nminutes", "fairness"] if together else []
     for title in (*titles, *(["drawn"] if metered else [])):
         table.add_column(Text(title), justify="right", no_wrap=True)
     for summary in summaries:
@@ -167,13 +163,13 @@ def _table(sweep: ParameterSweep, summaries: Sequence[CombinationSummary]) -> Ta
 
 def _minutes(mean: Mean) -> str:
     margin = f" ± {mean.margin / 60:.2f}" if mean.count > 1 else ""
-    return f"{mean.value / 60:.2f}{margin} min"
+    return f"{mean.value / 60:.2f}{margin}"
 
 
 def _of_several(summary: CombinationSummary) -> list[str]:
     if summary.worst_s is None or summary.jain is None:
         return ["-", "-"]
-    return [f"{summary.worst_s.value / 60:.2f} min", f"{summary.jain.value:.3f}"]
+    return [f"{summary.worst_s.value / 60:.2f}", f"{summary.jain.value:.3f}"]
 
 
 def _drawn(mean: Mean | None) -> str:

@@ -12,12 +12,14 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.text import Text
 
 from upwash.config import Document
 from upwash.lab.faults.campaign import FlownWorld, WorldVerdict, fly_world, judge
 from upwash.lab.faults.promises import Broken
 from upwash.lab.processes import in_processes
 from upwash.support.output_files import write_file
+from upwash.support.sentences import say
 from upwash.support.text import plural
 
 _CHUNK = 20  # worlds that a process flies together
@@ -139,12 +141,7 @@ def _write(flown: FlownWorld, log: Path) -> Iterator[Path]:
 
 def _show_broken(broken: Sequence[Broken], console: Console, *, shown: int, hint: bool = True) -> None:
     for breach in broken[: max(0, _FAILURES_SHOWN - shown)]:
-        console.print(
-            f"{breach.promise} broken by seed {breach.seed}: {breach.why}",
-            style="red",
-            markup=False,
-            soft_wrap=True,
-        )
+        say(Text(f"{breach.promise} broken by seed {breach.seed}: {breach.why}", style="red"), console)
         if breach.event is not None:
             console.print(
                 f"  first bad event: {msgspec.json.encode(breach.event).decode()}",
@@ -164,18 +161,12 @@ def _counted(number: int, noun: str) -> str:
 
 def _show_summary(summary: Summary, console: Console) -> None:
     worlds = {breach.seed for breach in summary.broken}
-    console.print(
-        f"{_counted(summary.worlds, 'world')} with {_counted(summary.flights, 'flight')} and "
-        f"{_counted(summary.calls, 'call')} in {summary.took_s / 60:.1f} min; "
-        f"{_counted(summary.replayed, 'world')} flown again",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+    flown = f"{_counted(summary.flights, 'flight')} and {_counted(summary.calls, 'call')}"
+    took = f"{summary.took_s / 60:.1f} min; {_counted(summary.replayed, 'world')} flown again"
+    say(Text(f"{_counted(summary.worlds, 'world')} with {flown} in {took}"), console)
     delay_s, bound_s = summary.longest_s
-    console.print(
-        f"the longest call took {delay_s:.2f} s of at most {bound_s:.2f} s; none left less than "
-        f"{summary.spare_s:.3f} s of its bound",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+    longest = f"the longest call took {delay_s:.2f} s of at most {bound_s:.2f} s"
+    say(Text(f"{longest}; none left less than {summary.spare_s:.3f} s of its bound"), console)
     said = f"promises broken in {_counted(len(worlds), 'world')}" if worlds else "no promise broken"
     console.print(said, style="red" if worlds else "green", highlight=False)
 

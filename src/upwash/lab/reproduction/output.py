@@ -10,6 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+from rich.text import Text
 
 from upwash.lab.figures import FigureFiles
 from upwash.lab.reproduction import quantities, sensitivity
@@ -26,6 +27,8 @@ from upwash.lab.reproduction.quantities import Comparison, contradictions, print
 from upwash.lab.reproduction.sensitivity import Moved
 from upwash.lab.run import Run
 from upwash.support.output_files import write_file
+from upwash.support.sentences import say
+from upwash.support.tables import show_table
 from upwash.support.text import counted
 
 
@@ -81,11 +84,11 @@ def print_comparison(comparisons: Sequence[Comparison], console: Console) -> Non
         for column in ("ours", "thesis", "deviation"):
             table.add_column(column, justify="right", no_wrap=True)
         for experiment in EXPERIMENTS:
-            table.add_row(f"[bold]{experiment.name}")
+            table.add_row(Text(experiment.name, style="bold"))
             for comparison in comparisons:
                 if (comparison.setup, comparison.experiment) == (setup, experiment):
                     table.add_row(f"  {comparison.quantity.label}", *comparison.written())
-        console.print(table)
+        show_table(table, console)
 
 
 def print_sensitivity(moved: Sequence[Moved], console: Console) -> None:
@@ -99,14 +102,14 @@ def print_sensitivity(moved: Sequence[Moved], console: Console) -> None:
             table.add_column(name, justify="right")
         for variation in moved:
             table.add_row(variation.label, *(f"{percent:+.1f}" for percent in variation.percent[setup]))
-        console.print(table)
+        show_table(table, console)
 
 
 def print_notes(console: Console) -> None:
     """Prints where the thesis's own figures disagree."""
     console.print("The thesis contradicts itself:")
     for note in contradictions():
-        console.print(f"  {note}", soft_wrap=True, highlight=False)
+        say(Text(note), console, indent=2)
 
 
 def cell_names(setup: str) -> list[str]:
