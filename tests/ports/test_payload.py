@@ -37,7 +37,7 @@ async def test_a_heading_is_part_of_the_setpoints_until_the_next_leg() -> None:
         await autopilot.return_home_and_land()
 
 
-@pytest.mark.parametrize("size", [1, 49, 50, 51, 100, 200])
+@pytest.mark.parametrize("size", [1, 49, 50, 51, 99, 100, 200])
 def test_a_text_arrives_whole_in_as_many_chunks_as_it_takes(size: int) -> None:
     text = ("0123456789" * 20)[:size]
 
@@ -58,6 +58,7 @@ def test_a_text_arrives_whole_in_as_many_chunks_as_it_takes(size: int) -> None:
                 chunks = [message for message in sent if message.id == number]
                 assert [message.chunk_seq for message in chunks] == list(range(len(chunks)))
                 assert "".join(message.text for message in chunks) == text
+                assert {len(message.text) for message in chunks[:-1]} == {50}
                 assert len(chunks[-1].text) < 50  # by which a receiver knows the last one
 
     run_virtually(mission())

@@ -338,15 +338,17 @@ async def test_a_refusal_after_a_pilot_took_over_is_the_pilots_doing(
 
 
 @pytest.mark.parametrize(
-    "verb",
+    ("verb", "obeys"),
     [
-        lambda autopilot: autopilot.takeoff(20.0),
-        lambda autopilot: autopilot.turn_to(90.0),
-        lambda autopilot: autopilot.land(),
+        (lambda autopilot: autopilot.takeoff(20.0), True),
+        (lambda autopilot: autopilot.turn_to(90.0), True),
+        (lambda autopilot: autopilot.land(), True),
+        (lambda autopilot: autopilot.disarm(), False),
     ],
 )
 @played(tell)
-async def test_a_pilot_who_takes_over_in_a_verb_ends_it(script: Script, *, verb: Verb) -> None:
+async def test_a_pilot_who_takes_over_in_a_verb_ends_it(script: Script, *, verb: Verb, obeys: bool) -> None:
+    script.obeys = obeys
     await script.say(script.place(HERE, heading_deg=180.0))
     flying = await begun(script, verb(script.autopilot))
     await script.beat(mode=mavlink.COPTER_MODE_LOITER)
