@@ -275,6 +275,7 @@ def test_the_last_state_of_a_flight_without_news_is_not_told_as_its_state_now(
         assert "alarm" in (page.find(".bar").get_attribute("class") or "")
         assert page.text(".aside") == "0:16 last heard: PROGRAM · at waypoint 4"
         assert not page.find(".tiles").text
+        assert not page.text(".outlook"), "nobody knows when it is over"
         assert "No news of the flight for 4:4" in page.text("#alarms")
         page.seek(1.0)
         assert page.text(".who") == "PROGRAM"

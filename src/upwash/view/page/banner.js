@@ -10,10 +10,10 @@ export class Banner {
     this.cautions = new Notice(cautions);
   }
 
-  // Of each flight at its moment; `live` says whether more can come. Returns how many alarms there are.
-  show(moments, live) {
+  // Of each flight at its moment. Returns how many alarms there are.
+  show(moments) {
     const many = moments.length > 1;
-    const held = moments.flatMap((moment) => noticesOf(moment, live).map((notice) => ({ ...notice, moment })));
+    const held = moments.flatMap((moment) => noticesOf(moment).map((notice) => ({ ...notice, moment })));
     const lines = held.sort(byUrgency).map((notice) => inWords(notice, many));
     const alarms = held.filter(({ level }) => level === "alarm").length;
     this.alarms.show(alarms ? lines : []);
@@ -45,10 +45,9 @@ class Notice {
 }
 
 // What holds at the moment.
-function noticesOf(moment, live) {
-  const silentS = moment.withoutNewsS(live);
-  if (!silentS) return moment.notices;
-  const cause = `No news of the flight for ${told(silentS)}`;
+function noticesOf(moment) {
+  if (!moment.withoutNewsS) return moment.notices;
+  const cause = `No news of the flight for ${told(moment.withoutNewsS)}`;
   const action = "Look whether its program runs.";
   return [{ level: "alarm", rank: -1, at_s: 0, since_s: null, cause, action }, ...moment.notices];
 }

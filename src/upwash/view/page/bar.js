@@ -28,24 +28,24 @@ export class Bar {
     );
   }
 
-  // `name` is the drone's, of several, and `number` its number on their map; for `silentS` the flight has told nothing.
-  show(moment, { name, number = "", silentS }) {
+  // `name` is the drone's, of several, and `number` its number on their map.
+  show(moment, name, number = "") {
     if (this.sign.textContent !== String(number)) this.sign.replaceChildren(...(number ? [badge(number)] : []));
-    if (silentS && !moment.silence) this.#showSilence(moment, name, silentS);
+    if (moment.withoutNewsS && !moment.silence) this.#showSilence(moment, name);
     else this.#showState(moment, name);
     const { story, reached } = moment;
     this.progress.hidden = !story.waypoints;
     this.progress.value = story.waypoints ? reached / story.waypoints : 0;
   }
 
-  #showSilence(moment, name, silentS) {
+  #showSilence(moment, name) {
     const doing = moment.last("doing");
     const words = moment.underWay?.doing || inWords(moment);
     const before = doing ? `${moment.story.timeOf(moment.atS)} last heard: ${[doing.who, words].filter(Boolean).join(" · ")}` : "";
     this.element.className = "bar alarm";
     write(this.who, "NO NEWS");
     write(this.words, "");
-    write(this.passing, `for ${told(silentS)}`);
+    write(this.passing, `for ${told(moment.withoutNewsS)}`);
     write(this.aside, [name, before].filter(Boolean).join(" · "));
     for (const tile of this.tiles.values()) tile.element.hidden = true;
   }

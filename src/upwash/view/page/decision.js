@@ -26,7 +26,7 @@ export class DecisionCard {
   show(moment) {
     const decision = moment.underWay;
     const about = decision ?? moment.last("call");
-    write(this.heading, headingOf(about, decision));
+    write(this.heading, headingOf(about, decision && (moment.withoutNewsS ? "Call that was under way" : "Call under way")));
     write(this.course, decision ? wholeCourse(decision, moment) : "");
     const going = moment.last("going");
     const gone = decision && going && going.at_s >= decision.began_s && going.waypoint === decision.waypoint;
@@ -67,10 +67,10 @@ export class DecisionCard {
   }
 }
 
-function headingOf(about, decision) {
+function headingOf(about, underWay) {
   if (!about) return "No call was decided yet";
   const where = about.waypoint === null ? "before the first waypoint" : `at waypoint ${about.waypoint}`;
-  return `${decision ? "Call under way" : "Last call"}: ${about.operation} ${where}`;
+  return `${underWay ?? "Last call"}: ${about.operation} ${where}`;
 }
 
 // For how long it is where it is, of how long at most or about: "3.1 of at most 3.9 s, also on the drone".

@@ -1,4 +1,4 @@
-// The stories as they come from the server or are in the document, and whether more can come.
+// The stories as they come from the server or are in the document.
 
 import { Story } from "./story.js";
 
@@ -10,7 +10,6 @@ export class Feed {
 
   constructor({ opened, grown, summarized, said }) {
     this.stories = [];
-    this.open = true;
     this.said = said;
     this.#hear = {
       page: (page) => {
@@ -34,8 +33,7 @@ export class Feed {
         grown();
       },
       end: () => {
-        this.open = false;
-        for (const story of this.stories) story.isBehind = false;
+        for (const story of this.stories) story.isBehind = story.grows = false;
         grown();
       },
     };

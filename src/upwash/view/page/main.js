@@ -121,7 +121,10 @@ function show() {
     before: shown().some((story) => story.call[0]?.waypoint === null),
   };
   for (const view of views) view.show(clock.nowS, limits);
-  showNow();
+  const many = feed.stories.length > 1;
+  views.forEach(({ watched, number }, index) => bars[index].show(watched.at(clock.nowS), many ? watched.name : "", number));
+  const alarms = banner.show(shown().map((story) => story.at(clock.nowS)));
+  document.title = alarms ? `ALARM · ${title}` : title;
   showControls();
 }
 
@@ -129,19 +132,8 @@ function shown() {
   return views.flatMap((view) => view.stories);
 }
 
-// What changes with the time of day too.
-function showNow() {
-  const many = feed.stories.length > 1;
-  views.forEach(({ watched, number }, index) => {
-    const moment = watched.at(clock.nowS);
-    bars[index].show(moment, { name: many ? watched.name : "", number, silentS: moment.withoutNewsS(feed.open) });
-  });
-  const alarms = banner.show(shown().map((story) => story.at(clock.nowS)), feed.open);
-  document.title = alarms ? `ALARM · ${title}` : title;
-}
-
 function showControls() {
-  const live = feed.open && feed.stories.some((story) => story.goesOn);
+  const live = feed.stories.some((story) => story.goesOn);
   on("time").max = clock.endS.toFixed(1);
   on("time").value = clock.nowS.toFixed(1);
   on("time").setAttribute("aria-valuetext", `${told(clock.nowS)} of ${told(clock.endS)}`);
@@ -162,8 +154,8 @@ function timeOfDay() {
 
 // Whether a flight goes on; and where the logs have fallen silent, for how long.
 function showMode() {
-  const live = feed.open ? feed.stories.filter((story) => story.goesOn) : [];
-  const silentS = Math.min(...live.map((story) => story.silentS(Date.now() / 1000)));
+  const live = feed.stories.filter((story) => story.goesOn);
+  const silentS = Math.min(...live.map((story) => story.silentS));
   const silent = live.length > 0 && silentS > STALE_S;
   write(on("mode"), !live.length ? "playback" : silent ? `no news for ${told(silentS)}` : "live");
   on("mode").className = !live.length ? "state" : silent ? "state checking" : "state ready";
@@ -229,6 +221,7 @@ on("controls").hidden = false; // which do nothing without scripts
 write(on("connection"), "Loading the flight.");
 feed.start();
 setInterval(() => {
+  const before = on("mode").textContent;
   showMode();
-  if (feed.stories.length) showNow();
+  if (feed.stories.length && on("mode").textContent !== before) refresh(); // what a silent flight told says less and less
 }, 1000);

@@ -16,6 +16,7 @@ export class Story {
 
   constructor(name) {
     this.name = name;
+    this.grows = true; // more can come
     this.zeroS = 0; // the second of the log at which the page's clock begins
     this.begin(0);
   }
@@ -188,12 +189,12 @@ export class Story {
 
   // Whether the log is one that was written in flight, and does not say that the flight is over.
   get goesOn() {
-    return Boolean(this.opened && !this.ended) && this.silentS(Date.now() / 1000) < OVER_S;
+    return Boolean(this.grows && this.opened && !this.ended) && this.silentS < OVER_S;
   }
 
   // How long ago the last of it was written.
-  silentS(epochS) {
-    return epochS - this.opened.epoch_s - (this.lastS - this.opened.at_s);
+  get silentS() {
+    return Date.now() / 1000 - this.opened.epoch_s - (this.lastS - this.opened.at_s);
   }
 
   // The second of the log at which the story ends, as far as it is told.
@@ -339,9 +340,9 @@ class Moment {
     return this.atS >= this.story.endsS - 1e-6;
   }
 
-  // For how long the flight has told nothing, of which more should come; 0 while it tells. `live` is whether more can come.
-  withoutNewsS(live) {
-    const silentS = live && this.story.goesOn && this.isLatest ? this.story.silentS(Date.now() / 1000) : 0;
+  // For how long the flight has told nothing, of which more should come; 0 while it tells.
+  get withoutNewsS() {
+    const silentS = this.isLatest && this.story.goesOn ? this.story.silentS : 0;
     return silentS > STALE_S ? silentS : 0;
   }
 
