@@ -13,6 +13,7 @@ from tests.ports.memory import AT_ONCE, HOME
 from upwash.core.geo import LocalFrame, Position, Velocity
 from upwash.mavlink.packets import PacketReader
 from upwash.mavlink.px4 import CURRENT_MODE, CurrentModeMessage, Mode
+from upwash.mavlink.signing import Signing
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 
@@ -26,6 +27,7 @@ class Script:
 
     firmware, always_has = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "FRAME_CLASS"
     own_mode: int = mavlink.COPTER_MODE_GUIDED
+    signing: Signing | None = None
     version: int | None = 4 << 24 | 6 << 16 | 255
     autopilot: MavlinkAutopilot  # which has found it
 
@@ -64,7 +66,7 @@ class Script:
     async def say(self, *messages: Any) -> None:
         """Sends messages of the vehicle; returns once the driver has them."""
         for message in messages:
-            self._line.datagram_received(bytes(message.pack(self._codec)), ("", 1))
+            self._line.datagram_received(self._packed(message), ("", 1))
             self._codec.seq = (self._codec.seq + 1) % 256
         await asyncio.sleep(0)
         await asyncio.sleep(0)
@@ -163,9 +165,12 @@ class Script:
     def mode_set_by(self, message: Any) -> int:
         return int(message.param2)
 
+    def _packed(self, message: Any) -> bytes:
+        return self.signing.pack(message, self._codec) if self.signing else bytes(message.pack(self._codec))
+
     def _send(self, answers: list[Any]) -> None:
         for answer in answers:
-            self._line.datagram_received(bytes(answer.pack(self._codec)), ("", 1))
+            self._line.datagram_received(self._packed(answer), ("", 1))
             self._codec.seq = (self._codec.seq + 1) % 256
 
 
@@ -200,12 +205,13 @@ async def scripted(
     armed: bool = False,
     ground_speed_m_s: float = 5.0,
     kind: type[Script] = Script,
+    system: int | None = None,
 ) -> AsyncIterator[Script]:
     """A vehicle of single messages, and the driver that has found it."""
     script = kind(armed=armed)
     life = asyncio.create_task(script.live())
     script.autopilot = await connect_autopilot(
-        script.open, frame=FRAME, ground_speed_m_s=ground_speed_m_s, settings=settings
+        script.open, frame=FRAME, ground_speed_m_s=ground_speed_m_s, settings=settings, system=system
     )
     script.autopilot.listen(script.news.append)
     try:
