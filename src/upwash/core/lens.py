@@ -1,38 +1,81 @@
-"""What a photo shows of the ground."""
+"""A camera's lens and its mount: from a pixel to a direction from the vehicle.
+
+Directions in a photo are those of OpenCV's pinhole model: x to the right, y down, z along the optical axis.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import Annotated, TypeAlias
 
-from upwash.core.geo import Position
+import msgspec
+
+Vector: TypeAlias = tuple[float, float, float]
+Size: TypeAlias = tuple[int, int]
+_Length = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+_Angle = Annotated[float, msgspec.Meta(ge=-360, le=360)]
+_STEPS = 20  # of the iteration that takes the distortion out
+_CLOSE = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
-class Lens:
-    """A camera that looks straight down; `fov_deg` is its horizontal field of view.
+class Lens(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The lens, by its horizontal field of view or its focal length in pixels of the photo, and how it is mounted.
 
-    `up_deg` is the direction that is up in a photo, clockwise from north; None means the vehicle's nose.
+    `centre` is where the optical axis meets the photo, in shares of its width and height. `distortion` has k1, k2,
+    p1, p2 and k3 of OpenCV's model. `tilt_deg` is how far below the horizon a level vehicle's camera looks, and
+    `turned_deg` how far right of the nose. `up_deg` is the direction that is up in every photo, clockwise from north,
+    for a camera that is always level; None means that the camera moves with the vehicle. `on_gimbal` says that a
+    gimbal keeps it level. `scale_error` is the standard error of the focal length, as a share.
     """
 
-    fov_deg: float
-    up_deg: float | None = None
+    fov_deg: Annotated[float, msgspec.Meta(ge=1, le=170)] | None = None
+    focal_px: _Length | None = None
+    centre: tuple[float, float] = (0.5, 0.5)
+    distortion: Annotated[tuple[float, ...], msgspec.Meta(max_length=5)] = ()
+    tilt_deg: _Angle = 90.0
+    turned_deg: _Angle = 0.0
+    up_deg: _Angle | None = None
+    on_gimbal: bool = False
+    scale_error: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.01
 
-    def footprint_m(
-        self, at: Position, size_px: tuple[int, int], nose_deg: float | None
-    ) -> list[tuple[float, float]] | None:
-        """The corners of the photo on level ground at home's altitude, east and north of home, in metres.
+    def focal_in(self, size_px: Size) -> float:
+        """The focal length in pixels of a photo of that size."""
+        if self.focal_px is not None:
+            return self.focal_px
+        return size_px[0] / 2 / math.tan(math.radians(self.fov_deg or 60.0) / 2)
 
-        They are clockwise from the photo's upper left. None means that they are unknown: the vehicle does not report
-        its nose's direction, or is not above home's altitude.
-        """
-        up_deg = nose_deg if self.up_deg is None else self.up_deg
-        if up_deg is None or at.altitude_m <= 0 or min(size_px) <= 0:
-            return None
-        right_m = at.altitude_m * math.tan(math.radians(self.fov_deg) / 2)
-        up_m = right_m * size_px[1] / size_px[0]
-        sine, cosine = math.sin(math.radians(up_deg)), math.cos(math.radians(up_deg))
-        return [
-            (at.east_m + right * cosine + up * sine, at.north_m - right * sine + up * cosine)
-            for right, up in ((-right_m, up_m), (right_m, up_m), (right_m, -up_m), (-right_m, -up_m))
-        ]
+    def direction(self, x_px: float, y_px: float, size_px: Size) -> tuple[float, float] | None:
+        """The direction of a pixel: x and y of a vector whose z is 1; None where the distortion fits no direction."""
+        focal_px = self.focal_in(size_px)
+        seen_x = (x_px - self.centre[0] * size_px[0]) / focal_px
+        seen_y = (y_px - self.centre[1] * size_px[1]) / focal_px
+        if not self.distortion:
+            return seen_x, seen_y
+        x, y = seen_x, seen_y
+        for _ in range(_STEPS):
+            scale, shift_x, shift_y = self._bent(x, y)
+            if scale <= 0:
+                return None
+            x, y, last_x, last_y = (seen_x - shift_x) / scale, (seen_y - shift_y) / scale, x, y
+            if abs(x - last_x) + abs(y - last_y) < _CLOSE:
+                return x, y
+        return None
+
+    def _bent(self, x: float, y: float) -> tuple[float, float, float]:
+        """The radial factor and the tangential shift of a direction."""
+        k1, k2, p1, p2, k3 = (*self.distortion, *(0.0,) * (5 - len(self.distortion)))
+        square = x * x + y * y
+        scale = 1 + square * (k1 + square * (k2 + square * k3))
+        return scale, 2 * p1 * x * y + p2 * (square + 2 * x * x), 2 * p2 * x * y + p1 * (square + 2 * y * y)
+
+    @property
+    def axes(self) -> tuple[Vector, Vector, Vector]:
+        """Right, down and ahead in the photo, each forward, right and down from the vehicle."""
+        tilt, turned = math.radians(self.tilt_deg), math.radians(self.turned_deg)
+        low, level = math.sin(tilt), math.cos(tilt)
+        sine, cosine = math.sin(turned), math.cos(turned)
+        return (
+            (-sine, cosine, 0.0),
+            (-low * cosine, -low * sine, level),
+            (level * cosine, level * sine, low),
+        )

@@ -24,12 +24,14 @@ class Attitude:
 class GpsFix:
     """The satellite receiver's fix: its kind, the satellites in use, the horizontal dilution of precision.
 
-    The last two are None if the receiver does not report them.
+    `error_m` is the receiver's own estimate of its horizontal error. All but the kind are None if they are not
+    reported.
     """
 
     kind: FixKind
     satellites: int | None = None
     hdop: float | None = None
+    error_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,7 @@ class Telemetry:
     """The vehicle's last reports; None for what it has not reported.
 
     `position` is relative to the mission's home, `velocity` over the ground, `mode` the autopilot's own name.
+    `gimbal` is the attitude of a gimbal over the ground; its camera looks ahead.
     """
 
     position: Position
@@ -47,6 +50,7 @@ class Telemetry:
     heading_deg: float | None = None
     gps: GpsFix | None = None
     battery_percent: float | None = None
+    gimbal: Attitude | None = None
 
     @property
     def ground_speed_m_s(self) -> float | None:
