@@ -9,7 +9,7 @@ PEERS := .venv-peers/bin
 PEERS_READY := .venv-peers/.ready
 PYTEST := $(BIN)/python -m pytest --dist loadgroup
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-    --no-emit-find-links --no-annotate --no-header
+    --no-emit-find-links --no-annotate --no-header --no-emit-package onnxruntime-gpu
 
 # Without it each of the programs that a test starts would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE

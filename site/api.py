@@ -32,7 +32,8 @@ error is an `UpwashError`.
 _SECTIONS = {
     "In a mission": (
         *("Drone", "Pending", "Demand", "Vehicle", "Photographer", "Payload", "User", "Waypoint", "Position"),
-        *("Telemetry", "EarthPosition", "Velocity", "Attitude", "GpsFix"),
+        *("Telemetry", "EarthPosition", "GeoPosition", "Velocity", "Attitude", "GpsFix"),
+        *("PhotoPose", "Place", "Unplaced"),
     ),
     "In a service": ("service", "once"),
     "In a notebook": (
@@ -47,6 +48,9 @@ _GIVEN = (
     "Demand",
     "Vehicle",
     "Photographer",
+    "PhotoPose",
+    "Place",
+    "Unplaced",
     "Payload",
     "User",
     "Event",

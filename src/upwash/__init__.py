@@ -47,6 +47,7 @@ __all__ = [
     "Event",
     "FleetBound",
     "FleetSimulation",
+    "GeoPosition",
     "GpsFix",
     "InstanceError",
     "MissionFailed",
@@ -55,13 +56,16 @@ __all__ = [
     "OutcomeUnknown",
     "Payload",
     "Pending",
+    "PhotoPose",
     "Photographer",
+    "Place",
     "Position",
     "RunResult",
     "ServiceError",
     "Simulation",
     "Telemetry",
     "Totals",
+    "Unplaced",
     "UpwashError",
     "UsageError",
     "User",
@@ -78,11 +82,13 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from upwash.core.geo import EarthPosition, Position, Velocity, Waypoint
+    from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Waypoint
+    from upwash.core.georeference import Place, Unplaced
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User
-    from upwash.drone.payload import Payload, Photographer
+    from upwash.drone.payload import Payload
     from upwash.drone.pending import Demand, Pending
+    from upwash.drone.photographer import Photographer, PhotoPose
     from upwash.drone.vehicle import Vehicle
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
@@ -93,12 +99,14 @@ if TYPE_CHECKING:
     from upwash.rpc.service import once, service
 else:
     _NAMES = {
-        "upwash.core.geo": ("EarthPosition", "Position", "Velocity", "Waypoint"),
+        "upwash.core.geo": ("EarthPosition", "GeoPosition", "Position", "Velocity", "Waypoint"),
         "upwash.lab.least_time": ("Bound", "FleetBound"),
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),
         "upwash.drone.api": ("Drone", "User"),
         "upwash.drone.vehicle": ("Vehicle",),
-        "upwash.drone.payload": ("Payload", "Photographer"),
+        "upwash.drone.payload": ("Payload",),
+        "upwash.drone.photographer": ("Photographer", "PhotoPose"),
+        "upwash.core.georeference": ("Place", "Unplaced"),
         "upwash.drone.pending": ("Demand", "Pending"),
         "upwash.eventlog.log": ("read_log",),
         "upwash.eventlog.results": ("CallResult", "EnergyTotals", "RunResult", "Totals", "read_result"),

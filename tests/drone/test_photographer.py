@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from PIL import ExifTags, Image
+from tests.report.test_findings import jpeg
 
 from upwash.config import read_drone_config
-from upwash.core.geo import EarthPosition, Position
-from upwash.drone.payload import Photographer
+from upwash.core.geo import EarthPosition, Position, Velocity
+from upwash.core.georeference import Ground, PhotoGeometry, Place, Unplaced
+from upwash.core.lens import Lens
+from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
+from upwash.drone.photographer import Photographer, PhotoPose
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
+from upwash.ports import Camera, Photo
+from upwash.services import Detection
 from upwash.sim.camera import ModelCamera
 from upwash.sim.loop import run_virtually
 
@@ -49,6 +57,138 @@ def fly(folder: Path, *, home: str, statement: str = "pass") -> tuple[Run, bytes
     return run, (folder / "photo.jpg").read_bytes()
 
 
+@dataclass
+class Reported:
+    """A vehicle that reports this, `moves` metres east of there after a second."""
+
+    earth: EarthPosition | None = None
+    told: dict[str, Any] = field(default_factory=dict)
+    moves_m: float = 0.0
+
+    @property
+    def position(self) -> Position:
+        return Position(self.moves_m * asyncio.get_running_loop().time(), 2.0, 20.0)
+
+    @property
+    def earth_position(self) -> EarthPosition | None:
+        return self.earth
+
+    @property
+    def telemetry(self) -> Telemetry:
+        return Telemetry(self.position, "GUIDED", armed=True, **self.told)
+
+
+def shoot(
+    camera: Camera,
+    vehicle: Reported,
+    *,
+    pointed_deg: tuple[float, float] | None = None,
+    ground: Ground | None = None,
+) -> tuple[PhotoPose, schema.PhotoTaken]:
+    log: list[schema.PhotoTaken] = []
+    journal: Any = SimpleNamespace(record=log.append)
+    thread: Any = SimpleNamespace(call=run_virtually)
+    autopilot: Any = vehicle
+    payload: Any = SimpleNamespace(pointed_deg=pointed_deg)
+    photographer = Photographer(
+        camera, thread, journal, autopilot=autopilot, payload=payload, ground=lambda _: ground or Ground()
+    )
+    photographer.take_photo()
+    assert photographer.pose is not None
+    return photographer.pose, log[0]
+
+
+class Shutter:
+    """A camera with this lens, whose photo of 1,600 by 1,200 pixels is captured so long before it arrives."""
+
+    def __init__(self, lens: Lens | None, *, late_s: float = 0.0) -> None:
+        self._lens, self._late_s = lens, late_s
+
+    async def take_photo(self, at: Position) -> Photo:
+        await asyncio.sleep(1.0)
+        now_s = asyncio.get_running_loop().time()
+        return Photo(jpeg(1600, 1200), now_s - self._late_s, "test", lens=self._lens)
+
+
+DOWN = Lens(fov_deg=90.0)
+
+
+def geometry(camera: Camera, vehicle: Reported, **changed: Any) -> PhotoGeometry:
+    found = shoot(camera, vehicle, **changed)[1].geometry
+    assert found is not None
+    return found
+
+
+def test_a_photo_is_placed_where_the_drone_was_at_the_shutter() -> None:
+    vehicle = Reported(moves_m=10.0, told={"attitude": Attitude(1.0, -2.0, 90.0)})
+    photo = geometry(Shutter(DOWN, late_s=0.3), vehicle)
+    assert photo.position.east_m == pytest.approx(7.0)
+    assert photo.attitude == Attitude(1.0, -2.0, 90.0)
+    assert photo.size_px == (1600, 1200)
+
+
+@pytest.mark.parametrize(
+    ("gps", "speed_m_s", "error_m"),
+    [
+        (None, 0.0, 1.5),
+        (GpsFix("3d", hdop=0.7), 0.0, 1.5),
+        (GpsFix("3d", hdop=2.0), 0.0, 3.0),
+        (GpsFix("rtk-fixed", hdop=0.5), 0.0, 0.05),
+        (GpsFix("3d", hdop=2.0, error_m=1.0), 0.0, 0.707),
+        (GpsFix("rtk-fixed"), 10.0, 1.001),
+        (GpsFix("none"), 0.0, 10.0),
+    ],
+)
+def test_a_photo_says_how_sure_its_position_is(gps: GpsFix | None, speed_m_s: float, error_m: float) -> None:
+    told = {"gps": gps, "velocity": Velocity(speed_m_s, 0.0, 0.0)}
+    assert geometry(Shutter(DOWN), Reported(told=told)).accuracy.position_m == pytest.approx(error_m)
+
+
+def test_a_mission_reads_where_an_object_lies() -> None:
+    vehicle = Reported(told={"attitude": Attitude(0.0, 0.0, 90.0), "gps": GpsFix("rtk-fixed")})
+    pose, _ = shoot(Shutter(DOWN), vehicle)
+    found = pose.place_of(Detection(790.0, 0.0, 20.0, 20.0, label="car", score=0.9))
+    assert isinstance(found, Place)
+    assert found.position.east_m == pytest.approx(0.0 + 20.0 * 590 / 800), (
+        "the nose, up in the photo, is east"
+    )
+    assert found.position.north_m == pytest.approx(2.0)
+    assert 0.1 < found.error_m < 3.0
+
+
+def test_what_has_no_place_says_why_to_a_mission() -> None:
+    known, _ = shoot(Shutter(DOWN), Reported())
+    assert "label" in why(known.place_of("a car"))
+    unknown, taken = shoot(Shutter(None), Reported())
+    assert taken.geometry is None
+    assert "camera.fov_deg" in why(unknown.place_of({"x": 1, "y": 2, "label": "car"}))
+
+
+def why(found: Place | Unplaced) -> str:
+    assert isinstance(found, Unplaced)
+    return found.why
+
+
+def test_a_gimbal_keeps_the_camera_level_and_points_it() -> None:
+    lens = Lens(fov_deg=62.0, tilt_deg=45.0, on_gimbal=True)
+    leaning = {"attitude": Attitude(10.0, -10.0, 30.0)}
+    still = geometry(Shutter(lens), Reported(told=leaning))
+    assert (still.attitude, still.lens.tilt_deg) == (Attitude(0.0, 0.0, 30.0), 45.0)
+    pointed = geometry(Shutter(lens), Reported(told=leaning), pointed_deg=(-60.0, 20.0))
+    assert (pointed.lens.tilt_deg, pointed.lens.turned_deg) == (60.0, 20.0)
+    reported = geometry(
+        Shutter(lens),
+        Reported(told={**leaning, "gimbal": Attitude(0.5, -70.0, 40.0)}),
+        pointed_deg=(-60.0, 20.0),
+    )
+    assert (reported.attitude, reported.lens.tilt_deg) == (Attitude(0.5, -70.0, 40.0), 0.0)
+
+
+def test_a_photo_says_what_ground_it_is_over() -> None:
+    hill = Ground(altitude_m=3.0, slope_east=0.1, error_m=1.2)
+    assert geometry(Shutter(DOWN), Reported(), ground=hill).ground == hill
+
+
 def test_a_photo_says_where_it_was_taken(tmp_path: Path) -> None:
     run, photo = fly(
         tmp_path,
@@ -73,8 +213,10 @@ def test_a_photo_says_where_it_was_taken(tmp_path: Path) -> None:
 def test_the_log_has_what_a_photo_shows_of_the_ground(tmp_path: Path) -> None:
     run, photo = fly(tmp_path, home="")
     (taken,) = (event for event in run.events if isinstance(event, schema.PhotoTaken))
-    assert taken.footprint_m is not None
-    (left, upper), (right, _), (_, lower), _ = taken.footprint_m
+    assert taken.geometry is not None
+    corners = taken.geometry.footprint_m()
+    assert corners is not None
+    (left, upper), (right, _), (_, lower), _ = corners
     width, height = Image.open(io.BytesIO(photo)).size
     assert (left + right) / 2 == pytest.approx(taken.position.east_m, abs=0.01)
     assert (upper + lower) / 2 == pytest.approx(taken.position.north_m, abs=0.01)
@@ -83,16 +225,8 @@ def test_the_log_has_what_a_photo_shows_of_the_ground(tmp_path: Path) -> None:
 
 
 def test_the_altitude_above_the_sea_is_logged_to_the_centimetre() -> None:
-    log: list[schema.PhotoTaken] = []
-    journal: Any = SimpleNamespace(record=log.append)
-    thread: Any = SimpleNamespace(call=run_virtually)
-    vehicle: Any = SimpleNamespace(
-        position=Position(1.0, 2.0, 20.0),
-        telemetry=SimpleNamespace(heading_deg=90.0),
-        earth_position=EarthPosition(47.123456789, 8.5, 432.1987),
-    )
-    Photographer(ModelCamera(photo_s=1.0), thread, journal, autopilot=vehicle).take_photo()
-    (taken,) = log
+    vehicle = Reported(earth=EarthPosition(47.123456789, 8.5, 432.1987))
+    _, taken = shoot(ModelCamera(photo_s=1.0), vehicle)
     assert (taken.latitude_deg, taken.longitude_deg, taken.above_sea_m) == (47.1234568, 8.5, 432.2)
 
 

@@ -156,8 +156,12 @@ def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
     found = [key for key, value in sources.items() if value is not None]
     if len(found) > 1:
         yield "camera", f"photos from several places: give one of {listed(sources)}, found {listed(found)}"
-    if camera.park_seed is not None and camera.fov_deg is not None:
-        yield "camera.fov_deg", "photos of a solar park have a field of view of their own: leave the key out"
+    lenses = {"fov_deg": camera.fov_deg, "focal_px": camera.focal_px, "calibration": camera.calibration}
+    given = [key for key, value in lenses.items() if value is not None]
+    if len(given) > 1:
+        yield "camera", f"several lenses: give one of {listed(lenses)}, found {listed(given)}"
+    if camera.park_seed is not None and given:
+        yield f"camera.{given[0]}", "photos of a solar park have a lens of their own: leave the key out"
 
 
 def _autopilot_problems(autopilot: AutopilotConfig) -> Iterator[Problem]:

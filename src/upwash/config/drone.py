@@ -161,7 +161,20 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     latency_s: values.NotNegative = 0.0
     """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
     fov_deg: FieldOfView | None = None
-    """The horizontal field of view of a camera that looks straight down, in degrees: maps draw photos by it."""
+    """The horizontal field of view, in degrees: with the lens known, [findings have places](findings.md)."""
+    focal_px: values.Positive | None = None
+    """In place of `fov_deg`: the focal length in pixels of the photo."""
+    calibration: values.FilePath | None = None
+    """In place of `fov_deg`: a calibration file, as OpenCV or ROS write it, with the lens's distortion too."""
+    tilt_deg: values.Tilt = 90.0
+    """How far below the horizon the camera of a level vehicle looks: 90 is straight down, 0 ahead."""
+    yaw_deg: values.Turn = 0.0
+    """How far right of the nose the camera looks."""
+    gimbal: bool = False
+    """The camera hangs on a gimbal that keeps it level; `tilt_deg` and `yaw_deg` hold until it is pointed."""
+    terrain: values.FilePath | None = None
+    """The altitude of the ground: a GeoTIFF, SRTM tile or other grid that GDAL reads; without it the ground is level
+    with home."""
     park_seed: values.CountFromZero | None = None
     """Photos are rendered: the solar park of this seed, below the drone."""
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
-from upwash.core.geo import Position, Waypoint
+from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.drone.mission import MissionThread
-from upwash.drone.payload import Payload, Photographer
+from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls, Pending
+from upwash.drone.photographer import Photographer
 from upwash.drone.vehicle import Vehicle, position_of
 from upwash.errors import UsageError
 from upwash.plans import Ending
@@ -37,7 +38,7 @@ class Drone:
     """The drone of a mission program; only the mission's own thread may call its methods.
 
     `plan` has the waypoints to visit, in flight order. `altitude_m`, above home, and `action_s`, the duration of an
-    action at a waypoint, are configured.
+    action at a waypoint, are configured. `home` is where east and north are 0; None if no file says.
     """
 
     plan: tuple[Waypoint, ...]
@@ -47,6 +48,7 @@ class Drone:
     camera: Photographer
     payload: Payload
     user: User
+    home: GeoPosition | None
 
     def __init__(
         self,
@@ -58,6 +60,7 @@ class Drone:
         camera: Photographer,
         payload: Payload,
         user: User,
+        home: GeoPosition | None,
         services: frozenset[str],
         calls: Calls,
         answers: AnswerActions,
@@ -70,6 +73,7 @@ class Drone:
         self.camera = camera
         self.payload = payload
         self.user = user
+        self.home = home
         self._ending = ending
         self._services = services
         self.action_s = action_s
@@ -83,6 +87,12 @@ class Drone:
             self.autopilot.land()
         else:
             self.autopilot.return_home_and_land()
+
+    def to_degrees(self, place: Waypoint | Position) -> GeoPosition:
+        """The place in degrees (WGS 84), and its altitude above home; raises UsageError without a home."""
+        if self.home is None:
+            raise UsageError("mission.home is missing: no place of this mission is known in degrees")
+        return LocalFrame(self.home).geo(position_of(place))
 
     def service(self, cls: type[T]) -> T:
         """An object of the service's class; upwash decides for each call of a method where it runs.

@@ -6,12 +6,13 @@ import asyncio
 import contextlib
 import traceback
 from collections import deque
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 
 from msgspec import Struct
 
 from upwash.config import DroneConfig, ending, geofence, server_areas
-from upwash.core.geo import Circle, rounded
+from upwash.core.geo import Circle, Position, rounded
+from upwash.core.georeference import Ground, level_ground
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
@@ -22,8 +23,9 @@ from upwash.drone.home import planned_home
 from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.offloading import Offloading
 from upwash.drone.onboard import OnboardServices
-from upwash.drone.payload import Payload, Photographer
+from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls
+from upwash.drone.photographer import Photographer
 from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.site import Site
@@ -60,7 +62,7 @@ _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
 
 class Ports(Struct, frozen=True):
-    """The ports that a flight needs, real or simulated; `networks` has one for each radio."""
+    """The ports that a flight needs, real or simulated; `networks` has one for each radio, `ground` the terrain."""
 
     autopilot: Autopilot
     networks: Sequence[Network]
@@ -71,6 +73,7 @@ class Ports(Struct, frozen=True):
     notifier: Notifier
     journal: Journal
     finder: Finder | None = None
+    ground: Callable[[Position], Ground] = level_ground
 
 
 class Flight:
@@ -382,6 +385,8 @@ class Flight:
             self._end_mission(ReserveReached(why))
 
     def _drone(self) -> Drone:
+        payload = Payload(self._ports.autopilot, self._thread, self._ports.journal)
+        home = self._config.mission.home
         return Drone(
             plan=self._plan,
             altitude_m=self._config.mission.altitude_m,
@@ -392,8 +397,11 @@ class Flight:
                 self._thread,
                 self._ports.journal,
                 autopilot=self._ports.autopilot,
+                payload=payload,
+                ground=self._ports.ground,
             ),
-            payload=Payload(self._ports.autopilot, self._thread, self._ports.journal),
+            payload=payload,
+            home=home.place if home else None,
             user=User(self._ports.notifier, self._thread),
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,

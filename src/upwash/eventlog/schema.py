@@ -17,6 +17,7 @@ from typing import Annotated, Literal, TypeAlias, TypeVar
 import msgspec
 
 from upwash.core.geo import Circle, GeoPosition, Position, rounded
+from upwash.core.georeference import PhotoGeometry
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import State, Trigger
 from upwash.core.operation import server_of
@@ -276,8 +277,8 @@ class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
 class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="photo"):
     """A photo: its source, size in bytes, age on delivery, place, and for a rendered photo the true objects in it.
 
-    The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown. `footprint_m` has the
-    corners of the photo on level ground, east and north of home, clockwise from its upper left; absent if unknown.
+    The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown. `geometry` decides
+    where what the photo shows lies on the ground; absent for a camera whose lens is unknown.
     """
 
     source: Text
@@ -287,7 +288,7 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     latitude_deg: Number | None = None
     longitude_deg: Number | None = None
     above_sea_m: Number | None = None
-    footprint_m: _Few[tuple[Number, Number]] | None = None
+    geometry: PhotoGeometry | None = None
     truth: _Few[Branch] | None = None
 
 

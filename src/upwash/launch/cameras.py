@@ -13,12 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+import msgspec
+
 from upwash.config import CameraConfig, DroneConfig
 from upwash.core.geo import Position
 from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.missions.bundled import load_mission
 from upwash.ports import Camera, Photo
+from upwash.real.camera.calibration import read_calibration
 from upwash.real.camera.camera import FolderCamera, photo_files, read_photo_file
 from upwash.real.camera.video import VideoCamera
 from upwash.sim.camera import RenderedCamera
@@ -86,7 +89,16 @@ def camera_without_device(config: CameraConfig) -> Camera | None:
 
 
 def _lens(config: CameraConfig) -> Lens | None:
-    return None if config.fov_deg is None else Lens(config.fov_deg)
+    """The configured lens as it is mounted, None without one; raises UsageError for a calibration that is none."""
+    if config.calibration is not None:
+        lens = read_calibration(config.calibration)
+    elif config.fov_deg is not None or config.focal_px is not None:
+        lens = Lens(fov_deg=config.fov_deg, focal_px=config.focal_px)
+    else:
+        return None
+    return msgspec.structs.replace(
+        lens, tilt_deg=config.tilt_deg, turned_deg=config.yaw_deg, on_gimbal=config.gimbal
+    )
 
 
 async def opened_camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Camera:

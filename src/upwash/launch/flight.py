@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 from msgspec.structs import replace
 
 from upwash.config import DroneConfig, altitudes_above_sea, coverage_kept, unsigned_port
+from upwash.core.geo import Position
+from upwash.core.georeference import Ground, level_ground
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.home import above_home
 from upwash.drone.resumption import order_begun, waypoints_done
@@ -19,6 +21,7 @@ from upwash.launch.cameras import NoCamera, needs_camera, opened_camera
 from upwash.launch.drone import (
     connect_vehicle,
     drone_credentials,
+    home_of,
     opened_networks,
     server_dialer,
     server_finder,
@@ -26,6 +29,7 @@ from upwash.launch.drone import (
 from upwash.launch.readiness import require_ready
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Autopilot, Camera, Journal
+from upwash.real.camera.terrain import Terrain
 from upwash.real.host.clock import (
     SYSTEM_CLOCK,
     SystemClock,
@@ -178,7 +182,15 @@ async def _ports(
         notifier=journal,
         journal=journal,
         finder=server_finder(config),
+        ground=_ground(config, stack),
     )
+
+
+def _ground(config: DroneConfig, stack: contextlib.AsyncExitStack) -> Callable[[Position], Ground]:
+    """The terrain, until the stack is closed; raises UsageError for a file that is none, or does not reach home."""
+    if config.camera.terrain is None:
+        return level_ground
+    return stack.enter_context(contextlib.closing(Terrain(config.camera.terrain, home_of(config)))).ground
 
 
 async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tuple[Watcher, ...]:

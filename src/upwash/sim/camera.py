@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from upwash.services.solar_park import RenderedPhoto
 
 
-_LENS = Lens(62.2, up_deg=0.0)  # of the photos of the solar park
+_LENS = Lens(fov_deg=62.2, up_deg=0.0)  # of the photos of the solar park
 _JPEG = b"\xff\xd8\xff"
 _SAME_PLACE_M = 1.0
 

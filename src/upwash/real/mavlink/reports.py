@@ -92,6 +92,7 @@ class ReportingAutopilot(ABC):
             heading_deg=reported.heading_deg,
             gps=reported.gps,
             battery_percent=reported.battery_percent,
+            gimbal=reported.gimbal,
         )
 
     @property

@@ -24,6 +24,9 @@ _FRESH_S = 2.0  # an older report says nothing of now
 _CHANNELS = 18
 _UNUSED_US = (0, 0xFFFF)
 _DEBUG = len(SEVERITIES) - 1
+_UNIT_WITHIN = 0.05  # of a quaternion's length
+_GIMBAL_FROM_NORTH = mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
+_GIMBAL_FROM_NOSE = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
 _ROUND_CDEG = 36_000  # UINT16_MAX stands for an unknown heading
 _TEXTS_KEPT = 32
 _LATELY_S = 3.0  # older texts are not about what has just happened
@@ -94,6 +97,7 @@ class VehicleTelemetry:
     velocity: Velocity | None = None  # over the ground
     heading_deg: float | None = None
     attitude: Attitude | None = None
+    gimbal: Attitude | None = None
     gps: GpsFix | None = None
     wind: Velocity | None = None
     battery_percent: float | None = None
@@ -128,6 +132,8 @@ class VehicleTelemetry:
             case "ATTITUDE":
                 yaw_deg = math.degrees(message.yaw) % 360
                 self.attitude = Attitude(math.degrees(message.roll), math.degrees(message.pitch), yaw_deg)
+            case "GIMBAL_DEVICE_ATTITUDE_STATUS":
+                self.gimbal = _gimbal(message, self.attitude)
             case "GPS_RAW_INT":
                 self.gps = _gps_fix(message)
             case "HOME_POSITION" if (message.latitude, message.longitude) != _NOT_KNOWN_YET:
@@ -250,12 +256,30 @@ def place_of_e7(latitude_e7: int, longitude_e7: int, altitude_m: float = 0.0) ->
     return GeoPosition(latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_m)
 
 
+def _gimbal(message: Message, vehicle: Attitude | None) -> Attitude | None:
+    """The gimbal's attitude over the ground; None if its numbers are no rotation, or the heading is unknown."""
+    w, x, y, z = message.q
+    length = math.hypot(w, x, y, z)
+    if not abs(length - 1) < _UNIT_WITHIN:
+        return None
+    w, x, y, z = w / length, x / length, y / length, z / length
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    yaw_deg = math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    if not message.flags & _GIMBAL_FROM_NORTH or message.flags & _GIMBAL_FROM_NOSE:
+        if vehicle is None:
+            return None
+        yaw_deg += vehicle.yaw_deg
+    return Attitude(math.degrees(roll), math.degrees(pitch), yaw_deg % 360)
+
+
 def _gps_fix(message: Message) -> GpsFix:
     satellites, eph = message.satellites_visible, message.eph
     return GpsFix(
         _FIXES.get(message.fix_type, "none" if message.fix_type < mavlink.GPS_FIX_TYPE_2D_FIX else "3d"),
         satellites=None if satellites == _UNKNOWN_U8 else satellites,
         hdop=None if eph == _UNKNOWN_U16 else eph / 100,
+        error_m=message.h_acc / 1e3 if message.h_acc else None,
     )
 
 

@@ -1,0 +1,222 @@
+"""The drone's camera as a mission uses it: photos, and where what they show lies."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+
+from upwash.core.geo import EarthPosition, Position, rounded
+from upwash.core.georeference import (
+    Accuracy,
+    Ground,
+    PhotoGeometry,
+    Place,
+    Unplaced,
+    level_ground,
+)
+from upwash.core.lens import Lens
+from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
+from upwash.drone.mission import MissionThread
+from upwash.drone.payload import Payload
+from upwash.eventlog import schema
+from upwash.eventlog.objects import found_objects
+from upwash.ports import Autopilot, Camera, Journal, Photo
+from upwash.support.exif import PhotoPlace, with_place
+from upwash.support.jpeg import size_of
+
+_DIGITS = 7  # of a degree: about a centimetre
+_FIX_M: dict[FixKind, float] = {
+    "none": 10.0, "2d": 5.0, "3d": 1.5, "dgps": 0.8, "rtk-float": 0.4, "rtk-fixed": 0.05,
+}  # fmt: skip
+_REPORT_S = 0.1  # between a position and its report
+_GIMBAL_DEG = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoPose:
+    """Where and how the last photo was taken, at the moment of the shutter; None stands for what is unknown."""
+
+    position: Position
+    earth: EarthPosition | None
+    attitude: Attitude | None
+    heading_deg: float | None
+    _geometry: PhotoGeometry | None
+
+    def place_of(self, found: object) -> Place | Unplaced:
+        """Where an object lies that a service found on the photo, or why that is unknown.
+
+        The object is a box or a point with a label, as `upwash.services.Detection` or a class of one's own.
+        """
+        objects = found_objects(msgspec.to_builtins(found))
+        if objects is None or len(objects) != 1:
+            return Unplaced("it is no box or point with a label")
+        if self._geometry is None:
+            return Unplaced("the camera's lens is unknown: set camera.fov_deg")
+        sight = self._geometry.sight
+        return sight if isinstance(sight, Unplaced) else sight.place_of(*objects[0].middle_and_size)
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """What the vehicle reported at a moment of the loop's clock."""
+
+    at_s: float
+    position: Position
+    earth: EarthPosition | None
+    told: Telemetry
+
+
+class Photographer:
+    """The camera as a mission uses it."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        thread: MissionThread,
+        journal: Journal,
+        *,
+        autopilot: Autopilot,
+        payload: Payload,
+        ground: Callable[[Position], Ground] = level_ground,
+    ) -> None:
+        self._camera = camera
+        self._thread = thread
+        self._journal = journal
+        self._autopilot = autopilot
+        self._payload = payload
+        self._ground = ground
+        self.pose: PhotoPose | None = None  # of the last photo
+
+    def take_photo(self) -> bytes:
+        """Takes a photo and returns it as a JPEG, with its place on the Earth as EXIF if known; raises CameraError.
+
+        A photo with a place from the camera's own GPS is returned unchanged. `pose` then has the photo's pose.
+        """
+        return self._thread.call(self._take_photo())
+
+    async def _take_photo(self) -> bytes:
+        before = self._moment()
+        photo = await self._camera.take_photo(before.position)
+        shot = _at(photo.captured_s, before, self._moment())
+        geometry, earth = self._geometry(photo, shot), shot.earth
+        self.pose = PhotoPose(shot.position, earth, shot.told.attitude, shot.told.heading_deg, geometry)
+        jpeg = photo.jpeg if earth is None else with_place(photo.jpeg, _shot(earth, shot.told.heading_deg))
+        self._journal.record(
+            schema.PhotoTaken(
+                source=photo.source,
+                bytes=len(jpeg),
+                age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
+                position=rounded(shot.position),
+                latitude_deg=None if earth is None else round(earth.latitude_deg, _DIGITS),
+                longitude_deg=None if earth is None else round(earth.longitude_deg, _DIGITS),
+                above_sea_m=None if earth is None else _to_the_centimetre(earth.above_sea_m),
+                geometry=geometry,
+                truth=msgspec.to_builtins(photo.truth),
+            )
+        )
+        return jpeg
+
+    def _moment(self) -> _Moment:
+        vehicle = self._autopilot
+        return _Moment(
+            asyncio.get_running_loop().time(), vehicle.position, vehicle.earth_position, vehicle.telemetry
+        )
+
+    def _geometry(self, photo: Photo, shot: _Moment) -> PhotoGeometry | None:
+        """What decides where the photo's pixels lie; None if the lens or the photo's size is unknown."""
+        told, size_px = shot.told, size_of(photo.jpeg) if photo.lens else None
+        if photo.lens is None or size_px is None or min(size_px) <= 0:
+            return None
+        lens, attitude = self._held(photo.lens, told)
+        return PhotoGeometry(
+            position=rounded(shot.position),
+            size_px=size_px,
+            lens=lens,
+            attitude=attitude and _rounded(attitude),
+            heading_deg=None if attitude or told.heading_deg is None else round(told.heading_deg, 1),
+            ground=self._ground(shot.position),
+            accuracy=_accuracy(told, lens),
+        )
+
+    def _held(self, lens: Lens, told: Telemetry) -> tuple[Lens, Attitude | None]:
+        """The lens as it was mounted, and the attitude of what carries the camera."""
+        if not lens.on_gimbal:
+            return lens, told.attitude
+        if told.gimbal is not None:
+            return msgspec.structs.replace(lens, tilt_deg=0.0, turned_deg=0.0), told.gimbal
+        if self._payload.pointed_deg is not None:
+            pitch_deg, yaw_deg = self._payload.pointed_deg
+            lens = msgspec.structs.replace(lens, tilt_deg=-pitch_deg, turned_deg=yaw_deg)
+        nose_deg = told.heading_deg if told.attitude is None else told.attitude.yaw_deg
+        return lens, None if nose_deg is None else Attitude(0.0, 0.0, nose_deg)
+
+
+def _at(captured_s: float, before: _Moment, after: _Moment) -> _Moment:
+    """The moment of the shutter: places between the two reports, all else from the nearer one."""
+    span_s = after.at_s - before.at_s
+    share = min(1.0, max(0.0, (captured_s - before.at_s) / span_s)) if span_s > 0 else 1.0
+    nearer = before if share < 0.5 else after
+    here, there = before.position, after.position
+    if here == there:
+        return nearer
+    position = Position(
+        here.east_m + share * (there.east_m - here.east_m),
+        here.north_m + share * (there.north_m - here.north_m),
+        here.altitude_m + share * (there.altitude_m - here.altitude_m),
+    )
+    return _Moment(captured_s, position, _earth_between(before.earth, after.earth, share), nearer.told)
+
+
+def _earth_between(
+    before: EarthPosition | None, after: EarthPosition | None, share: float
+) -> EarthPosition | None:
+    if before is None or after is None:
+        return after if before is None else before
+    turn_deg = math.remainder(after.longitude_deg - before.longitude_deg, 360)
+    return EarthPosition(
+        before.latitude_deg + share * (after.latitude_deg - before.latitude_deg),
+        math.remainder(before.longitude_deg + share * turn_deg, 360),
+        _between(before.above_sea_m, after.above_sea_m, share),
+        _between(before.unix_s, after.unix_s, share),
+    )
+
+
+def _between(before: float | None, after: float | None, share: float) -> float | None:
+    return None if before is None or after is None else before + share * (after - before)
+
+
+def _accuracy(told: Telemetry, lens: Lens) -> Accuracy:
+    """The standard errors of the photo's pose, by the receiver's fix, the speed and the mount."""
+    usual = Accuracy()
+    moved_m = _REPORT_S * (told.velocity.speed_m_s if told.velocity else 0.0)
+    return Accuracy(
+        position_m=round(math.hypot(_fix_m(told.gps), moved_m), 3),
+        altitude_m=usual.altitude_m,
+        tilt_deg=_GIMBAL_DEG if lens.on_gimbal else usual.tilt_deg,
+        heading_deg=usual.heading_deg,
+    )
+
+
+def _fix_m(gps: GpsFix | None) -> float:
+    """The standard error of a position to each side."""
+    if gps is None:
+        return Accuracy().position_m
+    if gps.error_m is not None:
+        return gps.error_m / math.sqrt(2)
+    return _FIX_M[gps.kind] * max(1.0, gps.hdop or 1.0)
+
+
+def _rounded(attitude: Attitude) -> Attitude:
+    return Attitude(round(attitude.roll_deg, 2), round(attitude.pitch_deg, 2), round(attitude.yaw_deg, 2))
+
+
+def _shot(earth: EarthPosition, heading_deg: float | None) -> PhotoPlace:
+    return PhotoPlace(earth.latitude_deg, earth.longitude_deg, earth.above_sea_m, heading_deg, earth.unix_s)
+
+
+def _to_the_centimetre(length_m: float | None) -> float | None:
+    return None if length_m is None else round(length_m, 2)

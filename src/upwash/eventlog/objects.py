@@ -1,0 +1,102 @@
+"""Objects on photos in what a service answers or a mission tells: recognised by the names of their fields.
+
+Every detector has a class of its own for its results. An object is a box or a point with a label. `_px` may follow
+the name of a field, and a score is optional.
+
+    box     left, top, width, height | left, top, right, bottom | x1, y1, x2, y2 | xmin, ymin, xmax, ymax
+            x, y, width, height, from the upper left | one of these in a field box, bbox or rect
+    point   x, y | one in a field point or centre
+    label   label, name, kind, species, class_name, category
+    score   score, confidence, probability
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeGuard
+
+_LABELS = ("label", "name", "kind", "species", "class_name", "category")
+_SCORES = ("score", "confidence", "probability")
+_INSIDE = ("box", "bbox", "rect", "point", "centre", "center")
+_SIZES = (("left", "top", "width", "height"), ("x", "y", "width", "height"), ("x", "y", "w", "h"))
+_CORNERS = (("left", "top", "right", "bottom"), ("x1", "y1", "x2", "y2"), ("xmin", "ymin", "xmax", "ymax"))
+_FARTHEST_PX = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class FoundObject:
+    """A box in a photo, in its pixels, with a label; a point has no width and height."""
+
+    left_px: float
+    top_px: float
+    width_px: float
+    height_px: float
+    label: str
+    score: float | None = None
+
+    @property
+    def middle_and_size(self) -> tuple[float, float, float, float]:
+        """The middle, to the right and down, and the size."""
+        return (
+            self.left_px + self.width_px / 2,
+            self.top_px + self.height_px / 2,
+            self.width_px,
+            self.height_px,
+        )
+
+
+def found_objects(message: object) -> list[FoundObject] | None:
+    """The objects of a message of plain values: of one object, or of a list of nothing else; None for any other."""
+    items = message if isinstance(message, list) else [message]
+    found = [_object(item) for item in items]
+    whole = [item for item in found if item is not None]
+    return whole if len(whole) == len(found) else None
+
+
+def _object(item: object) -> FoundObject | None:
+    if not isinstance(item, Mapping):
+        return None
+    fields = {str(name).removesuffix("_px"): value for name, value in item.items()}
+    label = next((fields[name] for name in _LABELS if isinstance(fields.get(name), str)), None)
+    outline = _outline(fields)
+    if label is None or outline is None:
+        return None
+    score = next((fields[name] for name in _SCORES if _is_number(fields.get(name))), None)
+    return FoundObject(*outline, label, None if score is None else float(score))
+
+
+def _outline(fields: Mapping[str, object]) -> tuple[float, float, float, float] | None:
+    """Left, top, width and height."""
+    for names in _SIZES:
+        if numbers := _numbers(fields, names):
+            return numbers if min(numbers[2:]) >= 0 else None
+    for names in _CORNERS:
+        if numbers := _numbers(fields, names):
+            left, top, right, bottom = numbers
+            return (left, top, right - left, bottom - top) if right >= left and bottom >= top else None
+    for name in _INSIDE:
+        inner = fields.get(name)
+        if isinstance(inner, Mapping):
+            return _outline(
+                {str(key).removesuffix("_px"): value for key, value in inner.items() if key not in _INSIDE}
+            )
+    x, y = fields.get("x"), fields.get("y")
+    return (float(x), float(y), 0.0, 0.0) if _is_number(x) and _is_number(y) else None
+
+
+def _numbers(
+    fields: Mapping[str, object], names: tuple[str, ...]
+) -> tuple[float, float, float, float] | None:
+    found = [float(value) for name in names if _is_number(value := fields.get(name))]
+    return (found[0], found[1], found[2], found[3]) if len(found) == len(names) else None
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return (
+        isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and math.isfinite(value)
+        and abs(value) <= _FARTHEST_PX
+    )
