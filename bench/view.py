@@ -33,7 +33,7 @@ PERIOD_S = 0.1
 FIXES_A_WAYPOINT = 60
 LIMIT_S = 0.5
 FRAME_MS = 33.0
-FOOTPRINT_M = ((-12.0, 9.0), (12.0, 9.0), (12.0, -9.0), (-12.0, -9.0))
+GEOMETRY: dict[str, object] = {"size_px": [1440, 1080], "lens": {"fov_deg": 62.0, "up_deg": 0.0}}
 PLAY = """
 const speed = document.getElementById("speed");
 speed.value = "100";
@@ -291,8 +291,8 @@ def mission(waypoints: int) -> Iterator[dict[str, Any]]:
         place = ("local", "s0", "s1", "s2")[waypoint % 4]
         here = {"east_m": east_m, "north_m": north_m, "altitude_m": float(fix)}
         yield {"t": at_s, "event": "arrived", "waypoint": waypoint, "east_m": east_m, "north_m": north_m}
-        corners = [[east_m + east, north_m + north] for east, north in FOOTPRINT_M]
-        photo = {"source": "camera", "bytes": 1, "age_s": 0.0, "position": here, "footprint_m": corners}
+        geometry = {**GEOMETRY, "position": {**here, "altitude_m": 20.0}}
+        photo = {"source": "camera", "bytes": 1, "age_s": 0.0, "position": here, "geometry": geometry}
         yield {"t": at_s, "event": "photo", **photo}
         yield {
             "t": at_s, "event": "decided", "operation": "detector.process_photo[heavy]", "decision": "local",

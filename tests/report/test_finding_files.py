@@ -20,8 +20,9 @@ from tests.report.test_findings import BOX, flight, jpeg
 
 from upwash.cli.main import main
 from upwash.core.geo import Position
+from upwash.core.georeference import Place
 from upwash.report.finding_files import as_csv, as_geojson, as_kml, as_zip
-from upwash.report.findings import OF_DRONE, OF_MISSION, OF_OBJECT, Finding, Outline, OwnPlace
+from upwash.report.findings import OF_DRONE, OF_MISSION, OF_OBJECT, Finding, Outline
 from upwash.report.numbering import FlightFindings, PlacedFinding, placed
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import findings_of, read_records
@@ -60,7 +61,7 @@ def from_kml(findings: Sequence[PlacedFinding]) -> Rows:
         }
         if (place := placemark.findtext(f"{KML}Point/{KML}coordinates")) is not None:
             assert place == f"{row['longitude_deg']},{row['latitude_deg']}"
-        assert placemark.findtext(f"{KML}name") == f"{row['number']}: {row['what']}"
+        assert placemark.findtext(f"{KML}name") == f"{row['number']}: {row['label']}"
         rows.append(row)
     return rows
 
@@ -80,13 +81,15 @@ def test_every_file_tells_the_same(
     log.write_bytes(line("log_opened", 0.0, time="2026-05-01T12:00:00+02:00") + log.read_bytes())
     box, message = rows_of(found(log))
     expected = {
-        "number": "1", "log": "f", "what": "hot-spot", "score": "0.874", "waypoint": "1", "mission_s": "15.0",
+        "number": "1", "log": "f", "label": "hot-spot", "score": "0.874", "sightings": "1", "waypoint": "1",
+        "t_s": "15.0",
         "time": "2026-05-01T10:00:16.000Z", "latitude_deg": "39.0", "longitude_deg": "22.0002309", "east_m": "20.0",
-        "north_m": "0.0", "place_is": OF_DRONE, "photo": "1.jpg", "left_px": "100.0", "height_px": "20.0",
+        "north_m": "0.0", "place_is": f"{OF_DRONE}: the camera's lens is unknown", "photo": "1.jpg",
+        "left_px": "100.0", "height_px": "20.0",
     }  # fmt: skip
     assert {name: box[name] for name in expected} == expected
     assert message["number"] == "2"
-    assert message["what"] == "look here"
+    assert message["label"] == "look here"
     assert message["place_is"] == OF_MISSION
     assert not message.get("score") and not message.get("left_px") and not message.get("error_m")
 
@@ -117,7 +120,7 @@ def test_the_coordinates_of_a_photo_are_those_that_the_vehicle_told(tmp_path: Pa
 def test_an_object_whose_own_place_is_known_is_told_there(
     rows_of: Callable[[Sequence[PlacedFinding]], Rows],
 ) -> None:
-    own = OwnPlace(Position(3.0, 4.0), error_m=1.5)
+    own = Place(Position(3.0, 4.0), error_m=1.5, variance=(0.3, 0.0, 0.3), apart_m=0.2)
     finding = Finding(9.0, "car", 0.5, 2, Position(0.0, 0.0), Outline(1.0, 2.0, 3.0, 4.0, "car"), None, own)
     (row,) = rows_of(placed([FlightFindings("f", "d1", None, 1.0, None, [finding])]))
     assert (row["east_m"], row["north_m"], row["error_m"], row["place_is"]) == (
@@ -141,10 +144,10 @@ def test_no_text_is_markup(tmp_path: Path) -> None:
     hostile = '<img src=x onerror="alert(1)"> ]]> &lt;b&gt; \x00\x1b[31m \u202e\uffff'
     log = flight(tmp_path / "f.jsonl", [{**BOX, "label": hostile}], source=hostile)
     (row,) = from_kml(found(log))
-    assert "img src=x onerror" in row["what"]
+    assert "img src=x onerror" in row["label"]
     for value in row.values():
         assert "<" not in value and ">" not in value
-    assert from_geojson(found(log))[0]["what"].startswith("<img"), (
+    assert from_geojson(found(log))[0]["label"].startswith("<img"), (
         "which is text where nothing reads it as HTML"
     )
 

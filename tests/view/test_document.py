@@ -98,7 +98,9 @@ def test_a_file_has_the_findings_with_their_pictures_and_as_files(tmp_path: Path
     log = flight(tmp_path / "f.jsonl", "look here", [BOX], source="park 2")
     document = whole(log)
     (told,) = [facts for kind, facts in Reading(document).told() if kind == "findings"]
-    assert told == [{"words": "2 findings: 1 hot-spot, 1 message", "numbers": None}]
+    assert [(each["words"], each["numbers"]) for each in told] == [
+        ("2 findings: 1 hot-spot, 1 message", [1, 2])
+    ]
     assert re.findall(r'<image id="(\S+)" href="data:image/jpeg;base64,', document) == ["crop-0-1"]
     (files,) = Reading(document).content["script#files"]
     assert json.loads(files)["findings.csv"] == as_csv(findings_of(read_records([log])))

@@ -30,6 +30,11 @@ def append(log: Path, *events: object) -> None:
         file.writelines(msgspec.json.encode(event) + b"\n" for event in events)
 
 
+def said(page: Page) -> list[tuple[str, list[int]]]:
+    """What was found on each log: the words, and the numbers."""
+    return [(found["words"], found["numbers"]) for found in page.found]
+
+
 class Page:
     """A browser's page, as far as it is told."""
 
@@ -129,7 +134,7 @@ async def test_the_findings_of_a_fleet_have_one_number_each_which_stays(tmp_path
     async with following(*logs) as feed:
         page = Page(feed)
         await page.hear(lambda page: bool(page.found))
-        assert page.found == [{"words": words, "numbers": [1, 2, 4]}, {"words": words, "numbers": [3]}]
+        assert said(page) == [(words, [1, 2, 4]), (words, [3])]
         append(logs[1], found(5.0, "hot-spot"))
         await page.hear(lambda page: len(page.found[1]["numbers"]) > 1)
         assert [each["numbers"] for each in page.found] == [[1, 2, 4], [3, 5]]
@@ -142,7 +147,7 @@ async def test_the_findings_of_flights_of_one_drone_are_said_of_each(log: Path, 
     async with following(log, other) as feed:
         page = Page(feed)
         await page.hear(lambda page: bool(page.found))
-        assert page.found == [{"words": "", "numbers": None}, {"words": "1 hot-spot", "numbers": None}]
+        assert said(page) == [("", []), ("1 hot-spot", [1])]
 
 
 async def test_a_page_is_sent_what_is_new_and_only_that(log: Path) -> None:

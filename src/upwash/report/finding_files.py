@@ -24,8 +24,9 @@ _MOST_CROPS = 1000
 _KML = "http://www.opengis.net/kml/2.2"
 _WRITTEN = (1980, 1, 1, 0, 0, 0)  # the same findings make the same file
 _COLUMNS = (
-    "number", "log", "drone", "what", "score", "waypoint", "mission_s", "time", "latitude_deg", "longitude_deg",
-    "east_m", "north_m", "error_m", "place_is", "photo", "left_px", "top_px", "width_px", "height_px", "picture",
+    "number", "log", "drone", "label", "score", "sightings", "waypoint", "t_s", "time",
+    "latitude_deg", "longitude_deg", "east_m", "north_m", "error_m", "place_is",
+    "photo", "left_px", "top_px", "width_px", "height_px", "picture",
 )  # fmt: skip
 
 
@@ -46,7 +47,7 @@ def as_geojson(findings: Sequence[PlacedFinding], pictures: Pictures | None = No
         place = [facts.pop("longitude_deg"), facts.pop("latitude_deg")]
         known = {name: value for name, value in facts.items() if value is not None}
         point = None if None in place else {"type": "Point", "coordinates": place}
-        features.append({"type": "Feature", "geometry": point, "properties": known})
+        features.append({"type": "Feature", "geometry": point, "properties": {"kind": "finding", **known}})
     return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
 
 
@@ -57,7 +58,7 @@ def as_kml(findings: Sequence[PlacedFinding], pictures: Pictures | None = None) 
     _say(document, "name", "Findings")
     for facts in _facts(findings, pictures):
         placemark = ElementTree.SubElement(document, "Placemark")
-        _say(placemark, "name", f"{facts['number']}: {facts['what']}")
+        _say(placemark, "name", f"{facts['number']}: {facts['label']}")
         if facts["time"] is not None:
             _say(ElementTree.SubElement(placemark, "TimeStamp"), "when", facts["time"])
         data = ElementTree.SubElement(placemark, "ExtendedData")
@@ -121,18 +122,19 @@ def _facts(findings: Sequence[PlacedFinding], pictures: Pictures | None) -> Iter
             "number": each.number,
             "log": each.flight.log,
             "drone": each.flight.drone or None,
-            "what": finding.what,
+            "label": finding.what,
             "score": finding.score,
+            "sightings": each.sightings,
             "waypoint": finding.waypoint,
-            "mission_s": round(each.mission_s, 3),
+            "t_s": round(each.mission_s, 3),
             "time": each.time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
             if each.time
             else None,
             "latitude_deg": None if latitude_deg is None else round(latitude_deg, _DIGITS),
             "longitude_deg": None if longitude_deg is None else round(longitude_deg, _DIGITS),
-            "east_m": finding.place.east_m,
-            "north_m": finding.place.north_m,
-            "error_m": finding.error_m,
+            "east_m": round(finding.place.east_m, 2),
+            "north_m": round(finding.place.north_m, 2),
+            "error_m": None if finding.error_m is None else round(finding.error_m, 2),
             "place_is": finding.place_is,
             "photo": finding.photo.shot.source if finding.photo else None,
             "left_px": box.left_px if box else None,

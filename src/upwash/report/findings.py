@@ -9,8 +9,10 @@ from sys import intern
 import msgspec
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.georeference import PhotoGeometry, Place, Sight, Unplaced
 from upwash.eventlog import schema
 from upwash.eventlog.narration import in_one_line
+from upwash.eventlog.objects import found_objects
 from upwash.eventlog.schema import Event
 from upwash.report.photos import Shot
 from upwash.support.text import printable
@@ -19,11 +21,12 @@ MOST_PICTURED = 60  # findings on a report's page
 OF_DRONE = "the drone's place when the photo was taken"
 OF_MISSION = "the place that the mission named"
 OF_OBJECT = "the object's own place"
+_NO_LENS = "the camera's lens is unknown"
 _LONGEST_WORDS = 300  # characters
 
 
 class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
-    """A box in a photo, in its pixels; without a score where it is the photo's truth."""
+    """A box in a photo, in its pixels; without a score where none is known. A point has no width and height."""
 
     left_px: float
     top_px: float
@@ -39,24 +42,29 @@ class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
 
 
 def outlines(message: object) -> list[Outline] | None:
-    """The boxes of a message, None where it is no list of boxes."""
-    try:
-        return msgspec.convert(message, list[Outline])
-    except msgspec.ValidationError:
-        return None
+    """The boxes of a message, None where it has none."""
+    found = found_objects(message)
+    return None if found is None else [msgspec.convert(each, Outline, from_attributes=True) for each in found]
 
 
 @dataclass(frozen=True, slots=True)
 class TakenPhoto:
     """The `number`th photo of a run, counted from 0, and the waypoint where it was taken, None before the first.
 
-    `earth` is the latitude and longitude of the drone then, None where the log has none.
+    `earth` is the latitude and longitude of the drone then, None where the log has none; `geometry` decides where
+    lies what the photo shows, None for a camera whose lens is unknown.
     """
 
     number: int
     shot: Shot
     waypoint: int | None
     earth: tuple[float, float] | None = None
+    geometry: PhotoGeometry | None = None
+
+    @property
+    def corners_m(self) -> list[tuple[float, float]] | None:
+        """The photo's corners on the ground, east and north of home; None if unknown."""
+        return self.geometry.footprint_m() if self.geometry else None
 
 
 def _on_earth(latitude_deg: float | None, longitude_deg: float | None) -> tuple[float, float] | None:
@@ -88,9 +96,8 @@ class Pairing:
             case schema.PhotoTaken(source=source, position=position):
                 number = 0 if self.last is None else self.last.number + 1
                 shot = Shot(source, position, self._since_start)
-                self.last = TakenPhoto(
-                    number, shot, self.here, _on_earth(event.latitude_deg, event.longitude_deg)
-                )
+                earth = _on_earth(event.latitude_deg, event.longitude_deg)
+                self.last = TakenPhoto(number, shot, self.here, earth, event.geometry)
                 self.told_of = self.last
                 self._since_start += 1
             case schema.CallStarted(waypoint=waypoint):
@@ -110,19 +117,11 @@ class Pairing:
 
 
 @dataclass(frozen=True, slots=True)
-class OwnPlace:
-    """Where an object itself lies, and how far from there it may be."""
-
-    position: Position
-    error_m: float
-
-
-@dataclass(frozen=True, slots=True)
 class Finding:
     """One object in a message to the user, with its box; or a message without boxes. `at_s` is its second of the log.
 
     `named` is the place that the mission gave with the message, `photo` what the message is about, None before the
-    first photo. `own` is where the object itself lies, None if unknown.
+    first photo. `own` is where the object itself lies, None if unknown; `unplaced` says why.
     """
 
     at_s: float
@@ -132,7 +131,8 @@ class Finding:
     named: Position
     box: Outline | None
     photo: TakenPhoto | None
-    own: OwnPlace | None = None
+    own: Place | None = None
+    unplaced: str = ""
 
     @property
     def words(self) -> str:
@@ -157,13 +157,18 @@ class Finding:
     @property
     def _place(self) -> tuple[Position, str]:
         if self.own is not None:
-            return self.own.position, OF_OBJECT
+            return self.own.position, OF_OBJECT + (
+                f", assuming {self.own.assumes}" if self.own.assumes else ""
+            )
         taken_at = self.photo.shot.position if self.box is not None and self.photo is not None else None
-        return (self.named, OF_MISSION) if taken_at is None else (taken_at, OF_DRONE)
+        if taken_at is None:
+            return self.named, OF_MISSION
+        return taken_at, OF_DRONE + (f": {self.unplaced}" if self.unplaced else "")
 
     def earth(self, home: GeoPosition | None) -> tuple[float, float] | None:
         """Latitude and longitude of `place` in degrees; None where home is not known."""
-        if self.place_is == OF_DRONE and self.photo is not None and self.photo.earth is not None:
+        is_of_drone = self.own is None and self.box is not None and self.photo is not None
+        if is_of_drone and self.photo is not None and self.photo.earth is not None:
             return self.photo.earth
         if home is None:
             return None
@@ -181,6 +186,7 @@ class Finder:
         self.found: list[Finding] = []
         self.pairing = Pairing()
         self._is_over = False
+        self._sight: tuple[TakenPhoto | None, Sight | Unplaced] = None, Unplaced(_NO_LENS)
 
     def take(self, event: Event) -> Sequence[Finding]:
         """What the next event tells of."""
@@ -190,19 +196,34 @@ class Finder:
             return ()
         photo = self.pairing.told_of
         boxes = outlines(event.message)
-        told = [
-            Finding(
-                at_s=event.t,
-                what=intern(printable(what, _LONGEST_WORDS)),  # a long flight finds the same many times
-                score=box.score if box else None,
-                waypoint=photo.waypoint if photo else self.pairing.here,
-                named=event.at,
-                box=box,
-                photo=photo,
+        told = []
+        for box in [None] if boxes is None else boxes:
+            what = box.label if box else in_one_line(event.message)
+            place = Unplaced("") if box is None else self._place_of(box, photo)
+            told.append(
+                Finding(
+                    at_s=event.t,
+                    what=intern(printable(what, _LONGEST_WORDS)),  # a long flight finds the same many times
+                    score=box.score if box else None,
+                    waypoint=photo.waypoint if photo else self.pairing.here,
+                    named=event.at,
+                    box=box,
+                    photo=photo,
+                    own=place if isinstance(place, Place) else None,
+                    unplaced=place.why if isinstance(place, Unplaced) else "",
+                )
             )
-            for box, what in (
-                [(None, in_one_line(event.message))] if boxes is None else [(box, box.label) for box in boxes]
-            )
-        ]
         self.found += told
         return told
+
+    def _place_of(self, box: Outline, photo: TakenPhoto | None) -> Place | Unplaced:
+        """Where the object lies by the photo's geometry, or why that is unknown."""
+        if photo is None or photo.geometry is None:
+            return Unplaced(_NO_LENS)
+        if self._sight[0] is not photo:
+            self._sight = photo, photo.geometry.sight
+        sight = self._sight[1]
+        if isinstance(sight, Unplaced):
+            return sight
+        middle_px = box.left_px + box.width_px / 2, box.top_px + box.height_px / 2
+        return sight.place_of(*middle_px, box.width_px, box.height_px)

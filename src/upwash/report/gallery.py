@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from collections import Counter
 from collections.abc import Sequence
 
 from upwash.eventlog.progress import clock
@@ -23,23 +22,16 @@ _LONGEST_LABEL = 60  # characters
 
 
 def draw_findings(
-    found: Sequence[PlacedFinding], shelf: PhotoShelf, *, logs: Sequence[str], most: int, whose: bool = False
+    found: Sequence[PlacedFinding], shelf: PhotoShelf, *, most: int, whose: bool = False
 ) -> Markup:
-    """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight.
-
-    `logs` are the names of the page's flights, in their order.
-    """
+    """Pictures of at most `most` boxes, and a table of all; `whose` says that each has the name of its flight."""
     pictures: list[Markup] = []
     lacking = False
-    before = Counter[str]()  # how many of each flight
     for each in found[:MOST_PICTURED]:
-        log = each.flight.log
-        name = f"crop-{logs.index(log)}-{before[log]}"
-        before[log] += 1
         if each.finding.box is not None and len(pictures) < most:
             crop = cut_out(each.finding, shelf)
             lacking |= crop is None
-            outlined = None if crop is None else _outlined(each.finding.box, crop, name)
+            outlined = None if crop is None else _outlined(each.finding.box, crop, f"crop-{each.best[0]}-{each.best[1]}")
             pictures += [] if outlined is None else [_picture(each, outlined, whose=whose)]
     notes = []
     if len(pictures) >= most:

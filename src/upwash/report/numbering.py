@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from typing import TypeAlias
 
-from upwash.core.geo import GeoPosition
+from upwash.core.geo import GeoPosition, LocalFrame
+from upwash.core.georeference import Place
+from upwash.report.catalogue import Catalogue, Shift, Sighting
 from upwash.report.findings import Finding
 from upwash.support.text import counted, printable
 
@@ -19,6 +23,7 @@ _FAULTS = {
 _MESSAGE = ""  # the label of what has none
 _MOST_KINDS = 6
 _LONGEST_LABEL = 40  # characters
+_Key: TypeAlias = tuple[int, int]  # of a finding: its flight and its place there
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +44,18 @@ class FlightFindings:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFinding:
-    """A finding of a flight under its number, which is the same on map, photo, list and in every file."""
+    """An object, or a message without one, under its number: the same on map, photo, list and in every file.
+
+    `finding` is the surest of its `sightings`, on `flight`, with the place by all of them. `best` says where that
+    sighting stands, the index of its flight and of the finding there; `first` says the same of the first sighting.
+    """
 
     number: int
     flight: FlightFindings
     finding: Finding
+    sightings: int = 1
+    best: _Key = (0, 0)
+    first: _Key = (0, 0)
 
     @property
     def mission_s(self) -> float:
@@ -66,48 +78,116 @@ class PlacedFinding:
         return self.finding.earth(self.flight.home)
 
 
+@dataclass(frozen=True, slots=True)
+class Numbered:
+    """Findings of flights as objects, in the order of their numbers, and the number of each finding by flight."""
+
+    objects: Sequence[PlacedFinding]
+    numbers: Sequence[Sequence[int]]
+
+
 def are_a_fleet(drones: Sequence[str | None]) -> bool:
     """Whether flights of these drones are of several; those that have yet to begin at once are taken for that."""
     return len(drones) > 1 and (len(set(drones)) > 1 or None in drones)
 
 
-def numbers_of(flights: Sequence[FlightFindings]) -> list[list[int]]:
-    """The number of each finding, flight by flight.
+def numbered(flights: Sequence[FlightFindings]) -> Numbered:
+    """The findings of the flights as objects under numbers from 1, in the order of their first messages.
 
-    The findings of a fleet are numbered from 1 in one list, in the order of the messages. The findings of one drone's
-    flights are numbered from 1 for each flight.
+    The findings of a fleet are one list, and an object that several drones saw has one number. The findings of one
+    drone's flights are numbered for each flight.
     """
-    numbers: list[list[int]] = [[] for _ in flights]
     if are_a_fleet([flight.drone for flight in flights]):
-        for number, (_, index) in enumerate(
-            heapq.merge(*map(_told_at, flights, range(len(flights)))), start=1
-        ):
-            numbers[index].append(number)
-        return numbers
-    return [list(range(1, 1 + len(flight.found))) for flight in flights]
-
-
-def _told_at(flight: FlightFindings, index: int) -> Iterator[tuple[float, int]]:
-    """The time of each of the flight's findings, and the flight's index."""
-    opened_s = flight.opened.timestamp() if flight.opened else 0.0
-    latest_s = -float("inf")
-    for finding in flight.found:
-        latest_s = max(
-            latest_s, opened_s + finding.at_s
-        )  # a log that a clock's step set back stays in its order
-        yield latest_s, index
+        return _numbered(flights)
+    parts = [_numbered([flight]) for flight in flights]
+    return Numbered(
+        [
+            replace(found, best=(index, found.best[1]), first=(index, found.first[1]))
+            for index, part in enumerate(parts)
+            for found in part.objects
+        ],
+        [numbers for part in parts for numbers in part.numbers],
+    )
 
 
 def placed(flights: Sequence[FlightFindings]) -> list[PlacedFinding]:
-    """The findings of the flights by their numbers; those of one drone's flights flight after flight."""
-    found = [
-        PlacedFinding(number, flight, finding)
-        for flight, numbers in zip(flights, numbers_of(flights), strict=True)
-        for number, finding in zip(numbers, flight.found, strict=True)
+    """The objects by their numbers; those of one drone's flights flight after flight."""
+    return list(numbered(flights).objects)
+
+
+def _numbered(flights: Sequence[FlightFindings]) -> Numbered:
+    order = list(heapq.merge(*map(_told_at, flights, range(len(flights)))))
+    groups = _groups(flights, [(flight, index) for _, flight, index in order])
+    numbers = [[0] * len(flight.found) for flight in flights]
+    objects = []
+    for number, (keys, place) in enumerate(groups, start=1):
+        for flight, index in keys:
+            numbers[flight][index] = number
+        best = max(keys, key=lambda key: _sureness(flights[key[0]].found[key[1]]))
+        finding = flights[best[0]].found[best[1]]
+        if place is not None:
+            east_m, north_m = offset_m(flights, best[0])
+            finding = replace(finding, own=place.moved(-east_m, -north_m))
+        objects.append(PlacedFinding(number, flights[best[0]], finding, len(keys), best, keys[0]))
+    return Numbered(objects, numbers)
+
+
+def _groups(
+    flights: Sequence[FlightFindings], order: Sequence[_Key]
+) -> list[tuple[list[_Key], Place | None]]:
+    """The findings of each object in order, with its place in the first flight's frame if it has one of its own."""
+    catalogue, alone = Catalogue(), list[tuple[list[_Key], Place | None]]()
+    photos: dict[tuple[int, int], int] = {}
+    for (flight, photo), keys in itertools.groupby(order, key=lambda key: _photo_of(flights, key)):
+        offset = offset_m(flights, flight)
+        sightings, corners = [], None
+        for key in keys:
+            finding = flights[flight].found[key[1]]
+            if finding.own is None or finding.photo is None or photo is None:
+                alone.append(([key], None))
+                continue
+            sightings.append(Sighting(key, finding.what, finding.own.moved(*offset)))
+            corners = corners or finding.photo.corners_m
+        if photo is not None:
+            number = photos.setdefault((flight, photo), len(photos))
+            moved = corners and [(east + offset[0], north + offset[1]) for east, north in corners]
+            catalogue.take(number, sightings, moved)
+    catalogue.settle()
+    rank = {key: number for number, key in enumerate(order)}
+    together = [
+        (sorted((sighting.key for sighting in entry.sightings.values()), key=rank.__getitem__), entry.place())
+        for entry in catalogue.entries
     ]
-    if are_a_fleet([flight.drone for flight in flights]):
-        found.sort(key=lambda each: each.number)
-    return found
+    return sorted([*alone, *together], key=lambda group: rank[group[0][0]])
+
+
+def _photo_of(flights: Sequence[FlightFindings], key: _Key) -> tuple[int, int | None]:
+    photo = flights[key[0]].found[key[1]].photo
+    return key[0], photo.number if photo else None
+
+
+def offset_m(flights: Sequence[FlightFindings], flight: int) -> Shift:
+    """Where the flight's home lies, east and north of the first flight's; nowhere else if one is unknown."""
+    first, own = flights[0].home, flights[flight].home
+    if first is None or own is None or first == own:
+        return 0.0, 0.0
+    position = LocalFrame(first).position(own)
+    return position.east_m, position.north_m
+
+
+def _sureness(finding: Finding) -> tuple[float, float]:
+    return finding.score or 0.0, -(finding.error_m or 0.0)
+
+
+def _told_at(flight: FlightFindings, index: int) -> Iterator[tuple[float, int, int]]:
+    """The time of each of the flight's findings, the flight's index, and the finding's."""
+    opened_s = flight.opened.timestamp() if flight.opened else 0.0
+    latest_s = -float("inf")
+    for number, finding in enumerate(flight.found):
+        latest_s = max(
+            latest_s, opened_s + finding.at_s
+        )  # a log that a clock's step set back stays in its order
+        yield latest_s, index, number
 
 
 def what_was_found(findings: Iterable[Finding]) -> str:

@@ -49,7 +49,6 @@ class _Found:
     def __init__(self, records: Sequence[Record], shelf: PhotoShelf) -> None:
         self._shelf = shelf
         self._all = findings_of(records)
-        self._logs = [record.name for record in records]
         self._is_fleet = are_a_fleet([record.drone for record in records])
         beside = (
             len(records) if len(records) <= _SIDE_BY_SIDE else sum(bool(each.findings) for each in records)
@@ -60,7 +59,7 @@ class _Found:
         """The list of the whole fleet; nothing if the flights are no fleet, or found nothing."""
         if not self._is_fleet or not self._all:
             return []
-        drawn = draw_findings(self._all, self._shelf, logs=self._logs, most=_PICTURES, whose=True)
+        drawn = draw_findings(self._all, self._shelf, most=_PICTURES, whose=True)
         return [element("section", element("h2", "Findings"), drawn)]
 
     def of_flights(self, records: Sequence[Record]) -> Sequence[Markup]:
@@ -70,7 +69,7 @@ class _Found:
 
     def _of(self, record: Record) -> Markup:
         own = [each for each in self._all if each.flight.log == record.name]
-        return draw_findings(own, self._shelf, logs=self._logs, most=self._pictures)
+        return draw_findings(own, self._shelf, most=self._pictures)
 
 
 def _flights(shown: Sequence[Record], records: Sequence[Record], found: _Found) -> list[Markup]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import msgspec
 
 from upwash.eventlog.results import RunResult
-from upwash.report.numbering import FlightFindings, are_a_fleet, numbers_of, what_was_found
+from upwash.report.numbering import FlightFindings, Numbered, are_a_fleet, numbered, offset_m, what_was_found
 from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of
 from upwash.view.elsewhere import Elsewhere, elsewhere
@@ -44,14 +44,44 @@ class Batch(msgspec.Struct, frozen=True):
     facts: msgspec.Raw
 
 
+class SeenObject(msgspec.Struct, frozen=True):
+    """An object by all its sightings; `best` has the log and the index of the finding with the best picture."""
+
+    sightings: int
+    east_m: float
+    north_m: float
+    error_m: float | None
+    best: tuple[int, int]
+
+
 class Found(msgspec.Struct, frozen=True):
     """What was found on the flight of a log, or on all of a fleet, in a sentence; and the numbers of the log's own.
 
-    Without `numbers` these are 1, 2, 3 and so on.
+    `objects` has the objects that this log saw first, by the index of their first sighting.
     """
 
     words: str
-    numbers: Sequence[int] | None
+    numbers: Sequence[int]
+    objects: Mapping[int, SeenObject]
+
+
+def _found(flights: Sequence[FlightFindings], found: Numbered, log: int, *, is_a_fleet: bool) -> Found:
+    """What was found on the flight of that log, as one page says it."""
+    own = [each for each in found.objects if each.first[0] == log]
+    here = offset_m(flights, log) if is_a_fleet else (0.0, 0.0)
+    objects = {}
+    for each in own:
+        there = offset_m(flights, each.best[0]) if is_a_fleet else here
+        place = each.finding.place
+        objects[each.first[1]] = SeenObject(
+            each.sightings,
+            place.east_m + there[0] - here[0],
+            place.north_m + there[1] - here[1],
+            each.finding.error_m,
+            each.best,
+        )
+    told = found.objects if is_a_fleet else own
+    return Found(what_was_found(each.finding for each in told), found.numbers[log], objects)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,11 +176,8 @@ class Feed:
         if count == self._numbered:
             return
         self._numbered, flights = count, self.flights
-        if _are_of_several_drones(self.recordings):
-            words = what_was_found(each for flight in flights for each in flight.found)
-            self._found = [Found(words, numbers) for numbers in numbers_of(flights)]
-        else:
-            self._found = [Found(what_was_found(flight.found), None) for flight in flights]
+        found, is_a_fleet = numbered(flights), _are_of_several_drones(self.recordings)
+        self._found = [_found(flights, found, log, is_a_fleet=is_a_fleet) for log in range(len(flights))]
 
     def everything(self) -> Iterator[tuple[str, object]]:
         """The kind and the data of each message of finished logs."""

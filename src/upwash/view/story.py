@@ -8,6 +8,7 @@ from datetime import datetime
 import msgspec
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.georeference import PhotoGeometry
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import ON_DRONE
 from upwash.core.vehicle.control import Owner
@@ -27,7 +28,6 @@ from upwash.view import facts
 from upwash.view.facts import Fact
 from upwash.view.state import Control
 
-_CORNERS = 4
 _ON_CALLS = (schema.Decided, schema.Hedged, schema.RemoteFailed, schema.RemoteRaised, schema.TurnOver)
 _STALE_S = 1.5  # a flown log has a position each second, a simulated log with each event
 
@@ -337,7 +337,6 @@ class Story:
         photo = self._finder.pairing.last
         if isinstance(event, schema.PhotoTaken) and photo is not None:
             self.shots.append(photo.shot)
-            corners = event.footprint_m
             yield facts.Shot(
                 at_s=self._now_s,
                 number=photo.number,
@@ -345,7 +344,7 @@ class Story:
                 source=photo.shot.source,
                 kept=self._keeps(photo.shot.source),
                 truth=outlines(event.truth),
-                footprint_m=corners if corners and len(corners) == _CORNERS else None,
+                footprint_m=_corners(event.geometry),
             )
         for each in found:
             if each.photo is not None:
@@ -366,6 +365,12 @@ class Story:
             and found.photo is not None
             and self._keeps(found.photo.shot.source),
         )
+
+
+def _corners(geometry: PhotoGeometry | None) -> list[tuple[float, float]] | None:
+    """The photo's corners on the ground, to the centimetre."""
+    corners = geometry.footprint_m() if geometry else None
+    return corners and [(round(east, 2), round(north, 2)) for east, north in corners]
 
 
 def _estimates(decision: Considered) -> Sequence[facts.Estimate]:

@@ -7,7 +7,7 @@ import { cropOf, filesOfFindings } from "./pictures.js";
 const [WIDE_PX, HIGH_PX] = [96, 72]; // of a picture
 
 export class Findings {
-  #items = new Map(); // by finding: its element in the list
+  #items = new Map(); // by number: its element in the list, and the words about its sightings
   #listed = []; // the findings as they are listed
   #numbered = []; // by story: with which numbers
   #counts = new Map(); // by story: how many lie before the moment
@@ -54,6 +54,7 @@ export class Findings {
     const grew = fresh >= 0 && this.#listed.every((finding, index) => finding === findings[fresh + index]);
     if (!grew) this.#forget();
     this.list.prepend(...all.slice(0, grew ? fresh : all.length).map((each) => this.#item(each)));
+    for (const finding of findings) write(this.#items.get(finding.no).seen, seenOften(finding));
     this.list.classList.toggle("pictureless", !findings.some(({ pictured }) => pictured));
     this.#listed = findings;
   }
@@ -75,13 +76,20 @@ export class Findings {
       ` ${wordsOf(finding)}`,
       element("span", { class: "when" }, ...whose, place),
     );
+    const seen = element("span", { class: "when" });
+    words.append(seen);
     const button = element("button", { type: "button", title: "Show its moment, its photo and its place" });
-    button.append(picture(cropOf(this.log + index, story.run, finding)), words);
+    button.append(picture(this.#cropOf(finding)), words);
     button.addEventListener("click", () => this.select(story, finding));
     const item = element("li", {}, button);
     item.classList.toggle("later", finding.index >= (this.#counts.get(story) ?? 0));
-    this.#items.set(finding, item);
+    this.#items.set(finding.no, { item, seen });
     return item;
+  }
+
+  // The picture of the best sighting, which may be another drone's.
+  #cropOf({ pictured, best: [log, index] }) {
+    return cropOf(log, this.stories[log - this.log]?.run, { pictured, index });
   }
 
   // Those after the moment are pale.
@@ -89,7 +97,8 @@ export class Findings {
     const { story } = moment;
     const [before, count] = [this.#counts.get(story) ?? 0, moment.count("told")];
     for (let index = Math.min(before, count); index < Math.max(before, count); index += 1) {
-      this.#items.get(story.told[index])?.classList.toggle("later", index >= count);
+      const { no, sightings } = story.told[index];
+      if (sightings !== undefined) this.#items.get(no)?.item.classList.toggle("later", index >= count);
     }
     this.#counts.set(story, count);
   }
@@ -103,15 +112,21 @@ export class Findings {
 
   #point(current) {
     if (current === this.#current) return;
-    this.#items.get(this.#current)?.removeAttribute("aria-current");
+    this.#items.get(this.#current?.no)?.item.removeAttribute("aria-current");
     this.#current = current;
-    const item = this.#items.get(current);
+    const item = this.#items.get(current?.no)?.item;
     if (!item) return;
     item.setAttribute("aria-current", "true");
     const [top, bottom] = [item.offsetTop, item.offsetTop + item.offsetHeight];
     const { scrollTop, clientHeight } = this.scroller;
     if (top < scrollTop || bottom > scrollTop + clientHeight) this.scroller.scrollTop = top - clientHeight / 2;
   }
+}
+
+// How often an object was seen, and how far from its place it may lie.
+function seenOften({ sightings, error_m: errorM }) {
+  const often = sightings > 1 ? `seen ${sightings} times` : "";
+  return [often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`].filter(Boolean).join(" · ");
 }
 
 function picture(source) {

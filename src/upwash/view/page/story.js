@@ -48,7 +48,7 @@ export class Story {
     this.courses = []; // which way, in degrees from north, the drone came to each fix; null before it moved
     this.moved = null; // the fix at which it had last moved
     this.delays = { place: new Totals(), operation: new Totals(), local: new Totals() }; // of the calls
-    this.found = { words: "", numbers: [] }; // everything that was found: in a sentence, and by numbers
+    this.found = { words: "", numbers: [], objects: {} }; // in a sentence, by numbers, and objects by their first sightings
     this.waits = new Totals();
     this.hidden = new Totals();
     this.others = []; // the same calls under other policies
@@ -62,18 +62,18 @@ export class Story {
     for (const fact of batch.facts.slice(this.facts - batch.start)) this.#takeFact(fact);
   }
 
-  // What was found has these numbers, or where there are none its own: 1, 2, 3 and so on.
+  // What was found has these numbers. The first sighting of an object has the place by all of them.
   number(found) {
     this.found = found;
     this.told.forEach((told, index) => {
-      told.index = index;
-      told.no = found.numbers ? found.numbers[index] : index + 1;
+      const { sightings, best, ...place } = found.objects[index] ?? {};
+      Object.assign(told, { index, no: found.numbers[index], sightings, best }, place);
     });
   }
 
-  // What was found and has a number: those that come next get theirs a moment later.
+  // The objects that were found, by their first sightings: those that come next get a number a moment later.
   get numbered() {
-    return this.told.filter(({ no }) => no !== undefined);
+    return this.told.filter(({ sightings }) => sightings !== undefined);
   }
 
   #takeFact(fact) {
