@@ -254,11 +254,33 @@ class Photo:
     lens: Lens | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class KeptPhoto:
+    """A photo with what its file says of it.
+
+    `angles_deg` are yaw, pitch and roll as mapping programs count them, `errors_m` the standard errors of the place
+    to the sides and in altitude. None stands for what is unknown.
+    """
+
+    jpeg: bytes
+    source: str
+    earth: EarthPosition | None = None
+    angles_deg: tuple[float, float, float] | None = None
+    errors_m: tuple[float, float] | None = None
+
+
 class Camera(Protocol):
     """The drone's camera."""
 
     async def take_photo(self, at: Position) -> Photo:
         """Takes and returns one photo; `at` is the drone's position. Raises CameraError."""
+
+
+class Album(Protocol):
+    """Keeps the photos of a flight."""
+
+    async def keep(self, photo: KeptPhoto) -> str:
+        """Keeps the photo and returns the name of its file; raises NotWritten."""
 
 
 class Notifier(Protocol):

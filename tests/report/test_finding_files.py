@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import cv2
+import fastkml
 import geojson
 import numpy as np
 import pytest
@@ -66,7 +67,21 @@ def from_kml(findings: Sequence[PlacedFinding]) -> Rows:
     return rows
 
 
-READERS = [from_csv, from_geojson, from_kml]
+def from_fastkml(findings: Sequence[PlacedFinding]) -> Rows:
+    text: Any = as_kml(findings).encode()
+    document: Any = fastkml.KML.from_string(text).features[0]
+    rows = []
+    for placemark in document.features:
+        row = {data.name: data.value for data in placemark.extended_data.elements}
+        if placemark.geometry is not None:
+            assert (row["longitude_deg"], row["latitude_deg"]) == tuple(
+                map(str, placemark.geometry.coords[0][:2])
+            )
+        rows.append(row)
+    return rows
+
+
+READERS = [from_csv, from_geojson, from_kml, from_fastkml]
 
 
 def found(*logs: Path) -> list[PlacedFinding]:

@@ -291,7 +291,7 @@ def test_what_was_found_is_drawn_on_its_photo(flown: Path) -> None:
     log = write(flown, [*FLOWN[:7], told(4.5, FOUND), {**FLOWN[6], "t": 5.0}, told(5.5, "all is well")])
     began_s = OPENED.timestamp()
     (first_s, on_first), (second_s, on_second) = annotated(log)
-    assert (on_first, on_second) == (["damage 90 %"], [])
+    assert (on_first, on_second) == (["1 damage 90 %"], [])
     assert [first_s, second_s] == pytest.approx([began_s + 3.5, began_s + 4.5])
     (annotations, _) = kind(recorded(log, photos=log.parent / "photos"), "ImageAnnotations")
     (box,) = annotations.message.points
@@ -311,7 +311,7 @@ def test_an_answer_that_comes_after_the_next_photo_is_drawn_on_its_own(flown: Pa
             told(6.1, FOUND),
         ],
     )
-    assert [texts for _, texts in annotated(log)] == [["damage 90 %"], []]
+    assert [texts for _, texts in annotated(log)] == [["1 damage 90 %"], []]
 
 
 def test_rendered_photos_are_rendered_again(flown: Path) -> None:

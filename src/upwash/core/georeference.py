@@ -140,6 +140,17 @@ class Sight:
         """Whether up in the photo is only taken for north."""
         return self.heading_deg >= _UNKNOWN_HEADING_DEG
 
+    @property
+    def angles_deg(self) -> tuple[float, float, float]:
+        """Yaw, pitch and roll of the photo, as mapping programs count them.
+
+        Up in the photo points along the yaw, clockwise from north; a pitch of 0 looks straight down, of 90 ahead.
+        """
+        right, down, ahead = self.axes
+        pitch = math.asin(max(-1.0, min(1.0, -down[2])))
+        yaw, roll = math.atan2(-down[0], -down[1]), math.atan2(-right[2], -ahead[2])
+        return math.degrees(yaw) % 360, math.degrees(pitch), math.degrees(roll)
+
     def line_to(self, x_px: float, y_px: float) -> Vector | None:
         """The line from the camera to the pixel's place on the ground; None if the ground is not seen there."""
         seen = self.photo.lens.direction(x_px, y_px, self.photo.size_px)

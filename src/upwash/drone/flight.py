@@ -40,6 +40,7 @@ from upwash.errors import (
 )
 from upwash.eventlog import schema
 from upwash.ports import (
+    Album,
     Autopilot,
     Camera,
     Dialer,
@@ -62,7 +63,10 @@ _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
 
 class Ports(Struct, frozen=True):
-    """The ports that a flight needs, real or simulated; `networks` has one for each radio, `ground` the terrain."""
+    """The ports that a flight needs, real or simulated; `networks` has one for each radio.
+
+    `ground` is the terrain, `album` keeps photos; None keeps none.
+    """
 
     autopilot: Autopilot
     networks: Sequence[Network]
@@ -74,6 +78,7 @@ class Ports(Struct, frozen=True):
     journal: Journal
     finder: Finder | None = None
     ground: Callable[[Position], Ground] = level_ground
+    album: Album | None = None
 
 
 class Flight:
@@ -399,6 +404,7 @@ class Flight:
                 autopilot=self._ports.autopilot,
                 payload=payload,
                 ground=self._ports.ground,
+                album=self._ports.album,
             ),
             payload=payload,
             home=home.place if home else None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 
@@ -15,6 +15,7 @@ from upwash.core.georeference import (
     Ground,
     PhotoGeometry,
     Place,
+    Sight,
     Unplaced,
     level_ground,
 )
@@ -22,9 +23,10 @@ from upwash.core.lens import Lens
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
+from upwash.errors import NotWritten
 from upwash.eventlog import schema
 from upwash.eventlog.objects import found_objects
-from upwash.ports import Autopilot, Camera, Journal, Photo
+from upwash.ports import Album, Autopilot, Camera, Journal, KeptPhoto, Photo
 from upwash.support.exif import PhotoPlace, with_place
 from upwash.support.jpeg import size_of
 
@@ -34,6 +36,7 @@ _FIX_M: dict[FixKind, float] = {
 }  # fmt: skip
 _REPORT_S = 0.1  # between a position and its report
 _GIMBAL_DEG = 1.0
+_FILM_MM = 36.0  # wide, of 35 mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,7 @@ class Photographer:
         autopilot: Autopilot,
         payload: Payload,
         ground: Callable[[Position], Ground] = level_ground,
+        album: Album | None = None,
     ) -> None:
         self._camera = camera
         self._thread = thread
@@ -89,6 +93,8 @@ class Photographer:
         self._autopilot = autopilot
         self._payload = payload
         self._ground = ground
+        self._album = album
+        self._album_failed = False
         self.pose: PhotoPose | None = None  # of the last photo
 
     def take_photo(self) -> bytes:
@@ -104,10 +110,10 @@ class Photographer:
         shot = _at(photo.captured_s, before, self._moment())
         geometry, earth = self._geometry(photo, shot), shot.earth
         self.pose = PhotoPose(shot.position, earth, shot.told.attitude, shot.told.heading_deg, geometry)
-        jpeg = photo.jpeg if earth is None else with_place(photo.jpeg, _shot(earth, shot.told.heading_deg))
+        jpeg = photo.jpeg if earth is None else with_place(photo.jpeg, _place(shot, geometry))
         self._journal.record(
             schema.PhotoTaken(
-                source=photo.source,
+                source=await self._kept(jpeg, photo.source, earth, geometry),
                 bytes=len(jpeg),
                 age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
                 position=rounded(shot.position),
@@ -119,6 +125,24 @@ class Photographer:
             )
         )
         return jpeg
+
+    async def _kept(
+        self, jpeg: bytes, source: str, earth: EarthPosition | None, geometry: PhotoGeometry | None
+    ) -> str:
+        """Keeps the photo, if photos are kept; returns the name of its file, or else its source."""
+        if self._album is None:
+            return source
+        photo = KeptPhoto(jpeg, source, earth)
+        if geometry is not None and isinstance(sight := geometry.sight, Sight) and not sight.assumes:
+            errors_m = geometry.accuracy.position_m, geometry.accuracy.altitude_m
+            photo = replace(photo, angles_deg=sight.angles_deg, errors_m=errors_m)
+        try:
+            return await self._album.keep(photo)
+        except NotWritten as error:
+            if not self._album_failed:
+                self._album_failed = True
+                self._journal.record(schema.PhotosNotKept(why=str(error)))
+            return source
 
     def _moment(self) -> _Moment:
         vehicle = self._autopilot
@@ -214,8 +238,20 @@ def _rounded(attitude: Attitude) -> Attitude:
     return Attitude(round(attitude.roll_deg, 2), round(attitude.pitch_deg, 2), round(attitude.yaw_deg, 2))
 
 
-def _shot(earth: EarthPosition, heading_deg: float | None) -> PhotoPlace:
-    return PhotoPlace(earth.latitude_deg, earth.longitude_deg, earth.above_sea_m, heading_deg, earth.unix_s)
+def _place(shot: _Moment, geometry: PhotoGeometry | None) -> PhotoPlace:
+    earth = shot.earth
+    assert earth is not None  # noqa: S101
+    focal_35mm = None
+    if geometry is not None:
+        focal_35mm = _FILM_MM * geometry.lens.focal_in(geometry.size_px) / geometry.size_px[0]
+    return PhotoPlace(
+        earth.latitude_deg,
+        earth.longitude_deg,
+        earth.above_sea_m,
+        shot.told.heading_deg,
+        earth.unix_s,
+        focal_35mm,
+    )
 
 
 def _to_the_centimetre(length_m: float | None) -> float | None:

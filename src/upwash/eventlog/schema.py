@@ -292,6 +292,12 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     truth: _Few[Branch] | None = None
 
 
+class PhotosNotKept(Event, frozen=True, kw_only=True):
+    """A photo could not be kept in `camera.keep`; the flight goes on, and further failures are not logged."""
+
+    why: Text
+
+
 class CallStarted(Event, frozen=True, kw_only=True):
     """The mission began a call at the waypoint, without waiting; its `call` event comes when it is over."""
 

@@ -29,6 +29,7 @@ from upwash.launch.drone import (
 from upwash.launch.readiness import require_ready
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Autopilot, Camera, Journal
+from upwash.real.camera.album import FolderAlbum
 from upwash.real.camera.terrain import Terrain
 from upwash.real.host.clock import (
     SYSTEM_CLOCK,
@@ -183,6 +184,7 @@ async def _ports(
         journal=journal,
         finder=server_finder(config),
         ground=_ground(config, stack),
+        album=None if config.camera.keep is None else FolderAlbum(config.camera.keep),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import TypeAlias
 
 from foxglove.messages import (
     Color,
@@ -17,23 +18,24 @@ from foxglove.messages import (
 
 from upwash.eventlog import schema
 from upwash.report.clock import RecordClock
-from upwash.report.findings import Outline, Pairing, outlines
+from upwash.report.findings import Outline, Pairing
 from upwash.report.palette import DARK, components
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
 
+_Numbered: TypeAlias = tuple[int, Outline]
 _FRAME = "camera"
 _FONT_PX, _LINE_PX = 16.0, 3.0
 
 
 def photos(
-    record: Record, clock: RecordClock, shelf: PhotoShelf
+    record: Record, numbers: Sequence[int], clock: RecordClock, shelf: PhotoShelf
 ) -> Iterator[tuple[int, CompressedImage | ImageAnnotations]]:
-    """Each photo that is to be had, and its boxes, both at the time at which it was taken.
+    """Each photo that is to be had, and its boxes with the numbers of the findings, both at the time of the shutter.
 
     A photo of which nothing was told has no boxes, so that those of the one before it go.
     """
-    boxes = _boxes_by_photo(record)
+    boxes = _boxes_by_photo(record, numbers)
     pairing = Pairing()
     for event in record.events:
         pairing.take(event)
@@ -46,22 +48,20 @@ def photos(
                 yield time_ns, _annotations(boxes.get(photo.number, []), time)
 
 
-def _boxes_by_photo(record: Record) -> dict[int, list[Outline]]:
-    """What was found on each photo, by its number: it is told after the photo was taken."""
-    found: dict[int, list[Outline]] = {}
-    pairing = Pairing()
-    for event in record.events:
-        pairing.take(event)
-        if isinstance(event, schema.Notified) and (photo := pairing.told_of) is not None:
-            found.setdefault(photo.number, []).extend(outlines(event.message) or ())
+def _boxes_by_photo(record: Record, numbers: Sequence[int]) -> dict[int, list[_Numbered]]:
+    """What was found on each photo, with its numbers: it is told after the photo was taken."""
+    found: dict[int, list[_Numbered]] = {}
+    for finding, number in zip(record.findings, numbers, strict=True):
+        if finding.photo is not None and finding.box is not None:
+            found.setdefault(finding.photo.number, []).append((number, finding.box))
     return found
 
 
-def _annotations(found: list[Outline], time: Timestamp) -> ImageAnnotations:
+def _annotations(found: list[_Numbered], time: Timestamp) -> ImageAnnotations:
     return ImageAnnotations(
         timestamp=time,
-        points=[_outline(each, time) for each in found],
-        texts=[_label(each, time) for each in found],
+        points=[_outline(box, time) for _, box in found],
+        texts=[_label(number, box, time) for number, box in found],
     )
 
 
@@ -78,11 +78,11 @@ def _outline(found: Outline, time: Timestamp) -> PointsAnnotation:
     )
 
 
-def _label(found: Outline, time: Timestamp) -> TextAnnotation:
+def _label(number: int, found: Outline, time: Timestamp) -> TextAnnotation:
     return TextAnnotation(
         timestamp=time,
         position=Point2(x=found.left_px, y=found.top_px),
-        text=found.words,
+        text=f"{number} {found.words}",
         font_size=_FONT_PX,
         text_color=_colour(DARK.on_alarm),
         background_color=_colour(DARK.alarm),

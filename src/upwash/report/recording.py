@@ -24,6 +24,7 @@ from upwash.eventlog.narration import Narrator, Tone
 from upwash.report.camera import photos
 from upwash.report.clock import RecordClock
 from upwash.report.exports import plan_geojson
+from upwash.report.numbering import numbered
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
 from upwash.report.scene import FRAME, scene
@@ -50,11 +51,13 @@ def write_mcap(records: Sequence[Record], *, folder: Path | None = None) -> byte
     """
     shelf = PhotoShelf(folder)
     found: list[tuple[int, str, Recorded]] = []
-    for record in records:
+    numbers = numbered([record.found for record in records]).numbers
+    for record, own in zip(records, numbers, strict=True):
         prefix = f"/{record.name}" if len(records) > 1 else ""
         try:
             found += [
-                (time_ns, prefix + topic, message) for time_ns, topic, message in _messages(record, shelf)
+                (time_ns, prefix + topic, message)
+                for time_ns, topic, message in _messages(record, own, shelf)
             ]
         except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise UsageError(
@@ -82,9 +85,11 @@ def _encoded(message: Recorded) -> bytes:
     return msgspec.json.encode(message) if isinstance(message, Plotted) else message.encode()
 
 
-def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, str, Recorded]]:
+def _messages(
+    record: Record, numbers: Sequence[int], shelf: PhotoShelf
+) -> Iterator[tuple[int, str, Recorded]]:
     clock = RecordClock(record)
-    for time_ns, message in _shown(record, clock, shelf):
+    for time_ns, message in _shown(record, numbers, clock, shelf):
         yield time_ns, _TOPICS[type(message)], message
     for at_s, call in plotted_calls(record):
         yield clock.ns(at_s), "/calls", call
@@ -92,14 +97,16 @@ def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, str, Rec
         yield clock.ns(at_s), f"/servers/{server}", state
 
 
-def _shown(record: Record, clock: RecordClock, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
+def _shown(
+    record: Record, numbers: Sequence[int], clock: RecordClock, shelf: PhotoShelf
+) -> Iterator[tuple[int, Message]]:
     for at_s, update in scene(record, clock.time):
         yield clock.ns(at_s), update
     if (plan := plan_geojson(record)) is not None:
         yield clock.ns(0.0), GeoJson(geojson=plan)
     yield from _fixes(record, clock)
     yield from _lines(record, clock)
-    yield from photos(record, clock, shelf)
+    yield from photos(record, numbers, clock, shelf)
 
 
 def _fixes(record: Record, clock: RecordClock) -> Iterator[tuple[int, Message]]:

@@ -1,4 +1,4 @@
-"""Where and when a photo was taken, written into its JPEG as EXIF (2.32) has it; the picture itself is not touched.
+"""Where, when and how a photo was taken, written into its JPEG as EXIF (2.32) and XMP; the picture is not touched.
 
     SOI [APP0 JFIF] APP1 "Exif" TIFF ...        TIFF: byte order, offset of the first directory, directories, values
 
@@ -19,7 +19,8 @@ from upwash.support.jpeg import SOI, SOS, segments_of
 _APP0, _APP1 = 0xE0, 0xE1
 _EXIF = b"Exif\0\0"
 _LONGEST = 0xFFFF - 2  # of what a segment holds, beside its length
-_BYTE, _ASCII, _LONG, _RATIONAL, _UNDEFINED = 1, 2, 4, 5, 7
+_XMP = b"http://ns.adobe.com/xap/1.0/\0"
+_BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _UNDEFINED = 1, 2, 3, 4, 5, 7
 _EXIF_DIRECTORY, _GPS_DIRECTORY = 0x8769, 0x8825  # tags of IFD0 that lead to them
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 _ENTRY, _COUNT, _OFFSET = 12, 2, 4  # bytes
@@ -30,7 +31,7 @@ _INLINE = 4  # bytes of a value that stand in its entry
 class PhotoPlace:
     """Where a photo was taken: degrees (WGS 84), metres above the sea, clockwise from north, seconds since 1970.
 
-    None stands for what is not known.
+    `focal_35mm` is the focal length as of a lens on film of 35 mm. None stands for what is not known.
     """
 
     latitude_deg: float
@@ -38,6 +39,7 @@ class PhotoPlace:
     above_sea_m: float | None = None
     heading_deg: float | None = None
     unix_s: float | None = None
+    focal_35mm: float | None = None
 
 
 class _Value(NamedTuple):
@@ -68,6 +70,36 @@ def with_place(jpeg: bytes, shot: PhotoPlace) -> bytes:
     return b"".join((jpeg[:start], header, _EXIF, located, memoryview(jpeg)[end:]))
 
 
+def with_pose(jpeg: bytes, angles_deg: tuple[float, float, float], errors_m: tuple[float, float]) -> bytes:
+    """The photo with its yaw, pitch and roll, and the errors of its place to the sides and in altitude, as XMP.
+
+    Up in the photo points along the yaw, clockwise from north; a pitch of 0 looks straight down, of 90 ahead, as
+    OpenDroneMap reads Pix4D's names. A photo that has XMP stays as it is.
+    """
+    at = len(SOI)
+    for segment in segments_of(jpeg):
+        if segment.marker == SOS:
+            break
+        if segment.marker in (_APP0, _APP1):
+            if jpeg.startswith(_XMP, segment.start + 4):
+                return jpeg
+            at = segment.end
+    names = ("Yaw", "Pitch", "Roll", "GPSXYAccuracy", "GPSZAccuracy")
+    values = " ".join(
+        f'Camera:{name}="{value:.2f}"' for name, value in zip(names, (*angles_deg, *errors_m), strict=True)
+    )
+    packet = (
+        _XMP
+        + (
+            '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+            'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" '
+            f'xmlns:Camera="http://pix4d.com/camera/1.0/" {values}/></rdf:RDF></x:xmpmeta><?xpacket end="r"?>'
+        ).encode()
+    )
+    header = struct.pack(">BBH", 0xFF, _APP1, 2 + len(packet))
+    return b"".join((jpeg[:at], header, packet, memoryview(jpeg)[at:]))
+
+
 def _located(tiff: bytes, shot: PhotoPlace) -> bytes | None:
     """The TIFF with a directory of the place; None where it has one, or cannot be read."""
     order = _ORDERS.get(tiff[:4])
@@ -82,7 +114,7 @@ def _located(tiff: bytes, shot: PhotoPlace) -> bytes | None:
         return None
     grown = bytearray(tiff)
     grown += bytes(len(grown) % 2)
-    if _EXIF_DIRECTORY not in entries and (taken := _taken(shot)):
+    if _EXIF_DIRECTORY not in entries and (taken := _taken(shot, order)):
         entries[_EXIF_DIRECTORY] = _pointer(_append(grown, taken, order), order)
     entries[_GPS_DIRECTORY] = _pointer(_append(grown, _gps(shot, order), order), order)
     struct.pack_into(f"{order}I", grown, 4, len(grown))
@@ -148,18 +180,15 @@ def _gps(shot: PhotoPlace, order: str) -> dict[int, _Value]:
     return values
 
 
-def _taken(shot: PhotoPlace) -> dict[int, _Value]:
-    """The directory of the time, in UTC; empty if it is unknown."""
-    taken = _time(shot)
-    return (
-        {}
-        if taken is None
-        else {
-            0x9000: _Value(_UNDEFINED, 4, b"0232"),
-            0x9003: _text(f"{taken:%Y:%m:%d %H:%M:%S}"),
-            0x9011: _text("+00:00"),
-        }
-    )
+def _taken(shot: PhotoPlace, order: str) -> dict[int, _Value]:
+    """The directory of the time, in UTC, and of the lens; empty if both are unknown."""
+    values, taken = dict[int, _Value](), _time(shot)
+    if taken is not None:
+        values[0x9003] = _text(f"{taken:%Y:%m:%d %H:%M:%S}")
+        values[0x9011] = _text("+00:00")
+    if shot.focal_35mm is not None and 0.5 <= shot.focal_35mm < 0xFFFF:
+        values[0xA405] = _Value(_SHORT, 1, struct.pack(f"{order}H", round(shot.focal_35mm)))
+    return {0x9000: _Value(_UNDEFINED, 4, b"0232"), **values} if values else {}
 
 
 def _time(shot: PhotoPlace) -> datetime | None:

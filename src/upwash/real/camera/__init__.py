@@ -5,6 +5,7 @@ the remedy, and is tried again. A driver that hangs does not hold up the flight 
 
 - camera.py       a folder of JPEG files, shot in name order
 - video.py        a device, stream, pipeline or video file, through OpenCV; a thread reads every frame
+- album.py        the photos of a flight as files, with where each was taken
 - calibration.py  a lens, from the file of a calibration
 - terrain.py      the ground below, by a grid that GDAL reads
 

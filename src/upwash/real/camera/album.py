@@ -1,0 +1,82 @@
+"""The photos of a flight as files that mapping programs read."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+from upwash.core.geo import EarthPosition
+from upwash.errors import NotWritten, UsageError
+from upwash.ports import KeptPhoto
+from upwash.support.exif import with_pose
+from upwash.support.output_files import append_whole, write_file
+
+_HEADER = "EPSG:4326\n"
+_GEO = "geo.txt"
+_LONGEST_NAME = 80  # characters
+
+
+class FolderAlbum:
+    """An Album in a folder: a JPEG a photo, and their places and angles in `geo.txt`, as OpenDroneMap reads it.
+
+    Photos of an earlier flight stay. Raises UsageError if the folder cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._count = sum(1 for _ in folder.iterdir())
+        except OSError as error:
+            raise UsageError(
+                f"camera.keep: {folder} cannot be made: {error.strerror}; name another folder"
+            ) from error
+        self._folder = folder
+        self._lock = asyncio.Lock()
+
+    async def keep(self, photo: KeptPhoto) -> str:
+        """Writes the photo, with its angles as XMP, and its line; raises NotWritten."""
+        async with self._lock:
+            return await asyncio.to_thread(self._keep, photo)
+
+    def _keep(self, photo: KeptPhoto) -> str:
+        jpeg = photo.jpeg
+        if photo.angles_deg is not None and photo.errors_m is not None:
+            jpeg = with_pose(jpeg, photo.angles_deg, photo.errors_m)
+        name = self._name(photo.source)
+        write_file(self._folder / name, jpeg)
+        if photo.earth is not None:
+            self._append(_line(name, photo.earth, photo))
+        return name
+
+    def _name(self, source: str) -> str:
+        """A name that no other file has: the photo's number, and the name of its file if it came from one."""
+        stem = "".join(letter if letter.isalnum() else "_" for letter in Path(source).stem)[:_LONGEST_NAME]
+        own = f"-{stem}" if Path(source).suffix.lower() in {".jpg", ".jpeg"} else ""
+        while True:
+            self._count += 1
+            name = f"{self._count:05}{own}.jpg"
+            if not (self._folder / name).exists():
+                return name
+
+    def _append(self, line: str) -> None:
+        file = self._folder / _GEO
+        try:
+            descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            try:
+                begins = os.fstat(descriptor).st_size == 0
+                append_whole(descriptor, ((_HEADER if begins else "") + line).encode())
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            raise NotWritten(file, error, "the photo is there without its line") from error
+
+
+def _line(name: str, earth: EarthPosition, photo: KeptPhoto) -> str:
+    """The photo's line: longitude, latitude, altitude, yaw, pitch, roll and the two errors, as far as known."""
+    numbers = [f"{earth.longitude_deg:.8f}", f"{earth.latitude_deg:.8f}"]
+    if earth.above_sea_m is not None:
+        numbers.append(f"{earth.above_sea_m:.2f}")
+        if photo.angles_deg is not None and photo.errors_m is not None:
+            numbers += [f"{value:.2f}" for value in (*photo.angles_deg, *photo.errors_m)]
+    return " ".join((name, *numbers)) + "\n"
