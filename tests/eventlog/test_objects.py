@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from upwash.eventlog.narration import in_one_line
 from upwash.eventlog.objects import FoundObject, found_objects
 from upwash.services import Detection
 
@@ -94,3 +95,18 @@ def test_an_empty_list_is_a_list_of_no_objects() -> None:
 def test_any_message_is_read_or_left(message: object) -> None:
     found = found_objects(message)
     assert found is None or all((item.label and item.width_px >= 0) or not item.label for item in found)
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ([{"x": 1, "y": 2, "species": "thistle"}] * 2, "2 thistles"),
+        ({"brightness": 67.5, "bright_spots": 2}, "brightness 67.5, 2 bright spots"),
+        ({"number": 41, "counted": False}, "41 number, not counted"),
+        ([], ""),
+        ("as it is", "as it is"),
+        ([1, 2], "[1, 2]"),
+    ],
+)
+def test_plain_results_are_told_readably(message: object, words: str) -> None:
+    assert in_one_line(message) == words

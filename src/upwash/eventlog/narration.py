@@ -12,6 +12,7 @@ from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
 from upwash.core.vehicle.way_home import in_words
 from upwash.eventlog import schema
+from upwash.eventlog.objects import found_objects
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
@@ -339,11 +340,21 @@ def named(waypoint: int | None) -> str:
 
 
 def in_one_line(message: object) -> str:
-    """A message to the user: detections by their number and labels, other messages unchanged."""
-    if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
-        labels = Counter(str(item["label"]) for item in message)
+    """A message to the user: objects by their number and labels, fields by their names, other messages unchanged."""
+    if (objects := found_objects(message)) is not None:
+        labels = Counter(found.label for found in objects)
         message = ", ".join(counted(count, label) for label, count in labels.items())
+    elif isinstance(message, dict):
+        message = ", ".join(_field(str(name), value) for name, value in message.items())
     return printable(str(message))
+
+
+def _field(name: str, value: object) -> str:
+    """Such as "2 bright spots", "brightness 67.5", "counted" or "not counted"."""
+    noun = name.removesuffix("_px").replace("_", " ")
+    if isinstance(value, bool):
+        return noun if value else f"not {noun}"
+    return f"{value} {noun}" if isinstance(value, int) else f"{noun} {value}"
 
 
 def left_undone(result: RunResult) -> Iterator[str]:

@@ -45,9 +45,10 @@ class Batch(msgspec.Struct, frozen=True):
 
 
 class SeenObject(msgspec.Struct, frozen=True):
-    """An object by all its sightings; `best` has the log and the index of the finding with the best picture."""
+    """An object by all its sightings; `best` has the log and the index of the surest one, `surest` its score."""
 
     sightings: int
+    surest: float | None
     east_m: float
     north_m: float
     error_m: float | None
@@ -75,6 +76,7 @@ def _found(flights: Sequence[FlightFindings], found: Numbered, log: int, *, is_a
         place = each.finding.place
         objects[each.first[1]] = SeenObject(
             each.sightings,
+            each.finding.score,
             place.east_m + there[0] - here[0],
             place.north_m + there[1] - here[1],
             each.finding.error_m,

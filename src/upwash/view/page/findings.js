@@ -73,7 +73,7 @@ export class Findings {
       "span",
       { class: "words" },
       element("span", { class: "number" }, String(finding.no)),
-      ` ${wordsOf(finding)}`,
+      ` ${finding.what}`,
       element("span", { class: "when" }, ...whose, place),
     );
     const seen = element("span", { class: "when" });
@@ -123,10 +123,10 @@ export class Findings {
   }
 }
 
-// How often an object was seen, and how far from its place it may lie.
-function seenOften({ sightings, error_m: errorM }) {
+// How sure an object is at best, how often it was seen, and how far from its place it may lie.
+function seenOften({ sightings, surest, error_m: errorM }) {
   const often = sightings > 1 ? `seen ${sightings} times` : "";
-  return [often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`].filter(Boolean).join(" · ");
+  return [surest == null ? "" : percent(surest), often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`].filter(Boolean).join(" · ");
 }
 
 function picture(source) {

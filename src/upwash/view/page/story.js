@@ -66,8 +66,8 @@ export class Story {
   number(found) {
     this.found = found;
     this.told.forEach((told, index) => {
-      const { sightings, best, ...place } = found.objects[index] ?? {};
-      Object.assign(told, { index, no: found.numbers[index], sightings, best }, place);
+      const { sightings, surest, best, ...place } = found.objects[index] ?? {};
+      Object.assign(told, { index, no: found.numbers[index], sightings, surest, best }, place);
     });
   }
 
