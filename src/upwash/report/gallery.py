@@ -31,7 +31,11 @@ def draw_findings(
         if each.finding.box is not None and len(pictures) < most:
             crop = cut_out(each.finding, shelf)
             lacking |= crop is None
-            outlined = None if crop is None else _outlined(each.finding.box, crop, f"crop-{each.best[0]}-{each.best[1]}")
+            outlined = (
+                None
+                if crop is None
+                else _outlined(each.finding.box, crop, f"crop-{each.best[0]}-{each.best[1]}")
+            )
             pictures += [] if outlined is None else [_picture(each, outlined, whose=whose)]
     notes = []
     if len(pictures) >= most:
