@@ -102,6 +102,7 @@ def test_any_message_is_read_or_left(message: object) -> None:
     [
         ([{"x": 1, "y": 2, "species": "thistle"}] * 2, "2 thistles"),
         ({"brightness": 67.5, "bright_spots": 2}, "brightness 67.5, 2 bright spots"),
+        ({"bright_spots": 1}, "1 bright spot"),
         ({"number": 41, "counted": False}, "41 number, not counted"),
         ([], ""),
         ("as it is", "as it is"),

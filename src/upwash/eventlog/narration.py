@@ -354,7 +354,9 @@ def _field(name: str, value: object) -> str:
     noun = name.removesuffix("_px").replace("_", " ")
     if isinstance(value, bool):
         return noun if value else f"not {noun}"
-    return f"{value} {noun}" if isinstance(value, int) else f"{noun} {value}"
+    if not isinstance(value, int):
+        return f"{noun} {value}"
+    return counted(value, noun[:-1]) if noun.endswith("s") and not noun.endswith("ss") else f"{value} {noun}"
 
 
 def left_undone(result: RunResult) -> Iterator[str]:
