@@ -7,7 +7,7 @@ import { cropOf, filesOfFindings } from "./pictures.js";
 const [WIDE_PX, HIGH_PX] = [96, 72]; // of a picture
 
 export class Findings {
-  #items = new Map(); // by number: its element in the list, and the words about its sightings
+  #items = new Map(); // by number: its element in the list, and what writes its words
   #listed = []; // the findings as they are listed
   #numbered = []; // by story: with which numbers
   #counts = new Map(); // by story: how many lie before the moment
@@ -54,7 +54,7 @@ export class Findings {
     const grew = fresh >= 0 && this.#listed.every((finding, index) => finding === findings[fresh + index]);
     if (!grew) this.#forget();
     this.list.prepend(...all.slice(0, grew ? fresh : all.length).map((each) => this.#item(each)));
-    for (const finding of findings) write(this.#items.get(finding.no).seen, seenOften(finding));
+    for (const finding of findings) this.#items.get(finding.no).say(finding);
     this.list.classList.toggle("pictureless", !findings.some(({ pictured }) => pictured));
     this.#listed = findings;
   }
@@ -69,21 +69,26 @@ export class Findings {
     const where = finding.waypoint === null ? "" : `waypoint ${finding.waypoint} · `;
     const place = `${where}${story.timeOf(finding.at_s)}`;
     const whose = this.stories.length > 1 ? [badge(index + 1), " "] : [];
+    const [found, seen] = [element("span"), element("span", { class: "when" })];
     const words = element(
       "span",
       { class: "words" },
       element("span", { class: "number" }, String(finding.no)),
-      ` ${finding.what}`,
+      " ",
+      found,
       element("span", { class: "when" }, ...whose, place),
     );
-    const seen = element("span", { class: "when" });
     words.append(seen);
+    const say = (object) => {
+      write(found, wordsOf({ ...object, score: object.surest ?? undefined }));
+      write(seen, seenOften(object));
+    };
     const button = element("button", { type: "button", title: "Show its moment, its photo and its place" });
     button.append(picture(this.#cropOf(finding)), words);
     button.addEventListener("click", () => this.select(story, finding));
     const item = element("li", {}, button);
     item.classList.toggle("later", finding.index >= (this.#counts.get(story) ?? 0));
-    this.#items.set(finding.no, { item, seen });
+    this.#items.set(finding.no, { item, say });
     return item;
   }
 
@@ -123,10 +128,10 @@ export class Findings {
   }
 }
 
-// How sure an object is at best, how often it was seen, and how far from its place it may lie.
-function seenOften({ sightings, surest, error_m: errorM }) {
+// How often an object was seen, and how far from its place it may lie.
+function seenOften({ sightings, error_m: errorM }) {
   const often = sightings > 1 ? `seen ${sightings} times` : "";
-  return [surest == null ? "" : percent(surest), often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`].filter(Boolean).join(" · ");
+  return [often, errorM == null ? "" : `± ${errorM.toFixed(1)} m`].filter(Boolean).join(" · ");
 }
 
 function picture(source) {
