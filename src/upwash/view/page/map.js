@@ -14,6 +14,7 @@ import { Pills } from "./pills.js";
 const PAPER_PX = 660; // the width of what is printed on A4
 const DRONE_PX = 36; // nothing may cover that much
 const NAME = 16; // characters of a server's, which its place in the list has whole
+const DASHED_M = 10_000; // a wider circle has more dashes than a browser draws in a second
 const IN_USE = { weight: 2.5, opacity: 1, fillOpacity: 0.1 };
 const ASIDE = { weight: 1.2, opacity: 0.45, fillOpacity: 0.03 };
 
@@ -210,7 +211,7 @@ export class FlightMap {
 
   #drawRange(server, centre, radius) {
     const color = this.places.colour(server);
-    const dashArray = this.places.dashes(server);
+    const dashArray = radius > DASHED_M ? null : this.places.dashes(server);
     const range = L.circle(centre, { ...STILL, ...ASIDE, color, dashArray, radius }).addTo(this.areas);
     const paint = (context, _, x, y) => paintCross(context, color, x, y);
     new Marks({ place: () => centre, paint, reach: 8, pane: "overlayPane" }).addTo(this.areas).show(1);
