@@ -5,6 +5,8 @@ import { inBrief } from "./places.js";
 
 const NAME = 12; // characters; all of it is shown where it is pointed at
 
+const EARTH_M = 2.1e7; // as far as one can be from anything
+
 export class ServerList {
   #rows = new Map();
   #servers = null;
@@ -58,5 +60,10 @@ function away(range, position) {
   if (!range || !position) return ["", false];
   const [east, north, radius] = range;
   const metres = Math.hypot(position.east_m - east, position.north_m - north);
-  return [`${metres.toFixed(0)} m`, metres <= radius];
+  return [lengthOf(metres), metres <= radius];
+}
+
+function lengthOf(metres) {
+  if (metres > EARTH_M) return "not on Earth";
+  return metres < 10_000 ? `${metres.toFixed(0)} m` : `${(metres / 1000).toFixed(0)} km`;
 }
