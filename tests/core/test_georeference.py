@@ -9,6 +9,8 @@ from typing import Any
 
 import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from upwash.core.geo import Position
 from upwash.core.georeference import Accuracy, Ground, PhotoGeometry, Place, Sight, Unplaced
@@ -214,6 +216,37 @@ def test_the_stated_error_holds_in_95_of_100(altitude_m: float, tilt_deg: float,
         )
         inside += away_m <= stated.error_m
     assert 0.93 <= inside / number <= 0.99
+
+
+@given(st.data())
+def test_any_geometry_of_a_log_has_places_or_says_why(data: st.DataObject) -> None:
+    """What the types of the log allow: extreme, and never an exception or an endless error."""
+    number, angle, sure = st.floats(-1e9, 1e9), st.floats(-360, 360), st.floats(0, 1e6)
+    photo = PhotoGeometry(
+        position=Position(data.draw(number), data.draw(number), data.draw(number)),
+        size_px=(data.draw(st.integers(1, 1_000_000)), data.draw(st.integers(1, 1_000_000))),
+        lens=Lens(
+            fov_deg=data.draw(st.none() | st.floats(1, 170)),
+            focal_px=data.draw(st.none() | st.floats(1e-6, 1e6)),
+            centre=(data.draw(number), data.draw(number)),
+            distortion=tuple(data.draw(st.lists(number, max_size=5))),
+            tilt_deg=data.draw(angle),
+        ),
+        attitude=data.draw(st.none() | st.builds(Attitude, number, number, number)),
+        heading_deg=data.draw(st.none() | number),
+        ground=Ground(
+            data.draw(number),
+            data.draw(st.floats(-100, 100)),
+            data.draw(st.floats(-100, 100)),
+            data.draw(sure),
+        ),
+        accuracy=Accuracy(*(data.draw(sure) for _ in range(4))),
+    )
+    photo.footprint_m()
+    if isinstance(ready := photo.sight, Sight):
+        found = ready.place_of(*(data.draw(st.floats(0, 1e6)) for _ in range(4)))
+        assert isinstance(found, Unplaced) or math.isfinite(found.error_m + found.apart_m)
+        assert all(map(math.isfinite, ready.angles_deg))
 
 
 def test_a_geometry_survives_the_log() -> None:

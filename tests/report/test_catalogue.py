@@ -100,3 +100,16 @@ def test_odd_surveys_do_no_harm(values: Iterable[Spot]) -> None:
     catalogue.take(0, [sighting((0, index), spot) for index, spot in enumerate(values)], None)
     catalogue.settle()
     assert len(catalogue.entries) == len(list(values))
+
+
+def test_places_however_unsure_take_no_longer() -> None:
+    catalogue = Catalogue()
+    for number in range(50):
+        place = Place(Position(1e8 * number, 0.0), 1e9, variance=(1e18, 0.0, 1e18), apart_m=1e9)
+        catalogue.take(
+            number,
+            [Sighting((number, 0), "fault", place)],
+            [(-1e9, 1e9), (1e9, 1e9), (1e9, -1e9), (-1e9, -1e9)],
+        )
+    catalogue.settle()
+    assert 1 <= len(catalogue.entries) <= 50

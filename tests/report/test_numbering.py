@@ -7,9 +7,11 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from upwash.core.geo import Position
-from upwash.report.findings import Finding, Outline
-from upwash.report.numbering import FlightFindings, placed, what_was_found
+from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.georeference import Place
+from upwash.report.findings import Finding, Outline, TakenPhoto
+from upwash.report.numbering import FlightFindings, numbered, placed, what_was_found
+from upwash.report.photos import Shot
 
 NEW_YEAR = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -89,3 +91,41 @@ def test_what_was_found_is_said_in_a_sentence(labels: Sequence[str], words: str)
 
 def test_a_sentence_is_no_longer_for_a_long_label() -> None:
     assert len(what_was_found([finding("x" * 10_000)])) < 60
+
+
+def seen_at(east_m: float, north_m: float, score: float, *, photo: int, at_s: float) -> Finding:
+    """A fault with a place of its own."""
+    shot = TakenPhoto(photo, Shot("x.jpg", Position(0.0, 0.0), photo), None)
+    place = Place(Position(east_m, north_m), 1.2, variance=(0.25, 0.0, 0.25), apart_m=0.1)
+    box = Outline(1.0, 2.0, 3.0, 4.0, "fault", score)
+    return Finding(at_s, "fault", score, None, Position(0.0, 0.0), box, shot, place)
+
+
+def test_an_object_that_two_drones_saw_is_one_finding_wherever_their_homes_are() -> None:
+    home = GeoPosition(47.0, 8.0)
+    east = LocalFrame(home).geo(Position(100.0, 0.0))
+    one = FlightFindings("a", "d1", None, 0.0, home, [seen_at(110.0, 5.0, 0.7, photo=0, at_s=1.0)])
+    other = FlightFindings(
+        "b", "d2", None, 0.0, east,
+        [seen_at(10.2, 5.2, 0.9, photo=0, at_s=2.0), seen_at(40.0, 5.0, 0.5, photo=1, at_s=3.0)],
+    )  # fmt: skip
+    found = numbered([one, other])
+    assert found.numbers == [[1], [1, 2]]
+    both, single = found.objects
+    assert (both.sightings, both.flight.log, both.finding.score) == (2, "b", 0.9)
+    assert (both.first, both.best) == ((0, 0), (1, 0))
+    assert both.earth == pytest.approx(_earth(home, Position(110.1, 5.1)), rel=0, abs=3e-7)
+    assert single.earth == pytest.approx(_earth(home, Position(140.0, 5.0)), rel=0, abs=3e-7)
+
+
+def _earth(home: GeoPosition, place: Position) -> tuple[float, float]:
+    geo = LocalFrame(home).geo(place)
+    return geo.latitude_deg, geo.longitude_deg
+
+
+def test_flights_of_one_drone_join_no_objects_of_each_other() -> None:
+    flights = [
+        FlightFindings(name, "d", None, 0.0, None, [seen_at(1.0, 1.0, 0.9, photo=0, at_s=1.0)])
+        for name in "ab"
+    ]
+    assert [(each.number, each.sightings) for each in placed(flights)] == [(1, 1), (1, 1)]

@@ -26,6 +26,7 @@ _Slope = Annotated[float, msgspec.Meta(ge=-100, le=100)]
 _LOWEST_SIGHT_DEG = 5.0  # below the ground's own plane: what lies nearer to its horizon has no place
 _UNKNOWN_HEADING_DEG = 60.0  # north is taken for up: as far as linear errors reach
 _LEVEL_ASSUMED_DEG = 6.0  # a multicopter in wind leans that far
+_LOWEST_M = 0.1
 _BOX_PX = 1.0
 _BOX_SHARE = 0.05  # of a box's size
 _CUT_SHARE = 0.3  # where the photo's edge cuts the object off
@@ -189,9 +190,12 @@ class Sight:
         own = _sum(self._own_errors(line, (x_px, width_px), (y_px, height_px)))
         variance = (shared[0] + own[0], shared[1] + own[1], shared[2] + own[2])
         bend_m = math.radians(self.tilt_deg) * (line[0] ** 2 + line[1] ** 2) / self.height_m
+        error_m = radius_of_95(variance)
+        if not error_m <= FARTHEST_M:
+            return Unplaced("the place is too unsure")
         return Place(
             Position(east_m, north_m, here.altitude_m + line[2]),
-            error_m=radius_of_95(variance),
+            error_m=error_m,
             variance=variance,
             apart_m=math.sqrt((own[0] + own[2] + bend_m**2) / 2),
             assumes=self.assumes,
@@ -237,8 +241,10 @@ def sight_of(photo: PhotoGeometry) -> Sight | Unplaced:
     """The photo's geometry made ready for its boxes, or why nothing on it has a place."""
     ground, lens, accuracy = photo.ground, photo.lens, photo.accuracy
     height_m = photo.position.altitude_m - ground.altitude_m
-    if not height_m > 0:
+    if not height_m > _LOWEST_M:
         return Unplaced("the drone was not above the ground")
+    if lens.fov_deg is None and lens.focal_px is None:
+        return Unplaced("the camera's lens is unknown")
     tilt_deg, heading_deg, assumes = accuracy.tilt_deg, accuracy.heading_deg, ""
     if lens.up_deg is not None:
         attitude = Attitude(0.0, 0.0, lens.up_deg)

@@ -190,6 +190,9 @@ class Catalogue:
         ]
 
     def _within(self, label: str, east_m: float, north_m: float, reach_m: float) -> Iterator[Entry]:
+        if (reach_m / _CELL_M) ** 2 > len(self._cells):
+            yield from (entry for entry in self.entries if entry.label == label)
+            return
         columns = range(_cell(east_m - reach_m), _cell(east_m + reach_m) + 1)
         for row in range(_cell(north_m - reach_m), _cell(north_m + reach_m) + 1):
             for column in columns:

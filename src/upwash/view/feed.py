@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from upwash.view.elsewhere import Elsewhere, elsewhere
 from upwash.view.recording import Piece, Recording, as_one
 from upwash.view.tiles import Tiles
 
+_REST = 20.0  # times what numbering the findings took
 _LOOK_S = 0.05
 _BATCH_BYTES = 2**18  # of facts, which are sent at once
 _RETRY_MS = 1000  # after which a page that lost its connection tries again
@@ -115,6 +117,7 @@ class Feed:
         self._summarized: dict[int, int] = {}
         self._found = list[Found]()
         self._numbered: list[tuple[int, int]] = []
+        self._next_numbering_s = 0.0
         self._closing = self._closed = False
         self._news = asyncio.Event()
 
@@ -128,7 +131,7 @@ class Feed:
             news = [recording.advance() for recording in self.recordings]
             if any(news):
                 self._summarize()
-                self._number()
+            if self._number(at_once=last_look) or any(news):
                 self._tell()
             elif last_look:
                 break
@@ -170,16 +173,25 @@ class Feed:
         """The findings of each flight until now."""
         return [each.story.flight(name) for each, name in zip(self.recordings, self._names, strict=True)]
 
-    def _number(self) -> None:
-        """Numbers what was found, once everything that the logs have is read."""
-        if any(recording.is_behind for recording in self.recordings):
-            return
+    def _number(self, *, at_once: bool = True) -> bool:
+        """Numbers what was found, once everything that the logs have is read; returns whether anything is new.
+
+        Thousands of sightings take a second to join: unless `at_once`, that may fill a twentieth of the time.
+        """
+        began_s = time.monotonic()
+        if any(recording.is_behind for recording in self.recordings) or (
+            began_s < self._next_numbering_s and not at_once
+        ):
+            return False
         count = [(recording.run, len(recording.story.found)) for recording in self.recordings]
         if count == self._numbered:
-            return
+            return False
         self._numbered, flights = count, self.flights
         found, is_a_fleet = numbered(flights), _are_of_several_drones(self.recordings)
         self._found = [_found(flights, found, log, is_a_fleet=is_a_fleet) for log in range(len(flights))]
+        ended_s = time.monotonic()
+        self._next_numbering_s = ended_s + _REST * (ended_s - began_s)
+        return True
 
     def everything(self) -> Iterator[tuple[str, object]]:
         """The kind and the data of each message of finished logs."""
