@@ -97,6 +97,49 @@ def test_an_attitude_is_in_degrees_with_the_nose_between_0_and_360() -> None:
     assert told == Attitude(math.degrees(0.5), math.degrees(-0.25), 360 - math.degrees(0.125))
 
 
+def quaternion(pitch_deg: float, yaw_deg: float) -> list[float]:
+    pitch, yaw = math.radians(pitch_deg) / 2, math.radians(yaw_deg) / 2
+    return [
+        math.cos(pitch) * math.cos(yaw), -math.sin(pitch) * math.sin(yaw),
+        math.sin(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw),
+    ]  # fmt: skip
+
+
+def gimbal(flags: int, q: list[float]) -> Any:
+    return mavlink.MAVLink_gimbal_device_attitude_status_message(0, 0, 1, flags, q, 0.0, 0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("flags", "yaw_deg"),
+    [
+        (mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME, 30.0),
+        (mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK, 30.0),
+        (mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME, 120.0),
+        (mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME, 120.0),
+        (0, 120.0),
+    ],
+)
+def test_a_gimbals_yaw_counts_from_north_or_from_the_nose_by_its_flags(flags: int, yaw_deg: float) -> None:
+    east = mavlink.MAVLink_attitude_message(1, 0.3, -0.2, math.pi / 2, 0, 0, 0)
+    told = taken(east, gimbal(flags, quaternion(-60.0, 30.0))).gimbal
+    assert told is not None
+    assert (told.roll_deg, told.pitch_deg, told.yaw_deg) == pytest.approx((0.0, -60.0, yaw_deg), abs=1e-6)
+
+
+def test_a_gimbal_that_reports_no_rotation_or_counts_from_an_unknown_nose_is_not_known() -> None:
+    from_north = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME
+    for q in ([0.0] * 4, [2.0, 0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 1.0]):
+        assert taken(gimbal(from_north, q)).gimbal is None
+    assert taken(gimbal(0, quaternion(-60.0, 30.0))).gimbal is None
+
+
+def test_a_receivers_own_error_is_told_where_it_is_known() -> None:
+    def fix(h_acc: int) -> Any:
+        return mavlink.MAVLink_gps_raw_int_message(1, 3, 1, 1, 0, 90, 0, 0, 0, 9, 0, h_acc)
+
+    assert [told.error_m for mm in (0, 1_250) if (told := taken(fix(mm)).gps)] == [None, 1.25]
+
+
 @pytest.mark.parametrize(
     ("kind", "named"),
     [

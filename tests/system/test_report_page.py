@@ -155,7 +155,9 @@ def test_it_prints_on_a4_with_its_map(page: Browser, few: str) -> None:
     assert 0 < scale <= 1, "as wide as the paper"
 
 
-@pytest.mark.parametrize(("seed", "width"), [(seed, 390 if seed % 2 else 1280) for seed in (6, 7, 27, 31, 38)])
+@pytest.mark.parametrize(
+    ("seed", "width"), [(seed, 390 if seed % 2 else 1280) for seed in (6, 7, 27, 31, 38)]
+)
 def test_no_log_breaks_the_page(page: Browser, tmp_path: Path, seed: int, width: int) -> None:
     log, file = tmp_path / "hostile.jsonl", tmp_path / "page.html"
     log.write_bytes(hostile_log(seed))
