@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,8 @@ from upwash.cli.demonstration import read_demonstration, score_photos
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.run import simulate
+from upwash.report.record import findings_of, read_records
+from upwash.services.solar_park.geometry import Area, Breakage, HotSpot, Park
 
 pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.long, pytest.mark.timeout(240)]
 
@@ -120,6 +123,30 @@ def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration
     local_only_s = result.local_only_time_s()
     assert local_only_s is not None and result.mission_time_s < local_only_s
     check_against_simulation(result)
+    check_places(demonstration.folder / "events.jsonl")
+
+
+def check_places(log: Path) -> None:
+    """Each sure finding lies within 1 m of a fault of its kind in the park, and within its stated error."""
+    tables = Park(2).tables(Area(west_m=-50.0, north_m=70.0, width_m=220.0, height_m=140.0))
+    faults = [module for table in tables for module in table.modules if module.fault]
+    found = [each.finding for each in findings_of(read_records([log])) if (each.finding.score or 0) > 0.9]
+    assert len(found) >= 10
+    for finding in found:
+        own = finding.own
+        assert own is not None
+        kind = {"hot-spot": HotSpot, "broken-module": Breakage}[finding.what]
+        away_m = min(
+            math.dist((own.position.east_m, own.position.north_m), middle(module.fault.outline(module.area)))
+            for module in faults
+            if isinstance(module.fault, kind)
+        )
+        assert away_m < min(1.0, own.error_m), finding
+
+
+def middle(outline: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    east, north = zip(*outline, strict=True)
+    return (min(east) + max(east)) / 2, (min(north) + max(north)) / 2
 
 
 def check_against_simulation(flown: RunResult) -> None:
