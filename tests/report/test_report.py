@@ -117,7 +117,10 @@ def test_the_worst_calls_are_told_with_their_loss_and_reasons(records: list[Reco
         assert lost.loss_s == pytest.approx(lost.call.result.delay_s - 10.0), (
             "the drone was expected to take that"
         )
-        assert f"{lost.loss_s:.1f} s lost" in text
+        assert (
+            f"ended at {clock(lost.call.result.at_s + lost.call.result.delay_s)}, {lost.loss_s:.1f} s lost"
+            in text
+        )
         assert all(reason in text for reason in lost.reasons)
 
 

@@ -125,7 +125,7 @@ def _worst_calls(record: Record) -> Markup:
 def _explained(worst: WorstCall) -> Markup:
     result = worst.call.result
     where = "before the first waypoint" if result.waypoint is None else f"waypoint {result.waypoint}"
-    at = f"at {clock(result.at_s)}, {worst.loss_s:.1f} s lost"
+    at = f"ended at {clock(result.at_s + result.delay_s)}, {worst.loss_s:.1f} s lost"
     heading = element("strong", f"{where}: {result.operation}, {at}")
     reasons = [element("li", reason) for reason in worst.reasons]
     return element("li", heading, element("ul", *reasons) if reasons else "")

@@ -197,7 +197,7 @@ def calls(record: Record) -> Markup:
     def row(call: ReportedCall) -> list[str]:
         return [
             _at(call.result.waypoint),
-            clock(call.result.at_s),
+            clock(call.result.at_s + call.result.delay_s),
             _ran_as(call.result),
             call.place,
             f"{call.result.delay_s:.2f} s",
@@ -207,7 +207,7 @@ def calls(record: Record) -> Markup:
         ]
 
     hidden = ["hidden"] if goes else []
-    heads = ["waypoint", "at", "operation", "place", "delay", "waited", *hidden, "decision"]
+    heads = ["waypoint", "ended at", "operation", "place", "delay", "waited", *hidden, "decision"]
     return _long("Calls by waypoint", heads, record.calls, row, rest="--csv FILE writes every call")
 
 
