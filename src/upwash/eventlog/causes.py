@@ -187,7 +187,7 @@ class Course:
         return self.asked_s
 
     def may_become(self, decided: schema.Decided) -> bool:
-        """Whether the decision is about this call. Otherwise this call has failed, and no event says so."""
+        """Whether the decision is about this call. Otherwise this call has failed without an event."""
         return self.waits or (self.server is None and decided.raced)
 
 
