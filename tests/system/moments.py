@@ -20,6 +20,7 @@ FLYING = {"mode": "GUIDED", "armed": True, "gps": "3d", "satellites": 12, "groun
 RESERVE = "24 % is left in the battery, less than the reserve of 25 %"
 SERVERS = 10
 UNTIL_SILENT_S = 60.0
+SILENT_S = 20.0
 DEADLINE_S = 3.9
 
 
@@ -30,9 +31,8 @@ def write(folder: Path, name: str) -> list[Path]:
     subprocess.run([*command, "--log", str(log)], check=True, capture_output=True)
     told = [json.loads(line) for line in log.read_text().splitlines()]
     events = MOMENTS[name](told)
-    opened = datetime.now(UTC) + timedelta(
-        seconds=UNTIL_SILENT_S - events[-1]["t"]
-    )  # so that the flight goes on
+    last_s = -SILENT_S if MOMENTS[name] is no_news else UNTIL_SILENT_S  # from now on: the flight goes on
+    opened = datetime.now(UTC) + timedelta(seconds=last_s - events[-1]["t"])
     return [written(folder / f"{name}.jsonl", [event("log_opened", 0.0, time=opened.isoformat()), *events])]
 
 
@@ -68,6 +68,11 @@ def in_a_call(told: list[Event]) -> list[Event]:
         event("hedged", at_s + 2.0, server=server, check=1, after_s=2.0, deadline_s=DEADLINE_S),
         _position(before, at_s + 3.1),
     ]
+
+
+def no_news(told: list[Event]) -> list[Event]:
+    """The program has told nothing for a while."""
+    return in_a_call(told)
 
 
 def call_in_trouble(told: list[Event]) -> list[Event]:
@@ -152,8 +157,8 @@ def landed(told: list[Event]) -> list[Event]:
 MOMENTS: Mapping[str, Callable[[list[Event]], list[Event]]] = {
     moment.__name__.replace("_", "-"): moment
     for moment in (
-        before_arming, in_a_call, call_in_trouble, server_failing, taken_over, low_battery, fail_safe, returning,
-        landing, landed,
+        before_arming, in_a_call, no_news, call_in_trouble, server_failing, taken_over, low_battery, fail_safe,
+        returning, landing, landed,
     )
 }  # fmt: skip
 
