@@ -3,6 +3,7 @@
     beside(work)               for a block: work that fails cancels the block, which raises the failure.
     start(work, failed=...)    for an object: a failure is logged with its trace, then passed to `failed`.
     thread(work, failed=...)   the same in a thread.
+    in_thread(work)            for a result of work that blocks: awaiting it raises its failure.
     kept_up(work)              for work that must not end: it runs again after a failure.
     begin(work)                for a result: awaiting the task raises its failure.
     first(work, ...)           for the first result of several.
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
@@ -107,6 +109,30 @@ def thread(work: Callable[[], object], *, name: str, failed: Failed) -> threadin
             failed(failure)
 
     return threading.Thread(target=run, name=name, daemon=True)  # noqa: TID251 - here alone
+
+
+async def in_thread(work: Callable[[], T], *, name: str) -> T:
+    """The result or failure of `work` in a thread that does not hold up the program's end.
+
+    A cancellation ends the wait, not the work.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def settle(set_it: Callable[[], None]) -> None:
+        if not done.done():
+            set_it()
+
+    def run() -> None:
+        try:
+            settled = functools.partial(done.set_result, work())
+        except Exception as failure:  # noqa: BLE001 - passed on
+            settled = functools.partial(done.set_exception, failure)
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nothing waits any more
+            loop.call_soon_threadsafe(settle, settled)
+
+    thread(run, name=name, failed=only_logged).start()
+    return await done
 
 
 def _report(name: str, failure: BaseException) -> None:

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import socket
 import ssl
 import struct
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TypeVar
 
 from upwash.real.trust.credentials import Credentials
 from upwash.real.trust.secrets import load_secret
-from upwash.support.background import begin, only_logged, thread
-
-T = TypeVar("T")
+from upwash.support.background import begin, in_thread
 
 LARGE_BYTES = 1200  # a longer request needs packets that a tunnel with a small MTU may lose
+_THREAD = "a look at the way to a server"
 _QUICK_ATTEMPT_S = 1.5  # Linux repeats a lost SYN after 1 s
 _ROUND_TRIPS = 6  # TCP, TLS and HTTP/2 take three, and a lost packet costs three more
 _LONGEST_ROUND_TRIP_S = 5.0
@@ -84,7 +80,7 @@ class Way:
         if self._credentials is None:
             return False
         try:
-            self._learn(await _in_thread(lambda: _connect_s(self.address)))
+            self._learn(await in_thread(lambda: _connect_s(self.address), name=_THREAD))
         except OSError:
             return False
         return True
@@ -124,7 +120,9 @@ class Way:
         context.set_alpn_protocols(_LONG_HELLO)
         context.load_verify_locations(cadata=shown.authority.decode())
         load_secret(context, shown.certificate + b"\n" + shown.key)
-        return await _in_thread(lambda: _shaken(self.address, context, self._server, limit_s, segment_bytes))
+        return await in_thread(
+            lambda: _shaken(self.address, context, self._server, limit_s, segment_bytes), name=_THREAD
+        )
 
 
 def _silence(full: _Tried, small: _Tried, limit_s: float) -> str:
@@ -142,27 +140,6 @@ def _silence(full: _Tried, small: _Tried, limit_s: float) -> str:
         f"{so_far}, and not a byte of TLS came back in {limit_s:.1f} s: the daemon, or its computer, is stuck: "
         "restart it"
     )
-
-
-async def _in_thread(work: Callable[[], T]) -> T:
-    """The result or exception of `work` in a thread that does not delay the program's end."""
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[T] = loop.create_future()
-
-    def settle(set_it: Callable[[], None]) -> None:
-        if not done.done():
-            set_it()
-
-    def run() -> None:
-        try:
-            settled = functools.partial(done.set_result, work())
-        except OSError as error:
-            settled = functools.partial(done.set_exception, error)
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nothing waits any more
-            loop.call_soon_threadsafe(settle, settled)
-
-    thread(run, name="a look at the way to a server", failed=only_logged).start()
-    return await done
 
 
 def _connect_s(address: str) -> float:
