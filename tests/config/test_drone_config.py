@@ -27,6 +27,22 @@ from upwash.errors import ConfigError
 FULL = (Path(__file__).parent / "full.toml").read_text()
 _RESERVE = "reserve_percent = 25.0"
 _HURRIED = 'finish_by_s = 900\nlighter = {{ {} = "{}" }}'
+_USER = "[user]"
+_WEB, _TAK = "user.webhook", "user.cursor_on_target"
+REFUSED_OF_USER = [
+    ('webhook = "ftp://h/x"', _WEB, '"https://HOST/PATH"'),
+    ('webhook = "https:///x"', _WEB, '"https://HOST/PATH"'),
+    ('webhook = "https://h:port/x"', _WEB, '"https://HOST/PATH"'),
+    ('webhook = "https://h/a b"', _WEB, "ASCII"),
+    ('webhook = "https://h/\\u0007"', _WEB, "ASCII"),
+    (f'webhook = "https://{"h" * 64}.org/x"', _WEB, '"https://HOST/PATH"'),
+    ('webhook = "https://me:secret@h/x"', _WEB, "token_file"),
+    ('webhook = "http://h/x"\ntoken_file = "token"', _WEB, "use https"),
+    ('token_file = "token"', "user.token_file", "give webhook"),
+    ('cursor_on_target = "239.2.3.1:6969"', _TAK, '"udp://HOST:PORT"'),
+    ('cursor_on_target = "udp://239.2.3.1"', _TAK, '"udp://HOST:PORT"'),
+    ('cursor_on_target = "tcp://h:8087"', _TAK, '"udp://HOST:PORT"'),
+]
 SHORT = (Path(__file__).parent / "several.toml").read_text()
 
 
@@ -234,6 +250,7 @@ def test_listed_waypoints_are_flown_as_listed(tmp_path: Path) -> None:
 
 REFUSED = [
     ('metrics = "127.0.0.1:9100"', 'metrics = "127.0.0.1"', "metrics", "host:port"),
+    *((_USER, f"{_USER}\n{line}", key, named) for line, key, named in REFUSED_OF_USER),
     # old text, new text, key, what the message has to name
     ("range_m = 100.0", "range_m = 0", "server[0].range_m", 'above 0, in metres, or "measured", found 0'),
     (

@@ -11,6 +11,7 @@ from upwash.config import (
     DroneConfig,
     PeerConfig,
     TruthConfig,
+    UserConfig,
     read_daemon_config,
     read_drone_config,
     server_truth,
@@ -95,6 +96,9 @@ def test_what_cannot_be_emulated_is_named_and_left_out() -> None:
     service = msgspec.structs.replace(thesis.services[0], local_joining_slowdown={"light": 0.1})
     slow_meanwhile = msgspec.structs.replace(emulated(thesis), services=(service,))
     assert "local_joining_slowdown" in left_out(slow_meanwhile)
+    told = msgspec.structs.replace(emulated(thesis), user=UserConfig(command=("told.sh",)))
+    assert left_out(told) == ["user"]
+    assert left_out(emulated(told)) == []
     assert left_out(emulated(slow_meanwhile)) == []
 
 

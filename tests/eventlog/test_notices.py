@@ -178,3 +178,18 @@ def test_a_reason_not_to_arm_is_told_once() -> None:
 def test_a_flight_that_is_taken_up_again_has_not_ended() -> None:
     ended = [event("left_hovering"), event("mission_ended", why="x")]
     assert held(*ended, event("log_resumed")) == {}
+
+
+def test_findings_that_do_not_arrive_are_a_caution_until_they_do() -> None:
+    trouble = event("handover_trouble", 5.0, to="the webhook at h", why="no answer within 10 s")
+    now = held(trouble)
+    assert now["handover the webhook at h"].cause == (
+        "Findings do not arrive at the webhook at h: no answer within 10 s"
+    )
+    assert held(trouble, event("handover_trouble", 9.0, to="the webhook at h", why="")) == {}
+    failed = event(
+        "handover_failed", 9.0, to="the webhook at h", count=1, why="1 left at the end: no network"
+    )
+    (notice,) = held(trouble, failed).values()
+    assert notice.cause == "Not handed over to the webhook at h: 1 finding, 1 left at the end: no network"
+    assert "upwash report --findings" in notice.action

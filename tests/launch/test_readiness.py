@@ -77,6 +77,10 @@ def configured(folder: Path, **tables: Any) -> DroneConfig:
         ({"camera": {}}, ["no-camera"]),
         ({"camera": {}, "mission": {**MISSION, "program": "services.py:hover"}}, []),
         ({"camera": {"folder": "paintings"}}, ["no-camera"]),
+        ({"user": {"command": ["sh", "-c", "true"]}}, []),
+        ({"user": {"command": ["./services.py"]}}, ["handover"]),  # cannot be run
+        ({"user": {"webhook": "https://h/x", "token_file": "nowhere"}}, ["handover"]),
+        ({"user": {"webhook": "https://h/x", "token_file": "services.py"}}, ["handover"]),  # no token
         ({"mission": {"waypoints_m": [[0, 0]]}, "camera": {}}, ["no-home", "no-camera"]),
     ],
 )

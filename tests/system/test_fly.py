@@ -10,6 +10,7 @@ import os
 import pty
 import re
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -183,6 +184,38 @@ def test_a_flight_that_fails_leaves_its_object_and_says_why(capsys: pytest.Captu
     assert said.endswith("upwash: the mission program raised ValueError: no idea\n")
     assert 'brief.py", line 9, in stumble' in said
     assert "upwash/" not in said
+
+
+TELLING = """
+def fly(drone):
+    drone.autopilot.arm()
+    for what in ("fire", "smoke"):
+        drone.user.notify(what, at=drone.plan[0])
+    drone.autopilot.disarm()
+"""
+
+
+@pytest.mark.usefixtures("fly")
+def test_findings_are_handed_over_and_the_log_says_what_was_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("upwash.launch.handover._LAST_S", 2.0)
+    Path("told.sh").write_text('#!/bin/sh\ncat >> "${0%/*}/told.jsonl"\n')
+    Path("told.sh").chmod(0o755)
+    with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as closed:
+        port = closed.getsockname()[1]
+    hook = f"http://127.0.0.1:{port}/secret"
+    configured(TELLING, user={"command": ["./told.sh"], "webhook": hook})
+    with vehicle() as connection:
+        fly = ["fly", "--config", "drone.toml", "--autopilot", connection, "--log", "log"]
+        assert main(fly) == 0
+    told = [json.loads(line) for line in Path("told.jsonl").read_text().splitlines()]
+    assert [(found["label"], found["drone"]) for found in told] == [("fire", "heron"), ("smoke", "heron")]
+    trouble, failed = read("log", "handover_trouble", "handover_failed")
+    assert trouble["why"] == "it is not reached: Connection refused"
+    assert (failed["to"], failed["count"]) == ("the webhook at 127.0.0.1", 2)
+    assert "not handed over to the webhook at 127.0.0.1: 2 findings" in capsys.readouterr().out
+    assert "secret" not in Path("log").read_text()
 
 
 SHORT = """

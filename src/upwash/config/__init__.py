@@ -78,6 +78,7 @@ from upwash.config.problems import impossible_values, repeated, unknown
 from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.truth import ServerTruth, server_truth
+from upwash.config.user import UserConfig
 from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine
 from upwash.config.world import (
     EnergyConfig,

@@ -20,6 +20,7 @@ from upwash.config.flight_times import finish_by_s
 from upwash.config.places import geofence, is_planned_home, measured_servers, sweeps_of, waypoints
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
 from upwash.config.truth import ServerTruth, server_truth
+from upwash.config.user import user_problems
 from upwash.config.values import MDNS, is_address
 from upwash.config.world import RADIOS, FaultConfig, TruthConfig
 from upwash.core.geo import Position, ground_distance_m
@@ -42,6 +43,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _lighter_problems(config)
     yield from _battery_problems(config)
     yield from _camera_problems(config.camera)
+    yield from user_problems(config.user)
     if config.event is not None and config.camera.park_seed is not None:
         yield "event", "the photos of camera.park_seed show what is there: leave one of the two out"
     yield from name_problems("service", [service.name for service in config.services])

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from upwash.config import values
+from upwash.config.user import UserConfig
 from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, HeatConfig, NoiseConfig, TruthConfig
 from upwash.core.geo import GeoPosition
 from upwash.core.policies.names import PolicyName
@@ -388,6 +389,7 @@ class DroneConfig(
     network: NetworkConfig = NetworkConfig()
     keys: values.KeysConfig | None = None
     camera: CameraConfig = CameraConfig()
+    user: UserConfig = UserConfig()
     policy: PolicyConfig = PolicyConfig()
     services: Annotated[
         tuple[ServiceConfig, ...], Meta(description="tables that each begin with [[service]]")

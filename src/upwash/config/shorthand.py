@@ -24,6 +24,7 @@ def written_out(document: Document, folder: Path) -> Document:
         "mission": lambda table: _with_program_from(table, folder),
         "service": lambda table: _with_program_from(table, folder) | _by_key(table, *_LOCAL),
         "server": lambda table: _server(table, services, folder),
+        "user": lambda table: _with_program_from(table, folder),
         "drone": lambda table: table | _by_service(table, services, "local_call_s"),
     }
     tables = {name: each_table(document[name], changes[name]) for name in changes if name in document}

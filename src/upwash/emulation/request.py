@@ -109,6 +109,7 @@ def emulated(config: DroneConfig) -> DroneConfig:
         servers=tuple(
             replace(server, truth=replace(server.truth, first_extra_s=0.0)) for server in config.servers
         ),
+        user=type(config.user)(),
         energy=None,
         noise=type(config.noise)(),
         faults=(),
@@ -118,6 +119,7 @@ def emulated(config: DroneConfig) -> DroneConfig:
 def left_out(config: DroneConfig) -> list[str]:
     """The names of the scenario's keys that an emulation leaves out."""
     found = {
+        "user": config.user != type(config.user)(),
         "energy": config.energy is not None,
         "noise": config.noise != type(config.noise)(),
         "fault": bool(config.faults),

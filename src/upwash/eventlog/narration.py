@@ -272,7 +272,18 @@ def _sentence(event: Event) -> Sentence | None:
         case schema.ClockSet(before=before, after=after):
             said = f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}"
             return Sentence(f"{said}, as the vehicle's GPS has it")
-    return _vehicle_sentence(event)
+    return _handover_sentence(event) or _vehicle_sentence(event)
+
+
+def _handover_sentence(event: Event) -> Sentence | None:
+    match event:
+        case schema.HandoverTrouble(to=to, why=""):
+            return Sentence(f"{to} takes findings again")
+        case schema.HandoverTrouble(to=to, why=why):
+            return Sentence(f"{to} does not take findings: {why}", Tone.TROUBLE)
+        case schema.HandoverFailed(to=to, count=count, why=why):
+            return Sentence(f"not handed over to {to}: {counted(count, 'finding')}, {why}", Tone.TROUBLE)
+    return None
 
 
 def _vehicle_sentence(event: Event) -> Sentence | None:

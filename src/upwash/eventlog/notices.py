@@ -36,7 +36,8 @@ _COUNTED = ("link", "server", *_TEXTS)  # how often it began, in this flight
 _URGENT_FIRST = (
     "hovering", "disobeys", "left", "link", "position", "control", "critical", "safe end", "stopping", "home",
     "arming", "prearm", "waiting", "dead man", "battery", "said", "offloading", "server", "border", "trouble", "late",
-    "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "log", "shortened", "events",
+    "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "handover", "log", "shortened",
+    "events",
 )  # fmt: skip
 _RANKS = {about: rank for rank, about in enumerate(_URGENT_FIRST)}
 # Most events of a long log are of few kinds: each case of a match takes time.
@@ -198,7 +199,7 @@ _OVER: Mapping[type[Event], Sequence[str]] = {  # what the notices are about tha
     schema.LeftHovering: ("safe end", "disobeys"),
     schema.MissionEnded: ("stopping", *_OF_WORK),
     schema.MissionCompleted: ("stopping", *_OF_WORK),
-    schema.LogResumed: ("ended", "stopping", *_OF_FLIGHTS),
+    schema.LogResumed: ("ended", "stopping", "handover", *_OF_FLIGHTS),
     schema.ArmingDelayed: ("prearm",),
     schema.Armed: _OF_ARMING,
     schema.TakingOff: _OF_ARMING,
@@ -270,5 +271,10 @@ def _by_content(event: Event) -> Iterator[Notice]:
             yield Notice("version", unknown, "Check that the version is new enough." if unknown else "")
         case schema.Shortened(of=of, why=why):
             yield Notice("shortened", f"The log has a part of an event alone ({of.replace('_', ' ')}): {why}")
+        case schema.HandoverTrouble(to=to, why=why):
+            yield Notice("handover", f"Findings do not arrive at {to}: {why}" if why else "", of=to)
+        case schema.HandoverFailed(to=to, count=count, why=why):
+            failed = f"Not handed over to {to}: {counted(count, 'finding')}, {why}"
+            yield Notice("handover", failed, "The files of `upwash report --findings` have them.", of=to)
         case schema.EventsLost(count=count):
             yield Notice("events", f"{counted(count, 'event')} of the log could not be kept")

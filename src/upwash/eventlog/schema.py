@@ -601,6 +601,20 @@ class CoverageNotKept(_Explained, frozen=True, kw_only=True):
     """The coverage map could not be written; only the log has this flight's measurements."""
 
 
+class HandoverTrouble(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """A program or address of `[user]` does not take findings, and why; without a reason it takes them again."""
+
+    to: Text
+    why: Text = ""
+
+
+class HandoverFailed(_Explained, frozen=True, kw_only=True):
+    """At the flight's end, how many findings were not handed over to a program or address of `[user]`, and why."""
+
+    to: Text
+    count: Count
+
+
 class BorderWatchFailed(_Explained, frozen=True, kw_only=True):
     """The vehicle is silent; until its next message the program checks ranges only once a period."""
 

@@ -5,8 +5,9 @@ What was opened is closed in reverse order, however the program ends. Optional l
 configuration needs them.
 
 `flight` starts a drone's flight from `drone` (vehicle, networks, servers, own services) and `cameras`. `readiness`
-and `survey` find beforehand what would prevent it. `daemon` starts the edge daemon from `daemon_keys`,
-`daemon_services`, `confinement` and `containers`. `daemon_changes` reloads it and hands it over.
+and `survey` find beforehand what would prevent it. `handover` gives its findings to `recipients`. `daemon`
+starts the edge daemon from `daemon_keys`, `daemon_services`, `confinement` and `containers`. `daemon_changes`
+reloads it and hands it over.
 
 What is ugly: `daemon.serve` is one long function, because its subject is the order in which parts start and end.
 """

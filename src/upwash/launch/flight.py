@@ -6,10 +6,11 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, altitudes_above_sea, coverage_kept, unsigned_port
+from upwash.config import DroneConfig, UserConfig, altitudes_above_sea, coverage_kept, unsigned_port
 from upwash.core.geo import Position
 from upwash.core.georeference import Ground, level_ground
 from upwash.drone.flight import Flight, Ports
@@ -46,6 +47,9 @@ from upwash.real.trust.credentials import Credentials
 from upwash.support.background import end, only_logged, start
 from upwash.support.loading import extra
 
+if TYPE_CHECKING:
+    from upwash.launch.handover import Handover
+
 _TRACK_PERIOD_S = 1.0
 _GPS_FIX_S = 60.0  # about what an autopilot needs after it is switched on
 _GPS_REPORT_S = 2.0  # for the request and its reply
@@ -77,10 +81,14 @@ async def fly(
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
         watchers += await _metrics(config, stack)
+        handover = _handover(config, log if resumes else None)
+        watchers += () if handover is None else (handover.follow,)
         camera = await opened_camera(config.camera, stack) if needs_camera(config) else NoCamera()
         journal = stack.enter_context(
             contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes, unwritten=unwritten))
         )
+        if handover is not None:
+            await stack.enter_async_context(handover.running(journal.record))
         autopilot = await _autopilot(config, journal, stack)
         if credentials is not None:
             gps_unix_s = await _gps_unix_s(autopilot, problem_by(clock, credentials), journal)
@@ -193,6 +201,17 @@ def _ground(config: DroneConfig, stack: contextlib.AsyncExitStack) -> Callable[[
     if config.camera.terrain is None:
         return level_ground
     return stack.enter_context(contextlib.closing(Terrain(config.camera.terrain, home_of(config)))).ground
+
+
+def _handover(config: DroneConfig, earlier: Path | None) -> Handover | None:
+    """Hands findings over to the recipients of the configuration; `earlier` is the log of a resumed flight."""
+    if config.user == UserConfig():
+        return None
+    from upwash.launch.handover import Handover
+    from upwash.launch.recipients import recipients_of
+
+    events = () if earlier is None else read_events(earlier)
+    return Handover(recipients_of(config.user), drone=config.name, home=home_of(config), earlier=events)
 
 
 async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tuple[Watcher, ...]:

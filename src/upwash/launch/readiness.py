@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
-from upwash.config import DroneConfig
+from upwash.config import DroneConfig, UserConfig
 from upwash.errors import UpwashError
 from upwash.launch.cameras import camera_without_device, needs_camera
 from upwash.launch.drone import (
@@ -64,6 +64,8 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
         yield "no-camera", functools.partial(camera_without_device, config.camera)
     if config.network.kind == "networkmanager":
         yield "extra", functools.partial(_require, "network", "upwash.real.network.network")
+    if config.user != UserConfig():
+        yield "handover", functools.partial(_recipients, config.user)
     if config.metrics is not None:
         yield "extra", functools.partial(_require, "metrics", "upwash.metrics.exposition")
 
@@ -83,6 +85,12 @@ def expiry_trouble(config: DroneConfig) -> str:
     return (
         f"certificates end within a day: {', '.join(soon)}; make new ones before the flight" if soon else ""
     )
+
+
+def _recipients(user: UserConfig) -> None:
+    from upwash.launch.recipients import recipients_of
+
+    recipients_of(user)
 
 
 def _require(name: str, module: str) -> None:

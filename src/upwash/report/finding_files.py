@@ -114,35 +114,36 @@ def findings_file(name: str, flights: Sequence[FlightFindings], shelf: PhotoShel
 
 
 def _facts(findings: Sequence[PlacedFinding], pictures: Pictures | None) -> Iterator[dict[str, Any]]:
-    """The values of each finding by column, None if unknown."""
     for index, each in enumerate(findings):
-        finding, box = each.finding, each.finding.box
-        latitude_deg, longitude_deg = each.earth or (None, None)
-        yield {
-            "number": each.number,
-            "log": each.flight.log,
-            "drone": each.flight.drone or None,
-            "label": finding.what,
-            "score": finding.score,
-            "sightings": each.sightings,
-            "waypoint": finding.waypoint,
-            "t_s": round(each.mission_s, 3),
-            "time": each.time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-            if each.time
-            else None,
-            "latitude_deg": None if latitude_deg is None else round(latitude_deg, _DIGITS),
-            "longitude_deg": None if longitude_deg is None else round(longitude_deg, _DIGITS),
-            "east_m": round(finding.place.east_m, 2),
-            "north_m": round(finding.place.north_m, 2),
-            "error_m": None if finding.error_m is None else round(finding.error_m, 2),
-            "place_is": finding.place_is,
-            "photo": finding.photo.shot.source if finding.photo else None,
-            "left_px": box.left_px if box else None,
-            "top_px": box.top_px if box else None,
-            "width_px": box.width_px if box else None,
-            "height_px": box.height_px if box else None,
-            "picture": (pictures or {}).get(index),
-        }
+        yield {**facts_of(each), "picture": (pictures or {}).get(index)}
+
+
+def facts_of(found: PlacedFinding) -> dict[str, Any]:
+    """The values of a finding by the names of the columns, without `picture`; None if unknown."""
+    finding, box = found.finding, found.finding.box
+    latitude_deg, longitude_deg = found.earth or (None, None)
+    return {
+        "number": found.number,
+        "log": found.flight.log,
+        "drone": found.flight.drone or None,
+        "label": finding.what,
+        "score": finding.score,
+        "sightings": found.sightings,
+        "waypoint": finding.waypoint,
+        "t_s": round(found.mission_s, 3),
+        "time": found.time.isoformat(timespec="milliseconds").replace("+00:00", "Z") if found.time else None,
+        "latitude_deg": None if latitude_deg is None else round(latitude_deg, _DIGITS),
+        "longitude_deg": None if longitude_deg is None else round(longitude_deg, _DIGITS),
+        "east_m": round(finding.place.east_m, 2),
+        "north_m": round(finding.place.north_m, 2),
+        "error_m": None if finding.error_m is None else round(finding.error_m, 2),
+        "place_is": finding.place_is,
+        "photo": finding.photo.shot.source if finding.photo else None,
+        "left_px": box.left_px if box else None,
+        "top_px": box.top_px if box else None,
+        "width_px": box.width_px if box else None,
+        "height_px": box.height_px if box else None,
+    }
 
 
 def _say(parent: ElementTree.Element, name: str, words: str) -> None:
