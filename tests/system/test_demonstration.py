@@ -139,7 +139,7 @@ def check_places(log: Path) -> None:
         away_m = min(
             math.dist((own.position.east_m, own.position.north_m), middle(module.fault.outline(module.area)))
             for module in faults
-            if isinstance(module.fault, kind)
+            if module.fault and isinstance(module.fault, kind)
         )
         assert away_m < min(1.0, own.error_m), finding
 
