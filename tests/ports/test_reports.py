@@ -95,6 +95,7 @@ async def test_each_report_is_asked_for_as_often_as_the_driver_needs_it(
 ) -> None:
     async with scripted(kind=kind) as script:
         asked = script.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)
+        assert {message.confirmation for message in asked} == {0}, "each is asked for the first time"
         names = {CURRENT_MODE: "CURRENT_MODE"} | {
             number: known.msgname for number, known in mavlink.mavlink_map.items()
         }

@@ -83,6 +83,23 @@ async def test_a_verb_has_the_time_of_a_slow_flight(script: Script, *, verb: Ver
     assert script.now_s - begun_s == pytest.approx(limit_s, abs=0.01)
 
 
+@pytest.mark.parametrize(("silent_s", "limit_s"), [(2.4, 60.0), (2.9, 63.3), (10.0, 70.0)])
+@played(tell)
+async def test_a_silence_in_a_verb_lengthens_it(script: Script, *, silent_s: float, limit_s: float) -> None:
+    await script.say(script.place(HERE, Velocity(east_m_s=3.0)))
+    begun_s = script.now_s
+    hold = asyncio.ensure_future(script.autopilot.hold())
+    await asyncio.sleep(57.2)
+    await script.beat()
+    script.mute = True
+    await asyncio.sleep(silent_s)
+    script.mute = False
+    await script.beat()
+    with pytest.raises(AutopilotTimeout):
+        await hold
+    assert script.now_s - begun_s == pytest.approx(limit_s, abs=0.05)  # looked at each half second
+
+
 @played(tell)
 async def test_silences_before_a_verb_do_not_lengthen_it(script: Script) -> None:
     for _ in range(2):
