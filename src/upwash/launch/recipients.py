@@ -149,9 +149,9 @@ class Webhook:
             raise NotTaken(_why(error)) from None
         finally:
             given_up.set()
-            if connection.sock is not None:
+            if (open_socket := connection.sock) is not None:  # the thread closes it and sets it to None
                 with contextlib.suppress(OSError):
-                    socket.socket.shutdown(connection.sock, socket.SHUT_RDWR)
+                    socket.socket.shutdown(open_socket, socket.SHUT_RDWR)
         if not 200 <= status < 300:
             again = status >= 500 or status in _TIMES_OUT
             said = f"it answered {status} {_phrase(status)}".rstrip()
