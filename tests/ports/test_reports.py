@@ -166,6 +166,52 @@ async def test_numbers_that_do_not_count_are_told_after_the_second_judgement(scr
         assert told == (["numbers"] if judgement == 2 else [])
 
 
+@pytest.mark.parametrize(
+    ("system", "component", "kind"), [(SYSTEM + 1, 1, 2), (SYSTEM, 2, 2), (SYSTEM, 1, mavlink.MAV_TYPE_GCS)]
+)
+@played(tell)
+async def test_heartbeats_of_others_say_nothing_of_the_vehicle(
+    script: Script, *, system: int, component: int, kind: int
+) -> None:
+    other, loiter = mavlink.MAVLink(None, system, component), mavlink.COPTER_MODE_LOITER
+    beat = mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 209, loiter, 4, 3)
+    script._line.datagram_received(bytes(beat.pack(other)), ("", 1))
+    await asyncio.sleep(0)
+    assert script.autopilot.vehicle.mode_name == "GUIDED"
+    assert not script.autopilot.armed
+
+
+@pytest.mark.parametrize(
+    ("kind", "blind"), [("HEARTBEAT", True), ("POSITION_TARGET_GLOBAL_INT", True), ("ATTITUDE", False)]
+)
+@played(tell)
+async def test_a_vehicle_whose_owner_cannot_be_told_is_silent_for_a_second_and_a_half(
+    script: Script, *, kind: str, blind: bool
+) -> None:
+    fails, vehicle = [True], script.autopilot.vehicle
+
+    def hear(message: mavlink.MAVLink_message) -> None:
+        if fails[0] and message.get_type() == kind:
+            raise ZeroDivisionError
+
+    reports = [script.heartbeat(), target(HERE), mavlink.MAVLink_attitude_message(1, *[0.0] * 6)]
+    reports.sort(key=lambda message: bool(message.get_type() != kind))
+    script.mute = True
+    await script.say(script.place(HERE))
+    await asyncio.sleep(0.125)
+    with vehicle.listening(hear):
+        await script.say(*reports)
+        for wait_s, silent in (0.0, blind), (1.5, blind), (0.0625, False):
+            await asyncio.sleep(wait_s)
+            await script.say(script.place(HERE))
+            assert (vehicle.silent_s > 0) is silent
+        await script.say(*reports)
+        fails[0] = False
+        await asyncio.sleep(0.25)
+        await script.say(*reports)
+        assert vehicle.silent_s == 0, "a defect that is over"
+
+
 @played(tell)
 async def test_each_text_is_told_once(script: Script) -> None:
     for words in b"one", b"two":
