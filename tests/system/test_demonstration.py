@@ -129,18 +129,20 @@ def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration
 def check_places(log: Path) -> None:
     """Each sure finding lies within 1 m of a fault of its kind in the park, and within its stated error."""
     tables = Park(2).tables(Area(west_m=-50.0, north_m=70.0, width_m=220.0, height_m=140.0))
-    faults = [module for table in tables for module in table.modules if module.fault]
+    faults = [
+        (type(module.fault), middle(module.fault.outline(module.area)))
+        for table in tables
+        for module in table.modules
+        if module.fault is not None
+    ]
     found = [each.finding for each in findings_of(read_records([log])) if (each.finding.score or 0) > 0.9]
     assert len(found) >= 10
     for finding in found:
         own = finding.own
         assert own is not None
         kind = {"hot-spot": HotSpot, "broken-module": Breakage}[finding.what]
-        away_m = min(
-            math.dist((own.position.east_m, own.position.north_m), middle(module.fault.outline(module.area)))
-            for module in faults
-            if module.fault and isinstance(module.fault, kind)
-        )
+        place = own.position.east_m, own.position.north_m
+        away_m = min(math.dist(place, at) for its_kind, at in faults if its_kind is kind)
         assert away_m < min(1.0, own.error_m), finding
 
 
