@@ -77,6 +77,7 @@ def configured(folder: Path, **tables: Any) -> DroneConfig:
         ({"camera": {}}, ["no-camera"]),
         ({"camera": {}, "mission": {**MISSION, "program": "services.py:hover"}}, []),
         ({"camera": {"folder": "paintings"}}, ["no-camera"]),
+        ({"camera": {"folder": "photos", "terrain": "services.py"}}, ["no-terrain"]),
         ({"user": {"command": ["sh", "-c", "true"]}}, []),
         ({"user": {"command": ["./services.py"]}}, ["handover"]),  # cannot be run
         ({"user": {"webhook": "https://h/x", "token_file": "nowhere"}}, ["handover"]),

@@ -42,6 +42,7 @@ MODULES = {
     "metrics": {"prometheus_client"},
     "network": {"dbus_fast"},
     "parquet": {"pyarrow"},
+    "terrain": {"rasterio"},
     "view": {"starlette", "uvicorn"},
 }
 DRONE = """
@@ -64,6 +65,7 @@ FILES = {
     "rendered.toml": "camera.park_seed = 1" + DRONE,
     "filmed.toml": "camera.device = 0" + DRONE,
     "measured.toml": 'metrics = "127.0.0.1:0"\ncamera.folder = "photos"' + DRONE,
+    "hilly.toml": 'camera = { folder = "photos", terrain = "hill.tif" }' + DRONE,
     "networked.toml": 'network = { kind = "networkmanager", interfaces = ["wlan1"] }' + DRONE,
     "announced.toml": DAEMON.format(
         settings="""
@@ -104,6 +106,7 @@ COMMANDS = [
     ("fly --config rendered.toml", "detector"),
     ("fly --config filmed.toml", "detector"),
     ("fly --config measured.toml", "metrics"),
+    ("fly --config hilly.toml", "terrain"),
     ("fly --config rendered.toml --live", "view"),
     ("view with.jsonl", "view"),
     (f"check {THESIS}", ""),

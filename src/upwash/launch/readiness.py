@@ -22,6 +22,7 @@ from upwash.launch.drone import (
     require_certificates,
     signing_of,
 )
+from upwash.real.camera.terrain import Terrain
 from upwash.support.loading import extra
 
 _A_DAY = timedelta(days=1)  # longer than any flight
@@ -62,12 +63,19 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
     yield "certificate", functools.partial(drone_credentials, config, valid_now=valid_now)
     if needs_camera(config):
         yield "no-camera", functools.partial(camera_without_device, config.camera)
+    if config.camera.terrain is not None and config.mission.home is not None:
+        yield "no-terrain", functools.partial(_terrain, config)
     if config.network.kind == "networkmanager":
         yield "extra", functools.partial(_require, "network", "upwash.real.network.network")
     if config.user != UserConfig():
         yield "handover", functools.partial(_recipients, config.user)
     if config.metrics is not None:
         yield "extra", functools.partial(_require, "metrics", "upwash.metrics.exposition")
+
+
+def _terrain(config: DroneConfig) -> None:
+    if config.camera.terrain is not None:
+        Terrain(config.camera.terrain, home_of(config)).close()
 
 
 def expiry_trouble(config: DroneConfig) -> str:
