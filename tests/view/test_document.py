@@ -22,7 +22,7 @@ from upwash.errors import UpwashError
 from upwash.report.finding_files import as_csv
 from upwash.report.record import findings_of, read_records
 from upwash.services import solar_park
-from upwash.view.document import write_document
+from upwash.view.document import document
 from upwash.view.file import write_page
 
 HOSTILE = "</title></script><script>alert('1')</script><img src=x onerror=alert(1)>&\"\x00]]>"
@@ -205,7 +205,7 @@ def test_a_flight_that_ended_before_its_first_call_has_a_page(tmp_path: Path) ->
 
 
 def test_each_module_is_a_part_of_the_script() -> None:
-    script = "".join(write_document("any"))
+    script = "".join(document("any"))
     for module in (files("upwash.view") / "page").iterdir():
         if module.name.endswith(".js"):
             assert f'modules["{module.name}"] = ' in script

@@ -19,7 +19,7 @@ from upwash.report.crops import crop_of
 from upwash.report.finding_files import FORMATS, findings_file
 from upwash.report.photos import PhotoShelf
 from upwash.support.addresses import names_this_machine
-from upwash.view.document import sources, write_document
+from upwash.view.document import document, sources
 from upwash.view.feed import Feed
 from upwash.view.story import Story
 
@@ -48,7 +48,7 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
     crop_for = functools.lru_cache(_KEPT_CROPS)(lambda finding: crop_of(finding, photos))
 
     async def page(request: Request) -> Response:
-        return HTMLResponse("".join(write_document("upwash: flight")))
+        return HTMLResponse("".join(document("upwash: flight")))
 
     async def events(request: Request) -> Response:
         after = request.headers.get("last-event-id", "")

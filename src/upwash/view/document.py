@@ -6,7 +6,6 @@ import base64
 import functools
 import hashlib
 import re
-from collections.abc import Iterable, Iterator
 from graphlib import TopologicalSorter
 from importlib.resources import files
 
@@ -20,8 +19,8 @@ _EXPORT = re.compile(r"^export ((?:class|const|function) (\w+))", re.MULTILINE)
 _LEAFLET_MODULE = "leaflet/leaflet-src.esm.js"  # which leaflet.js is too, as the global L
 
 
-def write_document(title: str, content: Iterable[Markup] = (), *, policy: str = "") -> Iterator[Markup]:
-    """The page in pieces, with the content after its own; a `policy` is stated in the document itself.
+def document(title: str, *, policy: str = "") -> tuple[Markup, Markup]:
+    """The page before and after more content; a `policy` is stated in the document itself.
 
     A policy is in the words of Content-Security-Policy, without the document's own `sources`.
     """
@@ -40,9 +39,8 @@ def write_document(title: str, content: Iterable[Markup] = (), *, policy: str = 
         element("link", rel="icon", href=_icon()),
         element("style", Markup(_style())),
     )
-    yield Markup(f'<!DOCTYPE html>\n<html lang="en">{head}<body>{_read("body.html")}')
-    yield from content
-    yield Markup(f"<script>{_script()}</script></body></html>\n")
+    begin = f'<!DOCTYPE html>\n<html lang="en">{head}<body>{_read("body.html")}'
+    return Markup(begin), Markup(f"<script>{_script()}</script></body></html>\n")
 
 
 @functools.cache

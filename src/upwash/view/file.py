@@ -12,12 +12,11 @@ import msgspec
 from upwash.eventlog.results import RunResult
 from upwash.report.crops import shrunk
 from upwash.report.finding_files import as_csv, as_geojson, as_kml
-from upwash.report.markup import Markup
 from upwash.report.photos import PhotoShelf, Shot
 from upwash.report.record import Record, findings_of
 from upwash.report.sheet import draw_sheet
 from upwash.support.text import counted
-from upwash.view.document import write_document
+from upwash.view.document import document
 from upwash.view.feed import Feed
 from upwash.view.recording import Recording, reading
 
@@ -70,8 +69,10 @@ def write_page(
     """
     names = ", ".join(record.name for record in records)
     title = f"Flight report: {names if len(records) <= _SIDE_BY_SIDE else counted(len(records), 'flight')}"
-    content = _content(logs, records, photos, flown)
-    return (piece.encode() for piece in write_document(title, content, policy=_POLICY))
+    begin, end = document(title, policy=_POLICY)
+    yield begin.encode()
+    yield from _content(logs, records, photos, flown)
+    yield end.encode()
 
 
 def _content(
@@ -79,15 +80,15 @@ def _content(
     records: Sequence[Record],
     photos: Path | None,
     flown: Mapping[str, RunResult] | None,
-) -> Iterator[Markup]:
+) -> Iterator[bytes]:
     found = [finding.photo.shot for record in records for finding in record.findings if finding.photo]
     album = _Album(photos, itertools.islice(dict.fromkeys(found), _PHOTOS))
-    yield draw_sheet(records, album)
+    yield draw_sheet(records, album).encode()
+    yield from _data("files", [msgspec.json.encode(_files(records))])  # before the facts need memory
     with reading(logs, album.keeps, most_bytes=_MOST_BYTES // len(logs)) as recordings:
         yield from _data("told", _items(Feed(recordings, flown=flown).everything()))
         shown = itertools.islice(_photos(recordings, album), _PHOTOS)
         yield from _data("photos", _members(shown))
-    yield from _data("files", [msgspec.json.encode(_files(records))])
 
 
 def _files(records: Sequence[Record]) -> dict[str, str]:
@@ -133,9 +134,8 @@ def _members(members: Iterable[tuple[str, object]]) -> Iterator[bytes]:
     yield b"}"
 
 
-def _data(name: str, pieces: Iterable[bytes]) -> Iterator[Markup]:
+def _data(name: str, pieces: Iterable[bytes]) -> Iterator[bytes]:
     """Data for the page's scripts, as JSON; nothing in it ends the element."""
-    yield Markup(f'<script type="application/json" id="{name}">')
-    for piece in pieces:
-        yield Markup(piece.replace(b"<", b"\\u003c").decode())
-    yield Markup("</script>")
+    yield f'<script type="application/json" id="{name}">'.encode()
+    yield from (piece.replace(b"<", b"\\u003c") for piece in pieces)
+    yield b"</script>"
