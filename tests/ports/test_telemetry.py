@@ -105,6 +105,13 @@ def quaternion(pitch_deg: float, yaw_deg: float) -> list[float]:
     ]  # fmt: skip
 
 
+def rolled(q: list[float], roll_deg: float) -> list[float]:
+    """The rotation after a roll about the camera's own axis."""
+    w, x, y, z = q
+    cos, sin = math.cos(math.radians(roll_deg) / 2), math.sin(math.radians(roll_deg) / 2)
+    return [w * cos - x * sin, x * cos + w * sin, y * cos + z * sin, z * cos - y * sin]
+
+
 def gimbal(flags: int, q: list[float]) -> Any:
     return mavlink.MAVLink_gimbal_device_attitude_status_message(0, 0, 1, flags, q, 0.0, 0.0, 0.0, 0)
 
@@ -124,6 +131,25 @@ def test_a_gimbals_yaw_counts_from_north_or_from_the_nose_by_its_flags(flags: in
     told = taken(east, gimbal(flags, quaternion(-60.0, 30.0))).gimbal
     assert told is not None
     assert (told.roll_deg, told.pitch_deg, told.yaw_deg) == pytest.approx((0.0, -60.0, yaw_deg), abs=1e-6)
+
+
+@pytest.mark.parametrize("roll_deg", [-120.0, 45.0])
+@pytest.mark.parametrize("pitch_deg", [-89.0, 10.0])
+@pytest.mark.parametrize("yaw_deg", [30.0, 200.0])
+@pytest.mark.parametrize("length", [0.96, 1.0, 1.04])
+def test_a_gimbals_attitude_is_its_rotation(
+    roll_deg: float, pitch_deg: float, yaw_deg: float, length: float
+) -> None:
+    q = [length * part for part in rolled(quaternion(pitch_deg, yaw_deg), roll_deg)]
+    told = taken(gimbal(mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME, q)).gimbal
+    assert told is not None
+    for angle_deg, expected_deg in (
+        (told.roll_deg, roll_deg),
+        (told.pitch_deg, pitch_deg),
+        (told.yaw_deg, yaw_deg),
+    ):
+        assert math.remainder(angle_deg - expected_deg, 360) == pytest.approx(0.0, abs=1e-6)
+    assert 0.0 <= told.yaw_deg <= 360.0
 
 
 def test_a_gimbal_that_reports_no_rotation_or_counts_from_an_unknown_nose_is_not_known() -> None:
