@@ -31,9 +31,9 @@ _FONT_PX, _LINE_PX = 16.0, 3.0
 def photos(
     record: Record, numbers: Sequence[int], clock: RecordClock, shelf: PhotoShelf
 ) -> Iterator[tuple[int, CompressedImage | ImageAnnotations]]:
-    """Each photo that is to be had, and its boxes with the numbers of the findings, both at the time of the shutter.
+    """Each available photo, and its boxes with the numbers of the findings, both at the time of the shutter.
 
-    A photo of which nothing was told has no boxes, so that those of the one before it go.
+    A photo without findings has an empty list of boxes, which replaces the boxes of the photo before.
     """
     boxes = _boxes_by_photo(record, numbers)
     pairing = Pairing()
@@ -49,7 +49,7 @@ def photos(
 
 
 def _boxes_by_photo(record: Record, numbers: Sequence[int]) -> dict[int, list[_Numbered]]:
-    """What was found on each photo, with its numbers: it is told after the photo was taken."""
+    """The boxes on each photo by its number, with the numbers of their findings."""
     found: dict[int, list[_Numbered]] = {}
     for finding, number in zip(record.findings, numbers, strict=True):
         if finding.photo is not None and finding.box is not None:

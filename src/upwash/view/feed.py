@@ -174,7 +174,7 @@ class Feed:
         return [each.story.flight(name) for each, name in zip(self.recordings, self._names, strict=True)]
 
     def _number(self, *, at_once: bool = True) -> bool:
-        """Numbers what was found, once everything that the logs have is read; returns whether anything is new.
+        """Numbers what was found, once all logs are read to their ends; returns whether a finding is new.
 
         Thousands of sightings take a second to join: unless `at_once`, that may fill a twentieth of the time.
         """
