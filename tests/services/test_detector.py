@@ -335,30 +335,28 @@ def test_a_ready_made_model_finds_what_the_darknet_model_finds(
     assert ready.process_photo(photo, "heavy") == detector.process_photo(photo, "heavy")
 
 
-def test_a_network_without_anchors_is_refused_as_what_it_is(model: ModelFiles, tmp_path: Path) -> None:
-    side, boxes = 64, [1, 6, 8 * 8]
-    graph = onnx.helper.make_graph(
-        [onnx.helper.make_node("Identity", ["cells"], ["output0"])],
-        "decoded",
-        [onnx.helper.make_tensor_value_info("images", onnx.TensorProto.FLOAT, [1, 3, side, side])],
-        [onnx.helper.make_tensor_value_info("output0", onnx.TensorProto.FLOAT, boxes)],
-        [onnx.numpy_helper.from_array(np.zeros(boxes, np.float32), "cells")],
-    )
-    onnx.save(
-        onnx.helper.make_model(graph, ir_version=8, opset_imports=[onnx.helper.make_opsetid("", 17)]),
-        tmp_path / "v8.onnx",
-    )
-    with pytest.raises(
-        ModelError, match=r"its outputs are boxes \(output0: 1 x 6 x 64\), as of YOLOv8 and later"
-    ):
-        Detector(model=ModelFiles(onnx=tmp_path / "v8.onnx", names=model.names))
+def test_boxes_with_a_description_of_raw_heads_are_refused(model: ModelFiles, tmp_path: Path) -> None:
+    picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, 64, 64])
+    cells = helper.make_tensor("cells", TensorProto.FLOAT, [1, 6, 64], [0.0] * 384)
+    output = helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 6, 64])
+    node = helper.make_node("Identity", ["cells"], ["output0"])
+    graph = helper.make_graph([node], "decoded", [picture], [output], [cells])
+    file = tmp_path / "v8.onnx"
+    opset = helper.make_opsetid("", 17)
+    onnx.save(helper.make_model(graph, ir_version=8, opset_imports=[opset]), file)
+    heads = (Head(output="output0", stride=8, anchors=((1.0, 1.0),)),)
+    said = r"its outputs are boxes \(output0: 1 x 6 x 64\), which have no anchors: leave heads out"
+    with pytest.raises(ModelError, match=said):
+        Detector(model=ModelFiles(onnx=file, names=model.names, heads=heads))
 
 
 def test_what_the_heads_of_a_model_mean_may_be_told_instead(
     model: ModelFiles, detector: Detector, photo: bytes, tmp_path: Path
 ) -> None:
     bare = edited(model, tmp_path, lambda found: found.ClearField("metadata_props"))
-    with pytest.raises(ModelError, match="nothing says what its outputs mean: give heads"):
+    with pytest.raises(
+        ModelError, match=r"its outputs are not understood .* if the setting heads describes them"
+    ):
         Detector(model=ModelFiles(onnx=bare, names=model.names))
     told = Detector(model=ModelFiles(onnx=bare, names=model.names, heads=heads_of(model)))
     assert told.process_photo(photo, "heavy") == detector.process_photo(photo, "heavy")
@@ -415,7 +413,7 @@ def test_an_onnx_model_that_does_not_fit_is_refused(
     model: ModelFiles, tmp_path: Path, edit: Callable[[Any], None], problem: str
 ) -> None:
     with pytest.raises(ModelError, match=rf"edited\.onnx: {problem}"):
-        Detector(model=ModelFiles(onnx=edited(model, tmp_path, edit), names=model.names))
+        Detector(model=ModelFiles(onnx=edited(model, tmp_path, edit), names=model.names), light_px=320)
 
 
 @pytest.mark.parametrize(
@@ -462,7 +460,7 @@ def test_heads_that_do_not_fit_their_model_are_refused(
                 opset_imports=[helper.make_opsetid("", 13)],
                 ir_version=8,
             ).SerializeToString(),
-            r"its inputs are tensor\(int64\) \[3\]: one of float 1 x 3 x height x width is needed",
+            r"its inputs are tensor\(int64\) \[3\]: one of float 1 x 3 x height x width is needed, of 32 or 16 bits",
         ),
     ],
     ids=["missing", "empty", "photo", "another model"],

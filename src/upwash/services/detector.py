@@ -1,9 +1,10 @@
-"""The detector: a YOLOv3 network, its own or the user's, on photos of any size."""
+"""The detector: its own network or the user's, on photos of any size."""
 
 from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -12,15 +13,17 @@ from msgspec import Meta
 from msgspec.structs import asdict
 
 from upwash.rpc.service import service
-from upwash.services.darknet.heads import best_of_each, read_heads
 from upwash.services.detection import Detection, Mode
-from upwash.services.inference import Engine, ModelFiles, open_inference
+from upwash.services.inference import Engine, Inference, ModelFiles, open_inference
 from upwash.services.photo import read_photo
 from upwash.services.provider import Provider
 from upwash.support.loading import extra
 
 Threads = Annotated[int, Meta(ge=1, le=1024, description="an integer from 1 to 1024")]
-Side = Annotated[int, Meta(ge=32, le=4096, description="an integer from 32 to 4096, in pixels")]
+LEAST_SIDE_PX, MOST_SIDE_PX = 32, 4096
+Side = Annotated[
+    int, Meta(ge=LEAST_SIDE_PX, le=MOST_SIDE_PX, description="an integer from 32 to 4096, in pixels")
+]
 
 _MODELS = Path(__file__).with_name("models")
 SOLAR_PARK = ModelFiles(
@@ -34,7 +37,8 @@ SOLAR_PARK = ModelFiles(
 class Detector:
     """Detects objects: in mode `light` on pictures of 320 pixels, in mode `heavy` of 608, which show smaller objects.
 
-    `threads` defaults to all cores that the process may use. Raises ModelError for unusable model files, and
+    A network that takes pictures of one size has these in both modes, and `light_model` is another network for mode
+    `light`. `threads` defaults to all cores that the process may use. Raises ModelError for unusable model files, and
     UsageError for missing packages.
     """
 
@@ -42,31 +46,62 @@ class Detector:
         self,
         *,
         model: ModelFiles = SOLAR_PARK,
+        light_model: ModelFiles | None = None,
         threads: Threads | None = None,
         provider: Provider = "cpu",
         engine: Engine = "onnxruntime",
-        light_px: Side = 320,
-        heavy_px: Side = 608,
+        light_px: Side | None = None,
+        heavy_px: Side | None = None,
     ) -> None:
         _require_packages(engine)
-        self._inference = open_inference(model, threads=threads or _cores(), provider=provider, engine=engine)
-        self._sides_px: dict[Mode, int] = {"light": light_px, "heavy": heavy_px}
-        for side_px in self._sides_px.values():
-            self._inference.require_side(side_px)
-        self._cells_px = {mode: self._inference.cell_px(side_px) for mode, side_px in self._sides_px.items()}
+        threads = threads or _cores()
+        heavy = open_inference(model, threads=threads, provider=provider, engine=engine)
+        light = heavy
+        if light_model is not None:
+            light = open_inference(light_model, threads=threads, provider=provider, engine=engine)
+        self._ways: dict[Mode, _Way] = {
+            "light": _Way.of(light, light_px or _fitting(light, 320)),
+            "heavy": _Way.of(heavy, heavy_px or _fitting(heavy, 608)),
+        }
+        for mode, way in self._ways.items():
+            if described := way.inference.describe():
+                # For who starts it; the log of a server has what instances print.
+                print(f"{mode}: {described}, {way.side_px} x {way.side_px}", file=sys.stderr, flush=True)  # noqa: T201
 
     def process_photo(self, photo: bytes, mode: Mode = "heavy", confidence: float = 0.25) -> list[Detection]:
         """The objects above `confidence` in a JPEG of at most 40 megapixels, best first; raises NotAPhoto."""
         if not 0 <= confidence <= 1:
             raise ValueError(f"confidence = {confidence}: give a number from 0 to 1")
-        picture, letterbox = read_photo(photo, self._sides_px[mode], self._cells_px[mode])
-        outputs = self._inference.run(picture)
-        found = best_of_each(read_heads(outputs, self._inference.heads, confidence=confidence))
+        way = self._ways[mode]
+        network = way.inference
+        picture, letterbox = read_photo(
+            photo, way.side_px, way.cell_px, grey=network.grey, stretched=network.stretched
+        )
+        found = network.find(picture, confidence=confidence)
         return [
-            Detection(**asdict(box), label=self._inference.labels[index], score=float(score))
+            Detection(**asdict(box), label=network.label(index), score=float(score))
             for corners, score, index in zip(found.boxes, found.scores, found.classes, strict=True)
             if (box := letterbox.on_photo(corners)) is not None
         ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """How a mode looks at photos."""
+
+    inference: Inference
+    side_px: int
+    cell_px: int | None
+
+    @classmethod
+    def of(cls, inference: Inference, side_px: int) -> _Way:
+        inference.require_side(side_px)
+        return cls(inference, side_px, inference.cell_px(side_px))
+
+
+def _fitting(inference: Inference, side_px: int) -> int:
+    only_px = inference.only_px
+    return side_px if only_px is None or not LEAST_SIDE_PX <= only_px <= MOST_SIDE_PX else only_px
 
 
 def _cores() -> int:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,7 +17,16 @@ import msgspec
 from upwash.errors import ModelError, UsageError
 from upwash.services.darknet.conversion import Facts, converted
 from upwash.services.darknet.graph import INPUT
-from upwash.services.darknet.heads import HEADS_METADATA, Head, decode_heads
+from upwash.services.darknet.heads import (
+    HEADS_METADATA,
+    Candidates,
+    Head,
+    best_of_each,
+    decode_heads,
+    read_heads,
+)
+from upwash.services.heads import MOST_LABELS, MOST_VALUES, BoxHead, by, parse_names, recognise
+from upwash.services.photo import DARKNET_GREY, ULTRALYTICS_GREY
 from upwash.services.provider import Provider, open_session
 from upwash.support.input_files import read_file, text_of
 from upwash.support.text import counted, words_of
@@ -28,18 +40,21 @@ if TYPE_CHECKING:
 
 Engine = Literal["onnxruntime", "ncnn"]
 
+_HALF = "tensor(float16)"
+_NAMES_METADATA = "names"  # as Ultralytics writes it
+_COARSEST_PX = 32  # where the metadata has no stride
 _WAIT_POLICY = "OMP_WAIT_POLICY"
-_MOST_LABELS = 100_000
 _MOST_LABELS_BYTES = 10_000_000
 
 
 class ModelFiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A network and the names of its classes: Darknet's cfg and weights, or ONNX with raw heads.
+    """A network and the names of its classes: Darknet's cfg and weights, or ONNX.
 
-    `heads` says what an ONNX model's outputs mean, where its metadata does not.
+    `names` may be left out where an ONNX model's metadata has names. `heads` describes YOLOv3's raw outputs of an
+    ONNX model, where its metadata does not.
     """
 
-    names: Path
+    names: Path | None = None
     cfg: Path | None = None
     weights: Path | None = None
     onnx: Path | None = None
@@ -51,12 +66,14 @@ class ModelFiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError("no single network: give either cfg and weights, or onnx")
         if self.heads and self.onnx is None:
             raise ValueError("heads are for onnx: a cfg has its own")
+        if self.names is None and self.onnx is None:
+            raise ValueError("no names: give a file with the name of a class in every line")
 
 
 def open_inference(files: ModelFiles, *, threads: int, provider: Provider, engine: Engine) -> Inference:
     """Loads the model; raises ModelError for its files and UsageError for what is not installed, or cannot be."""
     if engine == "onnxruntime":
-        return OnnxInference(files, threads=threads, provider=provider)
+        return open_onnx(files, threads=threads, provider=provider)
     if files.onnx is not None:
         raise UsageError('engine = "ncnn" runs Darknet models: give cfg and weights, or leave the engine out')
     if provider != "cpu":
@@ -71,35 +88,48 @@ class Inference(ABC):
     _sides: Sequence[object] = (None, None)
     _prepares_for_each_size = False
 
-    def __init__(self, files: ModelFiles, heads: tuple[Head, ...]) -> None:
-        self._file = files.onnx or files.weights or files.names
-        self.labels = _read_labels(files.names)
+    # What a photo has around it, or whether it fills the picture.
+    grey = DARKNET_GREY
+    stretched = False
+
+    def __init__(self, file: Path, labels: Sequence[str], heads: tuple[Head, ...]) -> None:
+        self._file = file
+        self._labels = labels
         self.heads = heads
+
+    @property
+    def only_px(self) -> int | None:
+        """The side of the only pictures that it takes."""
+        height, width = self._sides
+        return height if isinstance(height, int) and height == width else None
+
+    def label(self, index: int) -> str:
+        """The name of a class; one beyond the names, which an end-to-end network may find, has its number."""
+        return self._labels[index] if index < len(self._labels) else f"class {index}"
+
+    def describe(self) -> str:
+        """What was recognised, for people; empty where the configuration says all."""
+        return ""
+
+    def find(self, picture: Floats, *, confidence: float) -> Candidates:
+        """The best box of each object that scores above `confidence`, in pixels of the picture."""
+        return best_of_each(read_heads(self.run(picture), self.heads, confidence=confidence))
 
     def require_side(self, side_px: int) -> None:
         """Raises ModelError where pictures of that size do not give what the heads say; the first run is slow."""
-        import numpy as np
-
-        if any(isinstance(side, int) and side != side_px for side in self._sides):
-            raise self._error(
-                f"it takes only pictures of {_by(self._sides)}, not {side_px}: export it "
-                "with variable height and width, or set light_px and heavy_px"
-            )
+        self._require_taken(side_px)
         if coarse := [head.stride for head in self.heads if side_px % head.stride]:
             raise UsageError(
                 f"a picture of {side_px} pixels is not whole cells of {max(coarse)}: give a multiple of it"
             )
-        try:
-            outputs = self.run(np.full((1, 3, side_px, side_px), 0.5, np.float32))
-        except Exception as error:  # onnxruntime's have no base of their own
-            raise self._error(f"it cannot be run on a picture of {side_px} ({error})") from error
+        outputs = self._try(side_px)
         for head, output in zip(self.heads, outputs, strict=True):
             cells = side_px // head.stride
-            expected = (1, len(head.anchors) * (5 + len(self.labels)), cells, cells)
+            expected = (1, len(head.anchors) * (5 + len(self._labels)), cells, cells)
             if output.shape != expected:
-                anchors, names = counted(len(head.anchors), "anchor"), counted(len(self.labels), "name")
+                anchors, names = counted(len(head.anchors), "anchor"), counted(len(self._labels), "name")
                 raise self._error(
-                    f"output {head.output} is {_by(output.shape)} for a picture of {side_px}, not {_by(expected)}, "
+                    f"output {head.output} is {by(output.shape)} for a picture of {side_px}, not {by(expected)}, "
                     f"as {anchors}, {names} and stride {head.stride} say"
                 )
 
@@ -107,7 +137,7 @@ class Inference(ABC):
         """Of what a picture's shorter side needs to be a multiple, if it need not be `side_px` like the other."""
         if self._prepares_for_each_size:
             return None
-        cell_px = max(head.stride for head in self.heads)
+        cell_px = self._coarsest_px()
         # Three cells do not fill those of a coarser layer inside; one would be repeated to fit.
         few_px = 3 * cell_px
         return cell_px if self._can_run(few_px, side_px) and self._can_run(side_px, few_px) else None
@@ -119,6 +149,24 @@ class Inference(ABC):
         With `quiet` a failure is raised only, and not printed.
         """
 
+    def _require_taken(self, side_px: int) -> None:
+        if any(isinstance(side, int) and side != side_px for side in self._sides):
+            raise self._error(
+                f"it takes only pictures of {by(self._sides)}, not {side_px}: export it "
+                "with variable height and width, or set light_px and heavy_px"
+            )
+
+    def _try(self, side_px: int) -> list[Floats]:
+        import numpy as np
+
+        try:
+            return self.run(np.full((1, 3, side_px, side_px), 0.5, np.float32))
+        except Exception as error:  # onnxruntime's have no base of their own
+            raise self._error(f"it cannot be run on a picture of {side_px} ({error})") from error
+
+    def _coarsest_px(self) -> int:
+        return max(head.stride for head in self.heads)
+
     def _can_run(self, height_px: int, width_px: int) -> bool:
         import numpy as np
 
@@ -126,6 +174,10 @@ class Inference(ABC):
             outputs = self.run(np.full((1, 3, height_px, width_px), 0.5, np.float32), quiet=True)
         except Exception:  # noqa: BLE001 - onnxruntime's have no base of their own
             return False
+        return self._are_whole(outputs, height_px, width_px)
+
+    def _are_whole(self, outputs: list[Floats], height_px: int, width_px: int) -> bool:
+        """Whether the outputs for a picture of that size have all its cells."""
         return all(
             output.shape[2:] == (height_px // head.stride, width_px // head.stride)
             for head, output in zip(self.heads, outputs, strict=True)
@@ -135,62 +187,172 @@ class Inference(ABC):
         return ModelError(self._file, "", words_of(problem))
 
 
+def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInference:
+    """A network that onnxruntime runs: with the raw heads that are described, or with boxes."""
+    with _onnx(files) as model:
+        session = open_session(model, threads=threads, provider=provider)
+    file = files.onnx or files.weights or model
+    try:
+        metadata = session.get_modelmeta().custom_metadata_map
+        outputs = {output.name: output.shape for output in session.get_outputs()}
+        kinds = {output.type for output in session.get_outputs()}
+        pictures = _checked_input(file, session)
+    except UnicodeDecodeError as error:
+        raise ModelError(file, "", f"its names or metadata are not text ({error})") from error
+    labels = _read_labels(files.names) if files.names else _labels_in(file, metadata)
+    heads = files.heads or _heads_in(file, metadata)
+    network = _Loaded(session, pictures, metadata, for_each_size=provider == "cuda")
+    if strange := [kind for kind in sorted(kinds) if not kind.startswith("tensor(")]:
+        raise ModelError(file, "", f"its outputs are {', '.join(strange)}: give a network that detects")
+    if not heads:
+        return BoxInference(file, labels, network, outputs)
+    if outputs and all(len(shape) == 3 for shape in outputs.values()):
+        boxes = ", ".join(f"{name}: {by(shape)}" for name, shape in outputs.items())
+        problem = f"its outputs are boxes ({boxes}), which have no anchors: leave heads out"
+        raise ModelError(file, "", words_of(problem))
+    for head in heads:
+        if head.output not in outputs:
+            problem = f"it has no output {head.output}; its outputs are {', '.join(outputs)}"
+            raise ModelError(file, "", words_of(problem))
+    return OnnxInference(file, labels, heads, network)
+
+
+@dataclass(frozen=True, slots=True)
+class _Loaded:
+    session: onnxruntime.InferenceSession
+    pictures: onnxruntime.NodeArg
+    metadata: Mapping[str, str]
+    for_each_size: bool  # whether it prepares for each size of a picture
+
+
 class OnnxInference(Inference):
     """A network that onnxruntime runs."""
 
-    def __init__(self, files: ModelFiles, *, threads: int, provider: Provider) -> None:
-        with _onnx(files) as model:
-            self._session = open_session(model, threads=threads, provider=provider)
-        super().__init__(files, files.heads)
-        try:
-            self._require_raw_heads()
-            self.heads = files.heads or self._heads_in_metadata()
-            self._input = self._checked_input()
-            outputs = [output.name for output in self._session.get_outputs()]
-        except UnicodeDecodeError as error:
-            raise self._error(f"its names or metadata are not text ({error})") from error
-        for head in self.heads:
-            if head.output not in outputs:
-                raise self._error(f"it has no output {head.output}; its outputs are {', '.join(outputs)}")
-        self._sides = self._input.shape[2:]
-        self._prepares_for_each_size = provider == "cuda"
+    def __init__(self, file: Path, labels: Sequence[str], heads: tuple[Head, ...], network: _Loaded) -> None:
+        super().__init__(file, labels, heads)
+        self._network = network
+        self._sides = network.pictures.shape[2:]
+        self._prepares_for_each_size = network.for_each_size
+        self._outputs = tuple(head.output for head in heads)
 
     def run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
         """As of every network."""
+        import numpy as np
         import onnxruntime
 
         options = onnxruntime.RunOptions()
         options.log_severity_level = 4 if quiet else 3  # errors are raised too
-        names = [head.output for head in self.heads]
-        outputs: list[Floats] = self._session.run(names, {self._input.name: picture}, options)
+        pictures = self._network.pictures
+        given = picture.astype(np.float16) if pictures.type == _HALF else picture
+        outputs: list[Floats] = self._network.session.run(self._outputs, {pictures.name: given}, options)
         return outputs
 
-    def _require_raw_heads(self) -> None:
-        """Raises ModelError for a network whose outputs are decoded boxes, as YOLOv8's and later ones' are."""
-        outputs = self._session.get_outputs()
-        if outputs and all(len(output.shape) == 3 for output in outputs):
-            boxes = ", ".join(f"{output.name}: {_by(output.shape)}" for output in outputs)
-            raise self._error(
-                f"its outputs are boxes ({boxes}), as of YOLOv8 and later, and it has no anchors: "
-                "give a network with YOLOv3's raw heads, or run the network in a service of your own"
+
+class BoxInference(OnnxInference):
+    """A network that onnxruntime runs and that decodes its boxes itself; its head is recognised at its first run."""
+
+    grey = ULTRALYTICS_GREY
+
+    def __init__(
+        self,
+        file: Path,
+        labels: Sequence[str],
+        network: _Loaded,
+        outputs: Mapping[str, Sequence[object]],
+    ) -> None:
+        super().__init__(file, labels, (), network)
+        if (task := network.metadata.get("task", "detect")) != "detect":
+            raise self._error(f"it was exported for the task {task}: give a network that detects")
+        for name, shape in outputs.items():
+            if math.prod(length for length in shape if isinstance(length, int)) > MOST_VALUES:
+                raise self._error(f"output {name} is {by(shape)}: at most {MOST_VALUES:,} numbers are read")
+        self._outputs = tuple(outputs)
+        self._head: BoxHead | None = None
+        self._shapes: dict[int, tuple[int, ...]] = {}  # of the first output, by the side of a square
+
+    def require_side(self, side_px: int) -> None:
+        """As of every network."""
+        self._require_taken(side_px)
+        if self._varies and side_px % self._coarsest_px():
+            raise UsageError(
+                f"a picture of {side_px} pixels is not whole cells of {self._coarsest_px()}: give a multiple of it"
             )
-
-    def _heads_in_metadata(self) -> tuple[Head, ...]:
-        metadata = self._session.get_modelmeta().custom_metadata_map.get(HEADS_METADATA, "[]")
+        outputs = dict(zip(self._outputs, self._try(side_px), strict=True))
         try:
-            heads = decode_heads(metadata)
-        except msgspec.MsgspecError as error:
-            raise self._error(f"its metadata {HEADS_METADATA} cannot be read ({error})") from error
-        if not heads:
-            raise self._error(f"nothing says what its outputs mean: give heads, or metadata {HEADS_METADATA}")
-        return heads
+            head = recognise(outputs, side_px=side_px, names=len(self._labels))
+        except ValueError as error:
+            raise self._error(str(error)) from error
+        self._head, self._outputs, self.stretched = head, head.outputs, head.family == "DETR"
+        self._shapes[side_px] = outputs[head.outputs[0]].shape
 
-    def _checked_input(self) -> onnxruntime.NodeArg:
-        inputs = self._session.get_inputs()
-        if len(inputs) != 1 or not _takes_pictures(inputs[0]):
-            found = ", ".join(f"{given.type} {given.shape}" for given in inputs) or "none"
-            raise self._error(f"its inputs are {found}: one of float 1 x 3 x height x width is needed")
-        return inputs[0]
+    def describe(self) -> str:
+        """The family of its head and the number of classes."""
+        assert self._head is not None  # noqa: S101 - a side was required
+        return f"{self._head.family} head, {'1 class' if len(self._labels) == 1 else f'{len(self._labels)} classes'}"
+
+    def cell_px(self, side_px: int) -> int | None:
+        """As of every network."""
+        if not self._varies or self.stretched:
+            return None
+        return super().cell_px(side_px)
+
+    def find(self, picture: Floats, *, confidence: float) -> Candidates:
+        """As of every network."""
+        assert self._head is not None  # noqa: S101 - a side was required
+        outputs = self.run(picture)
+        height_px, width_px = picture.shape[2:]
+        try:
+            found = self._head.read(outputs, side_px=(height_px, width_px), confidence=confidence)
+        except (IndexError, ValueError) as error:
+            shapes = ", ".join(by(output.shape) for output in outputs)
+            raise self._error(
+                f"its outputs are {shapes} for a photo, unlike those for a grey picture"
+            ) from error
+        return best_of_each(found) if self._head.overlaps else found
+
+    @property
+    def _varies(self) -> bool:
+        return not any(isinstance(side, int) for side in self._sides)
+
+    def _coarsest_px(self) -> int:
+        stride = self._network.metadata.get("stride", "")
+        return int(stride) if re.fullmatch(r"[1-9]\d{0,3}", stride, re.ASCII) else _COARSEST_PX
+
+    def _are_whole(self, outputs: list[Floats], height_px: int, width_px: int) -> bool:
+        """Whether the number of cells is in proportion; end-to-end networks give the same number of boxes."""
+        assert self._head is not None  # noqa: S101 - a side was required
+        if self._head.family == "end-to-end":
+            return outputs[0].ndim == 3
+        side_px = max(height_px, width_px)
+        square = self._shapes.get(side_px, ())
+        return math.prod(outputs[0].shape) * side_px**2 == math.prod(square) * height_px * width_px
+
+
+def _heads_in(file: Path, metadata: Mapping[str, str]) -> tuple[Head, ...]:
+    try:
+        return decode_heads(metadata.get(HEADS_METADATA, "[]"))
+    except msgspec.MsgspecError as error:
+        problem = f"its metadata {HEADS_METADATA} cannot be read ({error})"
+        raise ModelError(file, "", words_of(problem)) from error
+
+
+def _labels_in(file: Path, metadata: Mapping[str, str]) -> list[str]:
+    if _NAMES_METADATA not in metadata:
+        raise ModelError(file, "", "its metadata has no names: give names, a file with a line for each class")
+    try:
+        return parse_names(metadata[_NAMES_METADATA])
+    except ValueError as error:
+        problem = f"the names in its metadata cannot be read ({error}): give names, a file with a line for each class"
+        raise ModelError(file, "", words_of(problem)) from error
+
+
+def _checked_input(file: Path, session: onnxruntime.InferenceSession) -> onnxruntime.NodeArg:
+    inputs = session.get_inputs()
+    if len(inputs) != 1 or not _takes_pictures(inputs[0]):
+        found = ", ".join(f"{given.type} {given.shape}" for given in inputs) or "none"
+        problem = f"its inputs are {found}: one of float 1 x 3 x height x width is needed, of 32 or 16 bits"
+        raise ModelError(file, "", words_of(problem))
+    return inputs[0]
 
 
 class NcnnInference(Inference):
@@ -209,7 +371,8 @@ class NcnnInference(Inference):
         options.use_bf16_storage = False
         with converted(files.cfg, files.weights, "ncnn") as model:
             facts = Facts.beside(model)
-            super().__init__(files, facts.heads)
+            assert files.names is not None  # noqa: S101
+            super().__init__(files.weights, _read_labels(files.names), facts.heads)
             self._stride = facts.stride
             if self._net.load_param(str(model)) or self._net.load_model(str(model.with_suffix(".numbers"))):
                 raise ModelError(model, "", "ncnn cannot load it")
@@ -270,7 +433,7 @@ def _onnx(files: ModelFiles) -> AbstractContextManager[Path]:
 
 def _takes_pictures(node: onnxruntime.NodeArg) -> bool:
     """Whether an input is 1 x 3 x height x width; what the model leaves open is a name or None."""
-    if node.type != "tensor(float)" or len(node.shape) != 4:
+    if node.type not in ("tensor(float)", _HALF) or len(node.shape) != 4:
         return False
     pictures, channels = node.shape[:2]
     return channels == 3 and (pictures == 1 or not isinstance(pictures, int))
@@ -288,10 +451,6 @@ def _read_labels(file: Path) -> list[str]:
         raise ModelError(file, f"byte {error.start}", "not text: give a file with one name a line") from None
     except ValueError as error:
         raise ModelError(file, "", f"cannot be read ({error}): give a file with one name a line") from None
-    if not 0 < len(labels) <= _MOST_LABELS or not all(labels):
+    if not 0 < len(labels) <= MOST_LABELS or not all(labels):
         raise ModelError(file, "", "expected the name of a class in every line")
     return labels
-
-
-def _by(shape: Iterable[object]) -> str:
-    return " x ".join(map(str, shape))

@@ -24,7 +24,8 @@ MAX_PHOTO_PIXELS = 40_000_000
 MAX_SCANNED_PIXELS = (
     16 * MAX_PHOTO_PIXELS
 )  # each scan visits all pixels; a progressive JPEG has about 10 scans
-_GREY = 0.5  # around the photo, as Darknet has it
+DARKNET_GREY = 0.5  # around the photo
+ULTRALYTICS_GREY = 114 / 255
 
 
 class NotAPhoto(ValueError):
@@ -35,23 +36,26 @@ class NotAPhoto(ValueError):
 class Letterbox:
     """A photo scaled into a square of `side_px`, centred, with grey around it.
 
-    With `cell_px` the picture has only as many whole cells of the square as the photo needs.
+    With `cell_px` the picture has only as many whole cells of the square as the photo needs. A `stretched` photo
+    fills the square.
     """
 
     photo_width_px: int
     photo_height_px: int
     side_px: int
     cell_px: int | None = None
+    grey: float = DARKNET_GREY
+    stretched: bool = False
 
     @property
     def width_px(self) -> int:
         """The photo's width in the picture."""
-        return max(1, self.side_px * self.photo_width_px // self._longer_px)
+        return self._scaled(self.photo_width_px)
 
     @property
     def height_px(self) -> int:
         """The photo's height in the picture."""
-        return max(1, self.side_px * self.photo_height_px // self._longer_px)
+        return self._scaled(self.photo_height_px)
 
     def picture(self, photo: MatLike) -> Floats:
         """The input of a network: shape 1, 3, height, width; red, green, blue from 0 to 1.
@@ -64,7 +68,7 @@ class Letterbox:
 
         scaled = cv2.resize(photo, (self.width_px, self.height_px), interpolation=cv2.INTER_LINEAR)
         shape = (1, 3, self._whole_cells(self.height_px), self._whole_cells(self.width_px))
-        picture = np.full(shape, _GREY, np.float32)
+        picture = np.full(shape, self.grey, np.float32)
         for plane, channel in zip(
             picture[0], reversed(cv2.split(scaled)), strict=True
         ):  # OpenCV has blue first
@@ -82,9 +86,9 @@ class Letterbox:
             return None
         return Box(left_px=left, top_px=top, width_px=right - left, height_px=bottom - top)
 
-    @property
-    def _longer_px(self) -> int:
-        return max(self.photo_width_px, self.photo_height_px)
+    def _scaled(self, length_px: int) -> int:
+        longer_px = max(self.photo_width_px, self.photo_height_px)
+        return self.side_px if self.stretched else max(1, self.side_px * length_px // longer_px)
 
     @property
     def _left_px(self) -> int:
@@ -100,13 +104,20 @@ class Letterbox:
         return -(-length_px // cell_px) * cell_px
 
 
-def read_photo(photo: bytes, side_px: int, cell_px: int | None = None) -> tuple[Floats, Letterbox]:
+def read_photo(
+    photo: bytes,
+    side_px: int,
+    cell_px: int | None = None,
+    *,
+    grey: float = DARKNET_GREY,
+    stretched: bool = False,
+) -> tuple[Floats, Letterbox]:
     """A JPEG as a picture with a longer side of `side_px`, and the photo's place in it; raises NotAPhoto.
 
     The photo is decoded at a half, a quarter or an eighth of its resolution if that is enough.
     """
     header = _read_header(photo)
-    letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px)
+    letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px, grey, stretched)
     return letterbox.picture(_decode(photo, letterbox)), letterbox
 
 

@@ -83,12 +83,12 @@ def _read_head(output: Floats, head: Head, confidence: float) -> Candidates:
     _, _, rows, columns = output.shape
     values = output.reshape(len(anchors), -1, rows, columns)
     # A score is objectness times class: low objectness spares the classes.
-    anchor, row, column = np.nonzero(_sigmoid(values[:, 4]) > confidence)
+    anchor, row, column = np.nonzero(sigmoid(values[:, 4]) > confidence)
     there = values[anchor, :, row, column]
-    scores = _sigmoid(there[:, 4:5]) * _sigmoid(there[:, 5:])
+    scores = sigmoid(there[:, 4:5]) * sigmoid(there[:, 5:])
     which, classes = np.nonzero(scores > confidence)
     cells = np.stack([column, row], axis=1)[which].astype(np.float32)
-    centres = (_sigmoid(there[which, 0:2]) + cells) * head.stride
+    centres = (sigmoid(there[which, 0:2]) + cells) * head.stride
     halves = np.exp(np.clip(there[which, 2:4], -_STEEPEST, _STEEPEST)) * anchors[anchor[which]] / 2
     return Candidates(np.hstack([centres - halves, centres + halves]), scores[which, classes], classes)
 
@@ -112,7 +112,8 @@ def best_of_each(found: Candidates) -> Candidates:
     return found.only(kept)
 
 
-def _sigmoid(numbers: Floats) -> Floats:
+def sigmoid(numbers: Floats) -> Floats:
+    """Shares from 0 to 1 of any numbers."""
     import numpy as np
 
     shares: Floats = np.reciprocal(1 + np.exp(-np.clip(numbers, -_STEEPEST, _STEEPEST)))

@@ -1,0 +1,360 @@
+"""Networks that decode their boxes themselves: recognised, and read as a plain decoder reads them, or refused."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+from tests.services.darknet_models import small, write_labels, write_model
+
+from upwash.errors import ModelError
+from upwash.services import Detection, Detector, ModelFiles
+from upwash.services.heads import parse_names
+
+Values = NDArray[Any]
+SIDE_PX, CONFIDENCE = 160, 0.5
+CELLS = 20 * 20 + 10 * 10 + 5 * 5
+NAMES = {"names": "{0: 'person', 1: \"farmer's car\", 2: 'boat'}"}
+LABELS = ["person", "farmer's car", "boat"]
+RNG = np.random.default_rng(7)
+
+
+def export(
+    folder: Path, *outputs: Values, metadata: dict[str, str] = NAMES, side: Any = SIDE_PX
+) -> ModelFiles:
+    """A network with these outputs, whatever it is given."""
+    kind = TensorProto.FLOAT16 if outputs[0].dtype == np.float16 else TensorProto.FLOAT
+    picture = helper.make_tensor_value_info("images", kind, [1, 3, side, side])
+    names = [("output0",), ("pred_boxes", "logits"), ("output0", "c1", "c2")][len(outputs) - 1]
+    graph = helper.make_graph(
+        [helper.make_node("Identity", [f"constant {name}"], [name]) for name in names],
+        "export",
+        [picture],
+        [
+            helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(output.dtype), output.shape)
+            for name, output in zip(names, outputs, strict=True)
+        ],
+        [
+            numpy_helper.from_array(output, f"constant {name}")
+            for name, output in zip(names, outputs, strict=True)
+        ],
+    )
+    return saved(folder, graph, metadata)
+
+
+def saved(folder: Path, graph: onnx.GraphProto, metadata: dict[str, str]) -> ModelFiles:
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, metadata)
+    onnx.save(model, folder / "export.onnx")
+    return ModelFiles(onnx=folder / "export.onnx")
+
+
+def photo(width_px: int = 320, height_px: int = 240) -> bytes:
+    noise = RNG.integers(0, 256, (height_px // 20, width_px // 20, 3), np.uint8)
+    return cv2.imencode(".jpg", cv2.resize(noise, (width_px, height_px)))[1].tobytes()
+
+
+# --- each family, against loops ------------------------------------------------------------------------------
+
+
+def boxes(number: int) -> Values:
+    """Centres and sizes in pixels of the picture."""
+    return np.hstack([RNG.uniform(0, SIDE_PX, (number, 2)), RNG.uniform(8, 50, (number, 2))])
+
+
+def shares(number: int, classes: int = 3) -> Values:
+    return RNG.uniform(0, 0.9, (number, classes)) ** 2
+
+
+def corners(rows: Values) -> Values:
+    return np.hstack([rows[:, :2] - rows[:, 2:] / 2, rows[:, :2] + rows[:, 2:] / 2])
+
+
+FEW = boxes(300)
+CLASSES = RNG.integers(0, 3, (300, 1))
+LOGITS = RNG.normal(-1, 2, (300, 3))
+V5 = np.hstack([boxes(3 * CELLS), RNG.uniform(0.5, 1, (3 * CELLS, 1)), shares(3 * CELLS)])
+V8 = np.hstack([boxes(CELLS), shares(CELLS)])
+END = np.hstack([corners(FEW), shares(300, 1), CLASSES])
+DETR = np.hstack([FEW / SIDE_PX, shares(300)])
+FAMILIES = {
+    "YOLOv5": [V5],
+    "YOLOv5 and cells": [V5, *[np.zeros((1, 3, 4, 4, 8))] * 2],
+    "YOLOv8": [V8.T],
+    "YOLOv8 turned": [V8],
+    "end-to-end": [END],
+    "DETR": [DETR],
+    "DETR in two": [FEW / SIDE_PX, LOGITS],
+}
+
+
+def plainly(family: str, outputs: list[Values]) -> list[Detection]:
+    """What a photo of 320 x 240 pixels shows by these outputs, one box after another."""
+    kind = family.partition(" ")[0]
+    first = outputs[0].astype(float)
+    if family == "YOLOv8":
+        first = first.T
+    found = []
+    for index, row in enumerate(first):
+        if kind == "end-to-end":
+            left, top, right, bottom, score, cls = row
+        else:
+            x, y, width, height = row[:4]
+            scores = list(row[5:] * row[4] if kind == "YOLOv5" else row[4:])
+            if family == "DETR in two":
+                scores = [1 / (1 + np.exp(-float(logit))) for logit in outputs[1][index]]
+            score = max(scores)
+            cls = scores.index(score)
+            left, top, right, bottom = x - width / 2, y - height / 2, x + width / 2, y + height / 2
+        if score <= CONFIDENCE:
+            continue
+        if kind == "DETR":  # the photo fills the picture
+            left, right, top, bottom = left * 320, right * 320, top * 240, bottom * 240
+        else:  # grey of 20 pixels above and below the photo
+            left, right, top, bottom = left * 2, right * 2, (top - 20) * 2, (bottom - 20) * 2
+        found.append((float(score), int(cls), (left, top, right, bottom)))
+    found.sort(key=lambda item: -item[0])
+    kept: list[tuple[float, int, tuple[float, ...]]] = []
+    for item in found:
+        if kind not in ("YOLOv5", "YOLOv8") or all(
+            other[1] != item[1] or overlap(other[2], item[2]) <= 0.45 for other in kept
+        ):
+            kept.append(item)
+    return [detection for item in kept if (detection := cut(*item)) is not None]
+
+
+def overlap(one: tuple[float, ...], other: tuple[float, ...]) -> float:
+    width = min(one[2], other[2]) - max(one[0], other[0])
+    height = min(one[3], other[3]) - max(one[1], other[1])
+    if width <= 0 or height <= 0:
+        return 0.0
+    areas = [(box[2] - box[0]) * (box[3] - box[1]) for box in (one, other)]
+    return width * height / (sum(areas) - width * height)
+
+
+def cut(score: float, cls: int, box: tuple[float, ...]) -> Detection | None:
+    left, right = (min(max(x, 0), 320) for x in box[0::2])
+    top, bottom = (min(max(y, 0), 240) for y in box[1::2])
+    if left >= right or top >= bottom:
+        return None
+    return Detection(
+        left_px=left,
+        top_px=top,
+        width_px=right - left,
+        height_px=bottom - top,
+        label=LABELS[cls],
+        score=score,
+    )
+
+
+def rows(found: list[Detection]) -> list[Any]:
+    return [
+        [each.score, LABELS.index(each.label), each.left_px, each.top_px, each.width_px, each.height_px]
+        for each in found
+    ]
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_family_is_recognised_and_its_boxes_are_those_of_a_plain_decoder(
+    family: str, kind: type[np.floating[Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    outputs = [output.astype(kind) for output in FAMILIES[family]]
+    given = [output if output.ndim == 5 else output[np.newaxis] for output in outputs]
+    detector = Detector(model=export(tmp_path, *given), threads=1)
+    assert f"light: {family.partition(' ')[0]} head, 3 classes, 160 x 160\n" in capfd.readouterr().err
+    expected = plainly(family, outputs)
+    assert len(expected) > 20
+    np.testing.assert_allclose(
+        rows(detector.process_photo(photo(), "light", CONFIDENCE)), rows(expected), rtol=1e-4, atol=2e-3
+    )
+
+
+# --- pictures ------------------------------------------------------------------------------------------------
+
+
+def convolution(folder: Path, *sides: Any, shape: list[Any] | None = None) -> ModelFiles:
+    """A network as YOLOv8's with one layer, whose boxes and scores depend on the picture."""
+    scale = np.array([30, 30, 10, 10, 3, 3, 3], np.float32).reshape(-1, 1, 1, 1)
+    weights = RNG.normal(0, 0.1, (7, 3, 8, 8)).astype(np.float32) * scale
+    biases = np.array([150, 150, 40, 40, 0, 0, 0], np.float32)
+    constants = {"w": weights, "b": biases, "s": np.array([1, 7, -1]), "parts": np.array([4, 3])}
+    nodes = [
+        helper.make_node("Conv", ["images", "w", "b"], ["cells"], strides=[8, 8]),
+        helper.make_node("Reshape", ["cells", "s"], ["flat"]),
+        helper.make_node("Split", ["flat", "parts"], ["boxes", "raw"], axis=1),
+        helper.make_node("Sigmoid", ["raw"], ["scores"]),
+        helper.make_node("Concat", ["boxes", "scores"], ["output0"], axis=1),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "export",
+        [helper.make_tensor_value_info("images", TensorProto.FLOAT, ["batch", 3, *sides])],
+        [helper.make_tensor_value_info("output0", TensorProto.FLOAT, shape)],
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    return saved(folder, graph, NAMES)
+
+
+@pytest.mark.parametrize("sides", [(320, 320), ("height", "width")])
+def test_a_picture_is_a_letterbox_of_grey_114_and_where_sizes_vary_has_the_photos_shape(
+    sides: tuple[Any, Any], tmp_path: Path
+) -> None:
+    files, jpeg = convolution(tmp_path, *sides), photo(400, 280)
+    found = Detector(model=files, threads=1).process_photo(jpeg, "light", 0.6)
+    decoded = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    scaled = cv2.resize(decoded, (320, 224))
+    margin = 0 if "width" in sides else 48
+    grey = cv2.copyMakeBorder(scaled, margin, margin, 0, 0, cv2.BORDER_CONSTANT, value=(114, 114, 114))
+    session = onnxruntime.InferenceSession(files.onnx or "", providers=["CPUExecutionProvider"])
+    (output,) = session.run(None, {"images": cv2.dnn.blobFromImage(grey, 1 / 255, swapRB=True)})
+    best = output[0, 4:].max(axis=0)
+    surest = int(best.argmax())
+    assert found[0].score == pytest.approx(float(best[surest]), abs=1e-4)
+    x, y, width, height = output[0, :4, surest]
+    assert found[0].width_px == pytest.approx(width * 1.25, abs=0.01)
+    assert found[0].left_px == pytest.approx((x - width / 2) * 1.25, abs=0.01)
+    assert found[0].top_px == pytest.approx((y - margin - height / 2) * 1.25, abs=0.01)
+
+
+def test_light_may_be_another_network(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    cfg, weights = write_model(tmp_path, small())
+    raw = ModelFiles(cfg=cfg, weights=weights, names=write_labels(tmp_path, 2))
+    detector = Detector(
+        model=export(tmp_path, END[np.newaxis].astype(np.float32)), light_model=raw, threads=1
+    )
+    assert capfd.readouterr().err == "heavy: end-to-end head, 3 classes, 160 x 160\n"
+    assert {each.label for each in detector.process_photo(photo(), "heavy")} == set(LABELS)
+    assert {each.label for each in detector.process_photo(photo(), "light", 0.3)} <= {"thing 0", "thing 1"}
+
+
+def test_the_service_that_the_page_shows_reads_an_end_to_end_network(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "detector.md").read_text()
+    (code,) = re.findall(r'```python title="my_network.py"\n(.*?)```', page, re.DOTALL)
+    (tmp_path / "my_network.py").write_text(code)
+    files = export(tmp_path, END[np.newaxis].astype(np.float32), side=640)
+    found = runpy.run_path(str(tmp_path / "my_network.py"))["MyNetwork"](onnx=files.onnx).process_photo(
+        photo()
+    )
+    assert len(found) == (END[:, 4] > 0.25).sum()
+    surest = END[END[:, 4].argmax()]
+    assert max(found, key=lambda one: one.score).left_px == pytest.approx(surest[0] / 2, abs=1e-3)
+
+
+# --- refusals ------------------------------------------------------------------------------------------------
+
+
+def like(*shape: int, fill: float = 0.5) -> Values:
+    return np.full(shape, fill, np.float32)
+
+
+NOT_UNDERSTOOD = r"its outputs are not understood \(output0: {}.*docs/detector\.md shows one of 20 lines"
+REFUSED = {
+    "too few names": (
+        [V8.T[np.newaxis, :6]],
+        r"output0 is 1 x 6 x 525, as of YOLOv8 with 2 classes, but there are 3",
+    ),
+    "more names": ([like(1, 84, 525)], r"as of YOLOv8 with 80 classes, but there are 3 names: give names"),
+    "rows": (
+        [like(1, 1575, 85)],
+        r"as of YOLOv5 with 80 classes or DETR with 81 classes, but there are 3 names",
+    ),
+    "a class beyond": ([like(1, 300, 6, fill=7)], r"end-to-end head that has class 7, but there are 3 names"),
+    "DETR's names": (
+        [like(1, 300, 4), like(1, 300, 80)],
+        r"logits is 1 x 300 x 80, as of DETR with 80 classes, but",
+    ),
+    "boxes in pixels": (
+        [like(1, 300, 4, fill=9), like(1, 300, 3)],
+        r"not understood \(pred_boxes: 1 x 300 x 4 ",
+    ),
+    "another number": ([like(1, 300, 4), like(1, 200, 3)], r"not understood \(pred_boxes: 1 x 300 x 4 "),
+    "no classes": ([like(1, 4, 525)], NOT_UNDERSTOOD.format("1 x 4 x 525 float32")),
+    "nothing": ([like(1, 0, 0)], NOT_UNDERSTOOD.format("1 x 0 x 0 float32")),
+    "no batch": ([like(7, 525)], NOT_UNDERSTOOD.format("7 x 525 float32")),
+    "a scalar": ([np.array(1, np.float32)], NOT_UNDERSTOOD.format(" float32")),
+    "two pictures": ([like(2, 7, 525)], NOT_UNDERSTOOD.format("2 x 7 x 525 float32")),
+    "integers": ([np.zeros((1, 7, 525), np.int64)], NOT_UNDERSTOOD.format("1 x 7 x 525 int64")),
+    "cells": ([like(1, 3, 20, 20, 8)], NOT_UNDERSTOOD.format("1 x 3 x 20 x 20 x 8 float32")),
+    "masks": ([like(1, 7, 525), like(1, 32, 40, 40)], r"not understood \(pred_boxes: 1 x 7 x 525 "),
+    "NaN": (
+        [like(1, 7, 525, fill=np.nan)],
+        r"infinite or none \(NaN\) for a grey picture: export it with 32-bit",
+    ),
+    "raw scores": (
+        [like(1, 7, 525, fill=-9)],
+        r"YOLOv8 head, but its scores are from -9 to -9, not from 0 to 1",
+    ),
+    "YOLOX": ([like(1, 525, 8)], r"525 cells of one box and an objectness, as of YOLOX"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_outputs_that_are_not_understood_are_refused_with_what_was_seen(case: str, tmp_path: Path) -> None:
+    outputs, problem = REFUSED[case]
+    with pytest.raises(ModelError, match=rf"export\.onnx: .*{problem}"):
+        Detector(
+            model=export(tmp_path, *[output.astype(output.dtype.newbyteorder("=")) for output in outputs])
+        )
+
+
+@pytest.mark.parametrize(
+    ("metadata", "problem"),
+    [
+        ({}, "its metadata has no names: give names, a file"),
+        ({"names": "{}"}, "an empty name, no names or too many"),
+        ({"names": "['a', '']"}, "an empty name"),
+        ({"names": "{0: 'a', 2: 'b'}"}, "its numbers are not those from 0 to 1"),
+        ({"names": "[" * 100_000 + "]" * 100_000}, "no name at letter 2"),
+        ({"names": "{0: __import__('os').getcwd()}"}, "no name at letter 2"),
+        ({"names": "['a' 'b']"}, "no name at letter 2"),
+        ({"names": r"['\x']"}, "names in its metadata cannot be read"),
+        ({**NAMES, "task": "segment"}, "it was exported for the task segment: give a network that detects"),
+    ],
+)
+def test_metadata_that_does_not_fit_is_refused(
+    metadata: dict[str, str], problem: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=problem):
+        Detector(model=export(tmp_path, V8.T[np.newaxis].astype(np.float32), metadata=metadata))
+
+
+def test_names_are_read_as_python_writes_them() -> None:
+    names = ["person", "farmer's car", 'a "boat"', "Löwe, alt", "back\\slash"]
+    assert parse_names(str(dict(enumerate(names)))) == names
+    assert parse_names(str(names)) == names
+    assert parse_names("{1: 'b', 0: 'a',}") == ["a", "b"]
+
+
+@pytest.mark.parametrize("side", [100_000, 8])
+def test_a_picture_of_an_impossible_size_is_refused(side: int, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=f"it takes only pictures of {side} x {side}, not 320"):
+        Detector(model=export(tmp_path, like(1, 7, 525), side=side))
+
+
+def test_an_output_of_a_size_out_of_all_bounds_is_refused_before_it_is_computed(tmp_path: Path) -> None:
+    said = "output0 is 1 x 7 x 1000000000: at most 50,000,000 numbers are read"
+    with pytest.raises(ModelError, match=said):
+        Detector(model=convolution(tmp_path, 320, 320, shape=[1, 7, 10**9]))
+
+
+def test_boxes_without_a_place_are_left_out_and_only_the_surest_thousand_count(tmp_path: Path) -> None:
+    wild = np.hstack([boxes(3000), like(3000, 1, fill=0.9), CLASSES[:1].repeat(3000, axis=0)]).astype(
+        np.float32
+    )
+    wild[:, 0] /= 2
+    wild[:, 2:4] += wild[:, :2]
+    wild[:, 1], wild[:, 3] = 60, 90  # on the photo
+    wild[0, :4] = 3e38
+    found = Detector(model=export(tmp_path, wild[np.newaxis]), threads=1).process_photo(photo(), "heavy", 0.0)
+    assert len(found) == 999
