@@ -65,7 +65,7 @@ from upwash.services.darknet.weights import WeightsFile
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.sim.radio import read_goodput
-from upwash.support.exif import PhotoPlace, with_place
+from upwash.support.exif import PhotoPlace, unturned, with_place
 
 ROOT = Path(__file__).parents[2]
 Decode = Callable[[bytes], object]
@@ -317,11 +317,11 @@ def _metadata(data: bytes) -> None:
 _HEADS = encode_heads([Head(output="heads", stride=8, anchors=((10.0, 13.0),))])
 
 
-def _photo(*, progressive: bool = False) -> bytes:
+def _photo(ending: str = ".jpg", *, progressive: bool = False) -> bytes:
     import cv2
 
     picture = np.arange(240 * 320 * 3, dtype=np.uint32).astype(np.uint8).reshape(240, 320, 3)
-    encoded: Any = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive)])[1]
+    encoded: Any = cv2.imencode(ending, picture, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1] if progressive else [])[1]
     return bytes(encoded.tobytes())
 
 
@@ -490,10 +490,12 @@ def decoders() -> Mapping[str, Decoder]:
         "a photo": Decoder(
             partial(read_photo, side_px=320),
             (NotAPhoto,),
-            (_photo(), _photo(progressive=True)),
+            (_photo(), _photo(progressive=True), _photo(".png")),
             most_bytes=10**9,
         ),
         "a photo's EXIF": Decoder(
-            partial(with_place, shot=_SHOT), (), (_photo(), with_place(_photo(), _SHOT), _exif_of_a_camera())
+            lambda photo: with_place(unturned(photo), _SHOT),
+            (),
+            (_photo(), with_place(_photo(), _SHOT), _exif_of_a_camera()),
         ),
     }

@@ -33,9 +33,11 @@ def configured(place: Path, *, program: str = "survey", **camera: object) -> Dro
 
 
 def looked_at(folder: Path, **files: bytes) -> Look:
+    """What is seen of files by their names; an ending stands behind `_`."""
     (folder / "photos").mkdir()
     for name, content in files.items():
-        (folder / "photos" / f"{name}.jpg").write_bytes(content)
+        stem, _, ending = name.partition("_")
+        (folder / "photos" / f"{stem}.{ending or 'jpg'}").write_bytes(content)
     return asyncio.run(look(configured(folder, folder="photos")))
 
 
@@ -43,6 +45,15 @@ def test_the_first_photo_of_a_folder_and_its_largest_one_are_given(tmp_path: Pat
     larger = JPEG + b"what a camera adds"
     seen = looked_at(tmp_path, a=JPEG, b=JPEG + b"it", c=larger, d=JPEG)
     assert seen == Look({"a.jpg": JPEG, "c.jpg": larger})
+
+
+def test_a_png_is_given_as_a_jpeg_and_a_damaged_one_is_named(tmp_path: Path) -> None:
+    png = cv2.imencode(".png", np.full((48, 64), 29_500, np.uint16))[1].tobytes()
+    seen = looked_at(tmp_path, a_PNG=png, b_PNG=png[:-20])
+    assert list(seen.photos) == ["a.PNG"]
+    assert seen.photos["a.PNG"].startswith(b"\xff\xd8")
+    (trouble,) = seen.troubles
+    assert "b.PNG cannot be read: the PNG is cut off" in trouble
 
 
 @pytest.mark.parametrize(

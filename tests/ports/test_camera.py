@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 import threading
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from upwash.core.geo import Position
@@ -33,14 +36,49 @@ def shoot(camera: Camera, count: int) -> list[bytes]:
 
 
 def test_photos_come_in_name_order_and_start_over(tmp_path: Path) -> None:
-    camera = FolderCamera(fill(tmp_path, "c.jpg", "a.JPG", "b.jpeg"), photo_s=0)
-    assert shoot(camera, 5) == [b"a.JPG", b"b.jpeg", b"c.jpg", b"a.JPG", b"b.jpeg"]
+    camera = FolderCamera(fill(tmp_path, "c10.jpg", "c2.jpg", "a.JPG", "b.jpeg"), photo_s=0)
+    assert shoot(camera, 5) == [b"a.JPG", b"b.jpeg", b"c2.jpg", b"c10.jpg", b"a.JPG"]
 
 
 def test_other_files_and_folders_are_no_photos(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").mkdir()
-    camera = FolderCamera(fill(tmp_path, "photo.jpg", "truth.json", "photo.png"), photo_s=0)
+    os.mkfifo(tmp_path / "b.jpg")
+    (tmp_path / "c.jpg").symlink_to("d.jpg")
+    (tmp_path / "d.jpg").symlink_to("c.jpg")
+    (tmp_path / "e.jpg").symlink_to("nowhere.jpg")
+    camera = FolderCamera(fill(tmp_path, "photo.jpg", "truth.json", "photo.tif"), photo_s=0)
     assert shoot(camera, 2) == [b"photo.jpg"] * 2
+
+
+def test_a_png_becomes_a_jpeg_of_the_same_pixels(tmp_path: Path) -> None:
+    thermal = np.full((40, 60), 29_500, np.uint16)
+    thermal[:, 30:] = 31_800
+    (tmp_path / "a.PNG").write_bytes(cv2.imencode(".png", thermal)[1].tobytes())
+    (tmp_path / "b.png").write_bytes((tmp_path / "a.PNG").read_bytes()[:20])
+    fill(tmp_path, "c.jpg")
+    (tmp_path / "d.png").write_bytes(b"\xff\xd8\xff")
+    camera = FolderCamera(tmp_path, photo_s=0)
+    pixels = cv2.imdecode(np.frombuffer(shoot(camera, 1)[0], np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert pixels is not None
+    assert (pixels[20, 10], pixels[20, 50]) == (0, 255)
+    with pytest.raises(CameraError, match=r"b\.png cannot be read: the PNG is cut off after 20 bytes"):
+        shoot(camera, 1)
+    assert shoot(camera, 2) == [b"c.jpg", b"\xff\xd8\xff"]
+
+
+def test_a_name_that_is_no_utf_8_is_shown_as_far_as_it_is(tmp_path: Path) -> None:
+    Path(os.fsdecode(os.fsencode(tmp_path) + b"/for\xeat.jpg")).write_bytes(b"photo")
+    photo = asyncio.run(FolderCamera(tmp_path, photo_s=0).take_photo(HERE))
+    assert (photo.source, photo.jpeg) == ("for\ufffdt.jpg", b"photo")
+    assert read_photos(tmp_path, most=1) == {"for\ufffdt.jpg": b"photo"}
+
+
+def test_a_photo_that_became_a_pipe_does_not_hold_the_flight_up(tmp_path: Path) -> None:
+    camera = FolderCamera(fill(tmp_path, "photo.jpg"), photo_s=0)
+    (tmp_path / "photo.jpg").unlink()
+    os.mkfifo(tmp_path / "photo.jpg")
+    with pytest.raises(CameraError, match=r"photo\.jpg cannot be read: it is no file any more"):
+        shoot(camera, 1)
 
 
 def test_hidden_files_are_no_photos(tmp_path: Path) -> None:
@@ -83,7 +121,7 @@ def test_files_are_read_off_the_event_loop(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_missing_folder_is_refused_at_once(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"no folder .*nowhere; name a folder that holds JPEG photos"):
+    with pytest.raises(UsageError, match=r"no folder .*nowhere; name a folder that holds JPEG or PNG photos"):
         FolderCamera(tmp_path / "nowhere", photo_s=0)
 
 
@@ -93,7 +131,7 @@ def test_a_folder_that_cannot_be_read_is_refused_at_once(tmp_path: Path) -> None
 
 
 def test_a_folder_without_photos_is_refused_at_once(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"has no \*\.jpg or \*\.jpeg file; put JPEG photos in it"):
+    with pytest.raises(UsageError, match=r"has no \*\.jpg, \*\.jpeg or \*\.png file; put photos in it"):
         FolderCamera(fill(tmp_path, "notes.txt"), photo_s=0)
 
 

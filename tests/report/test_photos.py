@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from upwash.core.geo import Position
 from upwash.report.photos import PhotoShelf, Shot
 from upwash.services.solar_park import Park, View, photograph
+from upwash.support.jpeg import size_of
 
 JPEG = b"\xff\xd8\xff\xe0 a photo"
 
@@ -34,6 +38,30 @@ def test_photos_of_a_folder_are_found_by_name(folder: Path) -> None:
 )
 def test_nothing_else_is_found(folder: Path, source: str) -> None:
     assert PhotoShelf(folder).find(Shot(source, None, 0)) is None
+
+
+def test_a_png_is_found_as_a_jpeg_and_a_damaged_one_is_not(folder: Path) -> None:
+    png = cv2.imencode(".png", np.full((30, 40), 90, np.uint8))[1].tobytes()
+    (folder / "3.png").write_bytes(png)
+    (folder / "4.png").write_bytes(png[:-20])
+    found = PhotoShelf(folder).find(Shot("3.png", None, 0))
+    assert found is not None
+    assert size_of(found) == (40, 30)
+    assert PhotoShelf(folder).find(Shot("4.png", None, 0)) is None
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_browser_does_not_turn_a_photo_whose_boxes_are_in_stored_pixels(folder: Path, order: str) -> None:
+    mark = {"<": b"II*\0", ">": b"MM\0*"}[order]
+    jpeg = cv2.imencode(".jpg", np.zeros((30, 40), np.uint8))[1].tobytes()
+    for turned in (1, 6):
+        tiff = mark + struct.pack(f"{order}IHHHIHHI", 8, 1, 0x0112, 3, 1, turned, 0, 0)
+        exif = b"Exif\0\0" + tiff
+        (folder / f"{turned}.jpg").write_bytes(
+            jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2) + exif + jpeg[2:]
+        )
+    shelf = PhotoShelf(folder)
+    assert shelf.find(Shot("6.jpg", None, 0)) == (folder / "1.jpg").read_bytes()
 
 
 def test_without_a_folder_no_file_is_found() -> None:

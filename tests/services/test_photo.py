@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import random
 import resource
+import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -11,8 +14,17 @@ import pytest
 from cv2.typing import MatLike
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
-from upwash.services.photo import MAX_SCANNED_PIXELS, Letterbox, NotAPhoto, read_photo
+from upwash.services.photo import (
+    MAX_HELD_PIXELS,
+    MAX_SCANNED_PIXELS,
+    Letterbox,
+    NotAPhoto,
+    decode_photo,
+    in_8_bits,
+    read_photo,
+)
 from upwash.support.jpeg import EOI, MOST_SEGMENTS, SOS, segments_of, size_of
 
 sides = st.sampled_from([32, 320, 608, 1024])
@@ -140,6 +152,69 @@ def test_the_cameras_note_to_turn_the_photo_is_not_followed() -> None:
     np.testing.assert_array_equal(read_photo(turned, 320)[0], read_photo(PHOTO, 320)[0])
 
 
+def saved(image: MatLike | Image.Image, kind: str = "PNG") -> bytes:
+    file = io.BytesIO()
+    (image if isinstance(image, Image.Image) else Image.fromarray(image)).save(file, kind, quality=95)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("mode", "kind", "error"),
+    [
+        ("1", "PNG", 0), ("L", "PNG", 0), ("LA", "PNG", 0), ("P", "PNG", 0), ("RGB", "PNG", 0), ("RGBA", "PNG", 0),
+        ("L", "JPEG", 1), ("CMYK", "JPEG", 2),
+    ],
+)  # fmt: skip
+def test_all_kinds_of_photos_have_the_pixels_that_another_decoder_sees(
+    mode: str, kind: str, error: float
+) -> None:
+    photo = saved(Image.fromarray(gradient(300, 200)).convert(mode), kind)
+    seen = np.array(Image.open(io.BytesIO(photo)).convert("RGB"))[:, :, ::-1]
+    pixels = decode_photo(photo)
+    assert np.abs(pixels.astype(int) - seen).mean() <= error
+    picture, box = read_photo(photo, 320)
+    np.testing.assert_array_equal(picture, box.picture(pixels))
+
+
+def test_a_photo_of_120_megapixels_takes_little_memory() -> None:
+    photo = jpeg_of(np.zeros((10_000, 12_000), np.uint8))
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert read_photo(photo, 608)[1] == Letterbox(12_000, 10_000, 608)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000
+
+
+# --- 16 bits -------------------------------------------------------------------------------------------------
+
+
+def thermal() -> MatLike:
+    """Hundredths of a kelvin, with a hot and a broken pixel."""
+    image = np.full((200, 300), 29_500, np.uint16)
+    image[:, 150:] = 30_500
+    image[100, 100:110] = 31_800
+    image[0, 0] = 0
+    return image
+
+
+def test_a_thermal_photo_is_stretched_between_its_darkest_and_brightest_pixels() -> None:
+    pixels = decode_photo(saved(thermal()))
+    assert pixels.dtype == np.uint8
+    assert [pixels[at].tolist() for at in [(50, 50), (50, 200), (100, 105), (0, 0)]] == [
+        [0] * 3, [255] * 3, [255] * 3, [0] * 3,
+    ]  # fmt: skip
+
+
+def test_the_noise_of_an_even_thermal_photo_is_not_stretched() -> None:
+    even = np.full((200, 300), 29_500, np.uint16)
+    even[::2] += 4
+    assert 120 <= in_8_bits(even).min() < in_8_bits(even).max() <= 135
+
+
+def test_of_colours_of_16_bits_the_upper_8_are_kept() -> None:
+    image = gradient(300, 200)
+    photo = cv2.imencode(".png", image.astype(np.uint16) * 257)[1].tobytes()
+    np.testing.assert_array_equal(decode_photo(photo), image)
+
+
 # --- bytes that are no photo --------------------------------------------------------------------------------
 
 
@@ -148,16 +223,40 @@ def with_size(photo: bytes, *, width_px: int, height_px: int) -> bytes:
     return photo[:at] + height_px.to_bytes(2) + width_px.to_bytes(2) + photo[at + 4 :]
 
 
-def png() -> bytes:
-    return cv2.imencode(".png", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+def chunk(kind: bytes, content: bytes) -> bytes:
+    return len(content).to_bytes(4) + kind + content + zlib.crc32(kind + content).to_bytes(4)
+
+
+def png(
+    data: bytes = bytes(8 * 25),
+    *,
+    width_px: int = 8,
+    height_px: int = 8,
+    before: bytes = b"",
+    end: bytes = b"",
+) -> bytes:
+    header = struct.pack(">IIBBBBB", width_px, height_px, 8, 2, 0, 0, 0)
+    chunks = (chunk(b"IHDR", header), before, chunk(b"IDAT", zlib.compress(data)), end or chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 @pytest.mark.parametrize(
     ("photo", "complaint"),
     [
         (b"", r"empty \(0 bytes\)"),
-        (b"\x00\x01\x02\x03\x04", r"5 bytes that start with 00 01 02 03, not a JPEG"),
-        (png(), r"is a PNG, not a JPEG"),
+        (b"\x00\x01\x02\x03\x04", r"5 bytes that start with 00 01 02 03, not a JPEG or PNG"),
+        (b"GIF89a", r"is a GIF, not a JPEG or PNG"),
+        (png()[:-12], r"PNG is cut off after [\d,]+ bytes"),
+        (png()[:20], r"PNG is cut off after 20 bytes"),
+        (png(end=bytes(12) * 60_000 + chunk(b"IEND", b"")), r"PNG is cut off .*, or damaged"),
+        (png(bytes(8 * 24)), r"cannot decode the PNG"),
+        (
+            png(width_px=9000, height_px=9000),
+            r"PNG says .* 9000 x 9000 .* to 40,000,000 .*: save it as a base",
+        ),
+        (png(width_px=2**31, height_px=2**31), r"to 40,000,000 .*: have the camera take smaller"),
+        (png(height_px=0), r"8 x 0 pixels"),
+        (png(bytes(10**8)), r"more data than pixels"),
         (b"\xff\xd8\xff", r"cut off after 3 bytes"),
         (b"\xff\xd8\xff\xe0\x00\x04ab" + bytes(100), r"byte 8 starts no segment"),
         (b"\xff\xd8\xff\x00\xff\xff" + bytes(100), r"byte 2 starts no segment"),
@@ -165,15 +264,23 @@ def png() -> bytes:
         (PHOTO[:-2], r"cut off after [\d,]+ bytes"),
         (PHOTO[: len(PHOTO) // 2], r"cut off after [\d,]+ bytes"),
         (
-            with_size(PHOTO, width_px=10_000, height_px=10_000),
-            r"10000 x 10000 pixels; photos of 1 to 40,000,000",
+            with_size(PHOTO, width_px=12_000, height_px=12_000),
+            r"12000 x 12000 pixels; photos of 1 to 120,000,000",
         ),
         (with_size(PHOTO, width_px=1000, height_px=0), r"1000 x 0 pixels"),
     ],
     ids=[
         "empty",
         "noise",
-        "png",
+        "gif",
+        "png-no-end",
+        "png-stub",
+        "png-chunks",
+        "png-no-pixels",
+        "png-large",
+        "png-giant",
+        "png-flat",
+        "png-long",
         "stub",
         "zeros",
         "no-marker",
@@ -189,12 +296,19 @@ def test_what_is_no_photo_is_refused_with_what_it_is(photo: bytes, complaint: st
         read_photo(photo, 320)
 
 
-def test_a_true_photo_of_100_megapixels_is_refused_before_it_is_decoded() -> None:
-    giant = jpeg_of(np.zeros((10_000, 10_000), np.uint8))
+def test_a_true_photo_of_more_megapixels_is_refused_before_it_is_decoded() -> None:
+    giant = jpeg_of(np.zeros((10_000, 12_001), np.uint8))
     before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(NotAPhoto, match="10000 x 10000 pixels"):
+    with pytest.raises(NotAPhoto, match="12001 x 10000 pixels"):
         read_photo(giant, 608)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 1000
+
+
+def test_what_a_png_holds_beside_its_pixels_takes_no_memory() -> None:
+    texts = chunk(b"zTXt", b"it\0\0" + zlib.compress(bytes(7_900_000))) * 200
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    read_photo(png(before=texts), 320)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000
 
 
 def test_the_size_is_read_without_decoding_and_of_no_photo_there_is_none() -> None:
@@ -245,6 +359,14 @@ def test_every_scan_is_counted(padding: bytes) -> None:
     found = markers_of(progressive(gradient(40, 30), more_scans=5, padding=padding))
     assert found.count(SOS) == 15
     assert found[-1] == EOI
+
+
+def test_a_photo_that_its_decoder_holds_in_memory_may_have_fewer_pixels() -> None:
+    photo = progressive(gradient(40, 30))
+    at = photo.index(b"\xff\xc2") + 5
+    large = photo[:at] + (6001).to_bytes(2) + (MAX_HELD_PIXELS // 6000).to_bytes(2) + photo[at + 4 :]
+    with pytest.raises(NotAPhoto, match="1 to 40,000,000 pixels are accepted: save it as a baseline JPEG"):
+        read_photo(large, 320)
 
 
 def test_a_photo_of_as_many_scans_as_its_size_allows_is_read_and_of_one_more_is_not() -> None:

@@ -156,7 +156,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     photo_s: values.NotNegative = 1.0
     """The time of a photo, in seconds; a device takes its own time."""
     folder: values.FilePath | None = None
-    """A folder whose JPEG files are the photos, in turn."""
+    """A folder whose JPEG and PNG files are the photos, in turn."""
     device: values.VideoSource | None = None
     """A video device's number or path, a stream's URL, or GStreamer's pipeline."""
     latency_s: values.NotNegative = 0.0

@@ -22,7 +22,7 @@ from upwash.errors import CameraError, UsageError
 from upwash.missions.bundled import load_mission
 from upwash.ports import Camera, Photo
 from upwash.real.camera.calibration import read_calibration
-from upwash.real.camera.camera import FolderCamera, photo_files, read_photo_file
+from upwash.real.camera.camera import FolderCamera, photo_files, read_photo_file, shown_name
 from upwash.real.camera.video import VideoCamera
 from upwash.sim.camera import RenderedCamera
 from upwash.support.jpeg import EOI, segments_of
@@ -158,14 +158,15 @@ def _look_at_files(folder: Path) -> Look:
         except CameraError as error:
             bad.append(str(error))
             continue
+        name = shown_name(file)
         if not any(segment.marker == EOI for segment in segments_of(jpeg)):
             bad.append(
-                f"camera {folder}: {file.name} is no whole JPEG: copy it again, or take it out of the folder"
+                f"camera {folder}: {name} is no whole JPEG: copy it again, or take it out of the folder"
             )
         elif len(chosen) < 2 or len(jpeg) > max(map(len, chosen.values())):
             if len(chosen) == 2:
                 del chosen[list(chosen)[1]]
-            chosen[file.name] = jpeg
+            chosen[name] = jpeg
     more = len(bad) - _MOST_NAMED
     others = [f"and {counted(more, 'more photo')} like these"] if more > 0 else []
     return Look(chosen, (*bad[:_MOST_NAMED], *others))

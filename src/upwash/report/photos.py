@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from upwash.core.geo import Position
+from upwash.support.exif import unturned
+from upwash.support.png import SIGNATURE
 
 _PARK = re.compile(r"park (\d{1,18})")
 _FARTHEST_M = 100_000.0
@@ -53,7 +55,10 @@ class PhotoShelf:
             return self._rendered(int(park[1]), shot) if self._can_render else None
         if self._folder is None or not _is_name(shot.source):
             return None
-        return _read_jpeg(self._folder / shot.source)
+        photo = _read_photo(self._folder / shot.source)
+        if photo.startswith(SIGNATURE):
+            return _jpeg_of(photo) if self._can_render else None
+        return unturned(photo) if photo.startswith(_JPEG) else None
 
     def _rendered(self, seed: int, shot: Shot) -> bytes | None:
         from upwash.services.solar_park import Park, View, photograph
@@ -70,12 +75,22 @@ def _is_name(source: str) -> bool:
     return Path(source).name == source and source not in {"", ".."} and "\0" not in source
 
 
-def _read_jpeg(file: Path) -> bytes | None:
+def _read_photo(file: Path) -> bytes:
+    """The content of the file, b"" if it cannot be had or is too large."""
     try:
         if not file.is_file():
-            return None
+            return b""
         with file.open("rb") as opened:
-            jpeg = opened.read(_LARGEST_BYTES + 1)
+            photo = opened.read(_LARGEST_BYTES + 1)
     except OSError:
+        return b""
+    return photo if len(photo) <= _LARGEST_BYTES else b""
+
+
+def _jpeg_of(png: bytes) -> bytes | None:
+    from upwash.services.photo import NotAPhoto, jpeg_of
+
+    try:
+        return jpeg_of(png)
+    except NotAPhoto:
         return None
-    return jpeg if jpeg.startswith(_JPEG) and len(jpeg) <= _LARGEST_BYTES else None

@@ -69,7 +69,7 @@ class Detector:
                 print(f"{mode}: {described}, {way.side_px} x {way.side_px}", file=sys.stderr, flush=True)  # noqa: T201
 
     def process_photo(self, photo: bytes, mode: Mode = "heavy", confidence: float = 0.25) -> list[Detection]:
-        """The objects above `confidence` in a JPEG of at most 40 megapixels, best first; raises NotAPhoto."""
+        """The objects above `confidence` in a photo, best first; raises NotAPhoto."""
         if not 0 <= confidence <= 1:
             raise ValueError(f"confidence = {confidence}: give a number from 0 to 1")
         way = self._ways[mode]

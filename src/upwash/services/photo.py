@@ -1,7 +1,7 @@
-"""Photos: from the bytes of a JPEG to the input of a network, and from its boxes back to the photo.
+"""Photos: from the bytes of a JPEG or PNG to the input of a network, and from its boxes back to the photo.
 
-The pixels and the scans of a JPEG are counted before decoding: they bound memory and time. OpenCV is imported on
-first use, as missions import this module only for its exception.
+The pixels and the scans are counted before decoding: they bound memory and time. OpenCV is imported on first use, as
+missions import this module only for its exception.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from upwash.services.detection import Box
 from upwash.support.jpeg import EOI, FRAMES, MOST_SEGMENTS, SOI, SOS, Segment, segments_of, size_in
+from upwash.support.png import SIGNATURE, header_of, shown_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,16 +21,15 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float32]
 
-MAX_PHOTO_PIXELS = 40_000_000
-MAX_SCANNED_PIXELS = (
-    16 * MAX_PHOTO_PIXELS
-)  # each scan visits all pixels; a progressive JPEG has about 10 scans
+MAX_PHOTO_PIXELS = 120_000_000  # of a JPEG of one scan, as cameras write it
+MAX_HELD_PIXELS = 40_000_000  # of other photos, whose decoder holds the whole photo in memory
+MAX_SCANNED_PIXELS = 16 * MAX_HELD_PIXELS  # by all scans of a JPEG; a progressive one has about 10
 DARKNET_GREY = 0.5  # around the photo
 ULTRALYTICS_GREY = 114 / 255
 
 
 class NotAPhoto(ValueError):
-    """The bytes are no decodable JPEG; the message says what they are."""
+    """The bytes are no decodable JPEG or PNG; the message says what they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,28 +112,61 @@ def read_photo(
     grey: float = DARKNET_GREY,
     stretched: bool = False,
 ) -> tuple[Floats, Letterbox]:
-    """A JPEG as a picture with a longer side of `side_px`, and the photo's place in it; raises NotAPhoto.
+    """A photo as a picture with a longer side of `side_px`, and the photo's place in it; raises NotAPhoto.
 
-    The photo is decoded at a half, a quarter or an eighth of its resolution if that is enough.
+    A JPEG is decoded at a half, a quarter or an eighth of its resolution if that is enough.
     """
-    header = _read_header(photo)
+    png = _decoded_png(photo) if photo.startswith(SIGNATURE) else None
+    header = _read_header(photo) if png is None else _Header(png.shape[1], png.shape[0])
     letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px, grey, stretched)
-    return letterbox.picture(_decode(photo, letterbox)), letterbox
+    return letterbox.picture(_decode(photo, letterbox) if png is None else png), letterbox
 
 
 def decode_photo(photo: bytes) -> MatLike:
-    """The stored pixels of a JPEG at full resolution, blue first; raises NotAPhoto."""
+    """The stored pixels of a JPEG or PNG at full resolution, blue first; raises NotAPhoto."""
     import cv2
 
+    if photo.startswith(SIGNATURE):
+        return _decoded_png(photo)
     _read_header(photo)
     return _decoded(photo, cv2.IMREAD_COLOR)
 
 
+def jpeg_of(photo: bytes) -> bytes:
+    """A PNG as a JPEG of its stored pixels, other bytes unchanged; raises NotAPhoto."""
+    import cv2
+
+    if not photo.startswith(SIGNATURE):
+        return photo
+    return cv2.imencode(".jpg", _decoded_png(photo), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+
+def in_8_bits(image: MatLike) -> MatLike:
+    """The image with 8 bits a channel.
+
+    Of a grey image of 16 bits, as thermal cameras give it, the darkest and the brightest thousandth of the pixels
+    become black and white, unless they are less than 256 values apart. Colours keep their upper 8 bits.
+    """
+    import numpy as np
+
+    if image.dtype != np.uint16:
+        return image
+    if image.ndim == 3 and image.shape[2] > 1:
+        return np.right_shift(image, 8).astype(np.uint8)
+    low, high = (float(value) for value in np.percentile(image, (_OUTLIERS, 100 - _OUTLIERS)))
+    span = max(_LEAST_SPAN, high - low)
+    low = (low + high - span) / 2
+    scaled: Floats = (image - np.float32(low)) * np.float32(255 / span)
+    return np.clip(scaled, 0, 255).astype(np.uint8)
+
+
 # --- from bytes to pixels --------------------------------------------------------------------------
 
+_JPEG_QUALITY = 95
+_OUTLIERS = 0.1  # per cent
+_LEAST_SPAN = 256.0  # a sensor's noise is a few values
 _DECODED_FRAMES = (0xC0, 0xC1, 0xC2)  # Huffman codes, sequential or progressive, as all cameras write
 _OTHER_FORMATS = {
-    b"\x89PNG": "a PNG",
     b"GIF8": "a GIF",
     b"RIFF": "a RIFF file (WebP?)",
     b"II*\x00": "a TIFF or raw photo",
@@ -142,18 +175,22 @@ _OTHER_FORMATS = {
 }
 
 
+_SMALLER = "have the camera take smaller photos"
+
+
 @dataclass(frozen=True, slots=True)
 class _Header:
     width_px: int
     height_px: int
 
-    def require_bounded(self, *, scans: int) -> None:
+    def require_bounded(self, kind: str, *, scans: int, held: bool) -> None:
         """Raise NotAPhoto for too many pixels, or too many pixels visited by all scans."""
         size, pixels = f"{self.width_px} x {self.height_px} pixels", self.width_px * self.height_px
-        if not 0 < pixels <= MAX_PHOTO_PIXELS:
+        most = MAX_HELD_PIXELS if held else MAX_PHOTO_PIXELS
+        if not 0 < pixels <= most:
+            remedy = "save it as a baseline JPEG" if 0 < pixels <= MAX_PHOTO_PIXELS else _SMALLER
             raise NotAPhoto(
-                f"the JPEG says it has {size}; photos of 1 to {MAX_PHOTO_PIXELS:,} pixels are accepted: "
-                "have the camera take smaller ones"
+                f"the {kind} says it has {size}; photos of 1 to {most:,} pixels are accepted: {remedy}"
             )
         if scans * pixels > MAX_SCANNED_PIXELS:
             raise NotAPhoto(
@@ -165,10 +202,10 @@ class _Header:
 def _read_header(photo: bytes) -> _Header:
     """The size of a JPEG without decoding; raises NotAPhoto unless the file is whole and decodes in bounded time."""
     if not photo:
-        raise NotAPhoto("the photo is empty (0 bytes); send the bytes of a JPEG file")
+        raise NotAPhoto("the photo is empty (0 bytes); send the bytes of a JPEG or PNG file")
     if not photo.startswith(b"\xff\xd8\xff"):
         kind = _OTHER_FORMATS.get(photo[:4], f"{len(photo)} bytes that start with {photo[:4].hex(' ')}")
-        raise NotAPhoto(f"the photo is {kind}, not a JPEG; send the bytes of a JPEG file")
+        raise NotAPhoto(f"the photo is {kind}, not a JPEG or PNG; send the bytes of a JPEG or PNG file")
     segments = list(segments_of(photo))
     markers = [segment.marker for segment in segments]
     if EOI not in markers:
@@ -181,8 +218,27 @@ def _read_header(photo: bytes) -> _Header:
             f"the JPEG is of a rare kind (marker ff {frames[0].marker:02x}); save it as a baseline JPEG"
         )
     header = _Header(*size_in(photo, frames[0]))
-    header.require_bounded(scans=markers.count(SOS))
+    scans, progressive = markers.count(SOS), frames[0].marker == _DECODED_FRAMES[-1]
+    header.require_bounded("JPEG", scans=scans, held=progressive or scans > 1)
     return header
+
+
+def _decoded_png(photo: bytes) -> MatLike:
+    import cv2
+    import numpy as np
+
+    header = header_of(photo)
+    if header is None:
+        raise NotAPhoto(
+            f"the PNG is cut off after {len(photo):,} bytes, or damaged; take or copy the photo again"
+        )
+    _Header(header.width_px, header.height_px).require_bounded("PNG", scans=1, held=True)
+    png = shown_of(photo, header)
+    if png is None:
+        raise NotAPhoto("the PNG is damaged: it has more data than pixels; take or copy the photo again")
+    how = cv2.IMREAD_GRAYSCALE if header.is_grey else cv2.IMREAD_COLOR
+    pixels = in_8_bits(_decoded(png, how | cv2.IMREAD_ANYDEPTH, kind="PNG"))
+    return np.repeat(pixels[:, :, np.newaxis], 3, axis=2) if header.is_grey else pixels
 
 
 def _without_end(photo: bytes, segments: Sequence[Segment]) -> NotAPhoto:
@@ -215,7 +271,7 @@ def _decode(photo: bytes, letterbox: Letterbox) -> MatLike:
     return _decoded(photo, next(enough, cv2.IMREAD_COLOR))
 
 
-def _decoded(photo: bytes, how: int) -> MatLike:
+def _decoded(photo: bytes, how: int, kind: str = "JPEG") -> MatLike:
     import cv2
     import numpy as np
 
@@ -224,10 +280,10 @@ def _decoded(photo: bytes, how: int) -> MatLike:
         image = cv2.imdecode(np.frombuffer(photo, np.uint8), how | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise NotAPhoto(
-            f"OpenCV cannot decode the JPEG ({error.err}); take or copy the photo again"
+            f"OpenCV cannot decode the {kind} ({error.err}); take or copy the photo again"
         ) from error
     if image is None:
-        raise NotAPhoto("OpenCV cannot decode the JPEG; take or copy the photo again")
+        raise NotAPhoto(f"OpenCV cannot decode the {kind}; take or copy the photo again")
     return image
 
 

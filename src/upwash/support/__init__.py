@@ -6,7 +6,8 @@
     background                   tasks and threads whose failure is never lost
     loading                      imports by name, and of optional packages
     addresses                    sockets that listen, and requests that mean this machine
-    camera_source, exif, jpeg    cameras' sources without passwords; the place in a photo; a photo's segments
+    camera_source, exif          cameras' sources without passwords; the place in a photo
+    jpeg, png                    a photo's segments or chunks
     confidence, heat             means with margins; the model of a computer that gets hot
 
 `text`, `background` and `loading` are imported by each service's process: they import nothing heavy. Ugly is that the

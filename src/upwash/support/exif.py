@@ -22,6 +22,7 @@ _LONGEST = 0xFFFF - 2  # of what a segment holds, beside its length
 _XMP = b"http://ns.adobe.com/xap/1.0/\0"
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _UNDEFINED = 1, 2, 3, 4, 5, 7
 _EXIF_DIRECTORY, _GPS_DIRECTORY = 0x8769, 0x8825  # tags of IFD0 that lead to them
+_ORIENTATION = 0x0112
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 _ENTRY, _COUNT, _OFFSET = 12, 2, 4  # bytes
 _INLINE = 4  # bytes of a value that stand in its entry
@@ -98,6 +99,29 @@ def with_pose(jpeg: bytes, angles_deg: tuple[float, float, float], errors_m: tup
     )
     header = struct.pack(">BBH", 0xFF, _APP1, 2 + len(packet))
     return b"".join((jpeg[:at], header, packet, memoryview(jpeg)[at:]))
+
+
+def unturned(jpeg: bytes) -> bytes:
+    """The photo without its note to turn it, which browsers follow: boxes are in stored pixels."""
+    for segment in segments_of(jpeg):
+        if segment.marker == SOS:
+            return jpeg
+        if segment.marker == _APP1 and jpeg.startswith(_EXIF, segment.start + 4):
+            tiff = bytearray(jpeg[segment.start + 4 + len(_EXIF) : segment.end])
+            break
+    else:
+        return jpeg
+    if (order := _ORDERS.get(bytes(tiff[:4]))) is None:
+        return jpeg
+    try:
+        (first,) = struct.unpack_from(f"{order}I", tiff, 4)
+        (count,) = struct.unpack_from(f"{order}H", tiff, first)
+        for entry in range(first + _COUNT, first + _COUNT + count * _ENTRY, _ENTRY):
+            if struct.unpack_from(f"{order}H", tiff, entry)[0] == _ORIENTATION:
+                struct.pack_into(f"{order}H", tiff, entry + 8, 1)
+    except struct.error:
+        return jpeg
+    return b"".join((jpeg[: segment.end - len(tiff)], tiff, memoryview(jpeg)[segment.end :]))
 
 
 def _located(tiff: bytes, shot: PhotoPlace) -> bytes | None:

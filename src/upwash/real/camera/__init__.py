@@ -3,7 +3,7 @@
 Laws. A photo is a JPEG that was captured after its request. A source that fails is a CameraError that names it and
 the remedy, and is tried again. A driver that hangs does not hold up the flight or the end of the program.
 
-- camera.py       a folder of JPEG files, shot in name order
+- camera.py       the photos of a folder, in name order
 - video.py        a device, stream, pipeline or video file, through OpenCV; a thread reads every frame
 - album.py        the photos of a flight as files, with where each was taken
 - calibration.py  a lens, from the file of a calibration

@@ -52,7 +52,7 @@ class FolderAlbum:
     def _name(self, source: str) -> str:
         """A name that no other file has: the photo's number, and the name of its file if it came from one."""
         stem = "".join(letter if letter.isalnum() else "_" for letter in Path(source).stem)[:_LONGEST_NAME]
-        own = f"-{stem}" if Path(source).suffix.lower() in {".jpg", ".jpeg"} else ""
+        own = f"-{stem}" if Path(source).suffix.lower() in {".jpg", ".jpeg", ".png"} else ""
         while True:
             self._count += 1
             name = f"{self._count:05}{own}.jpg"

@@ -6,21 +6,27 @@ import asyncio
 import errno
 import itertools
 import os
+import stat
 from pathlib import Path
 
 from upwash.core.geo import Position
 from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
+from upwash.services.photo import NotAPhoto, jpeg_of
+from upwash.support.loading import extra
+from upwash.support.text import by_name
 
 _MOST_BYTES = 100_000_000  # of a photo; a JPEG of 40 megapixels has some 20 MB
-_SUFFIXES = frozenset({".jpg", ".jpeg"})
+_PNG = ".png"
+_SUFFIXES = frozenset({".jpg", ".jpeg", _PNG})
 
 
 class FolderCamera:
-    """A Camera whose photos are the JPEG files of a folder, in name order, again and again; each takes `photo_s`.
+    """A Camera whose photos are the files of a folder, in name order, again and again; each takes `photo_s`.
 
-    The folder is listed once, at the start. Raises UsageError for a folder that is missing or has no JPEG file.
+    A PNG becomes a JPEG. The folder is listed once, at the start. Raises UsageError for a folder that is missing or
+    has no photo, and for a PNG without OpenCV.
     """
 
     def __init__(self, folder: Path, *, photo_s: float, lens: Lens | None = None) -> None:
@@ -33,43 +39,49 @@ class FolderCamera:
         await asyncio.sleep(self._photo_s)
         path = next(self._paths)
         jpeg = await asyncio.to_thread(read_photo_file, path)
-        return Photo(jpeg, asyncio.get_running_loop().time(), source=path.name, lens=self._lens)
+        return Photo(jpeg, asyncio.get_running_loop().time(), source=shown_name(path), lens=self._lens)
 
 
 def read_photos(folder: Path, most: int) -> dict[str, bytes]:
-    """The contents of the first `most` JPEG files of the folder, by file name.
+    """The first `most` photos of the folder as JPEGs, by file name.
 
     Raises UsageError if there is none, and CameraError for a file that cannot be read.
     """
-    return {path.name: read_photo_file(path) for path in photo_files(folder)[:most]}
+    return {shown_name(path): read_photo_file(path) for path in photo_files(folder)[:most]}
 
 
 def read_photo_file(path: Path) -> bytes:
-    """The contents of a photo file; raises CameraError if it cannot be read or is too large."""
+    """The photo of a file as a JPEG; raises CameraError if it cannot be read or is too large."""
     try:
-        if (size := path.stat().st_size) > _MOST_BYTES:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "it is no file any more")
+        if (size := status.st_size) > _MOST_BYTES:
             raise OSError(
                 errno.EFBIG, f"it has {size / 1e6:.0f} MB, and no photo more than {_MOST_BYTES / 1e6:g}"
             )
-        return path.read_bytes()
-    except OSError as error:
+        photo = path.read_bytes()
+        return jpeg_of(photo) if path.suffix.lower() == _PNG else photo
+    except (OSError, NotAPhoto) as error:
+        why = error.strerror if isinstance(error, OSError) else error
         raise CameraError(
             str(path.parent),
-            f"{path.name} cannot be read: {error.strerror}; put it back, or start again without it",
+            f"{shown_name(path)} cannot be read: {why}; put it back, or start again without it",
         ) from error
 
 
 def photo_files(folder: Path) -> list[Path]:
-    """The JPEG files of the folder in name order, without hidden ones; raises UsageError if there is none.
+    """The JPEG and PNG files of the folder, photo2 before photo10, without hidden ones.
 
-    macOS leaves a hidden file beside each photo ("._DJI_0001.JPG").
+    macOS leaves a hidden file beside each photo ("._DJI_0001.JPG"). Raises UsageError if there is none, and for a PNG
+    without OpenCV.
     """
     try:
         with os.scandir(folder) as entries:
-            names = sorted(entry.name for entry in entries if _is_photo(entry))
+            names = sorted((entry.name for entry in entries if _is_photo(entry)), key=by_name)
     except (FileNotFoundError, NotADirectoryError):
         raise UsageError(
-            f"camera: there is no folder {folder}; name a folder that holds JPEG photos"
+            f"camera: there is no folder {folder}; name a folder that holds JPEG or PNG photos"
         ) from None
     except OSError as error:  # of another user, or on a drive that is gone
         raise UsageError(
@@ -77,10 +89,23 @@ def photo_files(folder: Path) -> list[Path]:
         ) from error
     if not names:
         raise UsageError(
-            f"camera: the folder {folder} has no *.jpg or *.jpeg file; put JPEG photos in it or name another"
+            f"camera: the folder {folder} has no *.jpg, *.jpeg or *.png file; put photos in it or name another"
         )
+    if any(name.lower().endswith(_PNG) for name in names):
+        with extra("detector"):
+            import cv2  # noqa: F401
     return [folder / name for name in names]
 
 
 def _is_photo(entry: os.DirEntry[str]) -> bool:
-    return not entry.name.startswith(".") and Path(entry.name).suffix.lower() in _SUFFIXES and entry.is_file()
+    if entry.name.startswith(".") or Path(entry.name).suffix.lower() not in _SUFFIXES:
+        return False
+    try:
+        return entry.is_file()
+    except OSError:  # links in a circle
+        return False
+
+
+def shown_name(path: Path) -> str:
+    """The file's name; a name in another encoding can be in no log."""
+    return os.fsencode(path.name).decode(errors="replace")
