@@ -293,7 +293,7 @@ REFUSED = {
     ),
     "raw scores": (
         [like(1, 7, 525, fill=-9)],
-        r"YOLOv8 head, but its scores are from -9 to -9, not from 0 to 1",
+        r"like those of YOLOv8 networks, but scores are from -9 to -9, not from 0 to 1",
     ),
     "YOLOX": ([like(1, 525, 8)], r"525 cells of one box and an objectness, as of YOLOX"),
 }

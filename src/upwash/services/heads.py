@@ -14,6 +14,7 @@ import ast
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Literal
 
 from upwash.services.darknet.heads import MOST_CANDIDATES, Candidates, sigmoid
@@ -29,7 +30,7 @@ Family = Literal["YOLOv5", "YOLOv8", "end-to-end", "DETR"]
 
 MOST_VALUES = 50_000_000  # of an output
 MOST_LABELS = 100_000
-_MOST_NAMES_LETTERS = 10_000_000
+_MOST_NAMES_LETTERS = 2_000_000
 _FARTHEST_PX = 1e6
 _LARGEST_SHARE = 2.0  # of the picture: a larger number is one of pixels
 _STRIDES = (8, 16, 32)
@@ -117,8 +118,8 @@ def recognise(outputs: Mapping[str, Floats], *, side_px: int, names: int) -> Box
     scores = rows[:, 4:5] if head.family == "end-to-end" else rows[:, 4:]
     if not head.logits and scores.size and not (scores.min() >= 0 and scores.max() <= 1.001):
         raise ValueError(
-            f"it looks like a {head.family} head, but its scores are from {scores.min():.3g} to {scores.max():.3g}, "
-            f"not from 0 to 1: export it with decoded boxes, or {_OWN_SERVICE}"
+            f"its outputs are like those of {head.family} networks, but scores are from {scores.min():.3g} to "
+            f"{scores.max():.3g}, not from 0 to 1: export it with decoded boxes, or {_OWN_SERVICE}"
         )
     return head
 
@@ -218,7 +219,8 @@ def parse_names(text: str) -> list[str]:
     text = text.strip()
     if len(text) > _MOST_NAMES_LETTERS or text[:1] + text[-1:] not in ("{}", "[]"):
         raise ValueError("no list of names")
-    numbered = [(len(text) if not index else int(index), name) for index, name in _names_in(text[1:-1])]
+    found = islice(_names_in(text[1:-1]), MOST_LABELS + 1)
+    numbered = [(len(text) if not index else int(index), name) for index, name in found]
     names = [name.strip() for _, name in sorted(numbered, key=lambda item: item[0])]
     if text[0] == "{" and sorted(index for index, _ in numbered) != list(range(len(numbered))):
         raise ValueError(f"its numbers are not those from 0 to {len(numbered) - 1}")
