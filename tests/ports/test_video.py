@@ -132,25 +132,73 @@ async def test_a_pipeline_without_gstreamer_is_refused_with_the_remedy() -> None
         await VideoCamera.open("videotestsrc ! videoconvert ! appsink")
 
 
-async def test_frames_with_more_bits_than_a_jpeg_are_refused_with_the_remedy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Thermal:
-        """A source as OpenCV gives a thermal camera's."""
+class Source:
+    """A source as OpenCV gives it."""
 
-        isOpened = grab = lambda *_: True  # noqa: N815 - OpenCV's name
-        set = get = release = lambda *_: 9.0
+    isOpened = grab = lambda *_: True  # noqa: N815 - OpenCV's name
+    set = get = release = lambda *_: 9.0
 
-        def __init__(self, *_: object) -> None:
-            """Opened."""
+    def __init__(self, *_: object) -> None:
+        """Opened."""
 
+
+async def test_frames_of_a_thermal_camera_show_hot_spots(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Thermal(Source):
         def retrieve(self) -> tuple[bool, object]:
-            return True, np.full((48, 64), 29_500, np.uint16)
+            frame = np.full((48, 64), 29_500, np.uint16)
+            frame[10:30, 10:30] = 31_800  # hundredths of a kelvin: 45 degrees
+            return True, frame
 
     monkeypatch.setattr(cv2, "VideoCapture", Thermal)
+    async with camera_on("/dev/video0") as camera:
+        photo = await camera.take_photo(HERE)
+    shown = cv2.imdecode(np.frombuffer(photo.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert shown is not None
+    assert shown[20, 20] > 250
+    assert shown[40, 50] < 5
+
+
+async def test_frames_with_more_bits_are_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Depth(Source):
+        def retrieve(self) -> tuple[bool, object]:
+            return True, np.full((48, 64), 3.5, np.float32)
+
+    monkeypatch.setattr(cv2, "VideoCapture", Depth)
     monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.2)
-    with pytest.raises(CameraError, match=r"its frames have 16 bits a pixel.*give 8 .*format=GRAY8"):
+    with pytest.raises(CameraError, match=r"its frames have 32 bits a pixel.*give 8 .*format=GRAY8"):
         await VideoCamera.open("/dev/video0")
+
+
+async def test_a_frame_that_a_stalled_stream_kept_back_is_no_photo(monkeypatch: pytest.MonkeyPatch) -> None:
+    period_s, stall_s = 0.02, 0.7
+    began_s = time.monotonic()
+    stalled_s: list[float] = []
+
+    class Stalling(Source):
+        frame = 0
+
+        def grab(self, *_: object) -> bool:
+            self.frame += 1
+            due_s = began_s + period_s * self.frame
+            if stalled_s and stalled_s[0] < due_s < stalled_s[0] + stall_s:
+                due_s = stalled_s[0] + stall_s
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            return True
+
+        def retrieve(self) -> tuple[bool, object]:
+            return True, np.full((48, 64), 2 * self.frame % 250, np.uint8)
+
+    monkeypatch.setattr(cv2, "VideoCapture", Stalling)
+    async with camera_on("/dev/video0") as camera:
+        await asyncio.sleep(15 * period_s)
+        stalled_s.append(time.monotonic())
+        await asyncio.sleep(stall_s / 2)
+        asked_s = time.monotonic()
+        photo = await camera.take_photo(HERE)
+    shown = cv2.imdecode(np.frombuffer(photo.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert shown is not None
+    true_s = began_s + period_s * float(shown.mean()) / 2
+    assert true_s >= asked_s - 5 * period_s  # a frame kept back is up to 17 periods older
 
 
 async def test_a_device_may_be_named_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 Laws: no clock, socket, randomness, log or asyncio; time and position are arguments. Events come in, commands go out.
 
     geo, operation   places on the plane around home; what a call asks for
+    frame_times      when the frames of a stream were captured
     knowledge/       what the drone knows: servers and their states, delays, ranges
     planning/        the mission ahead: legs, calls, schedules, orders
     policies/        which server, and where a call runs

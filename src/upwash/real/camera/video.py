@@ -9,10 +9,12 @@ import re
 import threading
 from pathlib import Path
 
+from upwash.core.frame_times import FrameTimes
 from upwash.core.geo import Position
 from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
+from upwash.services.photo import in_8_bits
 from upwash.support.background import thread
 from upwash.support.camera_source import is_pipeline, shown_source
 from upwash.support.loading import extra
@@ -28,8 +30,8 @@ class VideoCamera:
     """A Camera that reads a video device (0, "/dev/video0"), a stream (a URL), GStreamer's pipeline, or a video file.
 
     A thread reads every frame, so that none waits in a buffer; a photo is the first frame captured after the request.
-    A frame counts as captured `latency_s` before it arrives. A source that fails, or a file that has ended, is opened
-    again, once a second.
+    A frame counts as captured `latency_s` before it arrives, and earlier if a stalled stream kept it back. A source
+    that fails, or a file that has ended, is opened again, once a second.
     """
 
     def __init__(self, source: int | str, *, latency_s: float = 0.0, lens: Lens | None = None) -> None:
@@ -105,11 +107,12 @@ class VideoCamera:
 
     def _read_frames(self, capture: _Capture) -> None:
         self._trouble = "it is open, but shows nothing"
+        times = FrameTimes()
         while not self._closed.wait(capture.pause_s):
             if not capture.next():
                 self._trouble = "its frames have come to an end"
                 return
-            captured_s = self._loop.time() - self._latency_s
+            captured_s = times.captured_s(self._loop.time()) - self._latency_s
             jpeg = capture.jpeg() if self._requests else None
             self._trouble = capture.trouble or self._trouble
             if jpeg is not None:
@@ -151,12 +154,13 @@ class _Capture:
         return self._capture.grab()
 
     def jpeg(self) -> bytes | None:
-        """The frame as a JPEG; None if it cannot be decoded, or has more bits than a JPEG (see `trouble`)."""
+        """The frame as a JPEG; None if it cannot be decoded, or has more than 16 bits (see `trouble`)."""
         import cv2
         import numpy as np
 
         try:
             whole, frame = self._capture.retrieve()
+            frame = in_8_bits(frame) if whole else frame
             if whole and frame.dtype != np.uint8:  # OpenCV would make a white photo of it
                 self.trouble = (
                     f"its frames have {8 * frame.itemsize} bits a pixel, and a JPEG has 8: have the camera, or its "
