@@ -31,24 +31,33 @@ RNG = np.random.default_rng(7)
 def export(
     folder: Path, *outputs: Values, metadata: dict[str, str] = NAMES, side: Any = SIDE_PX
 ) -> ModelFiles:
-    """A network with these outputs, whatever it is given."""
+    """A network with these outputs for any picture; boxes beside labels are scaled to the sizes of its second input."""
     kind = TensorProto.FLOAT16 if outputs[0].dtype == np.float16 else TensorProto.FLOAT
-    picture = helper.make_tensor_value_info("images", kind, [1, 3, side, side])
+    inputs = [helper.make_tensor_value_info("images", kind, [1, 3, side, side])]
     names = [("output0",), ("pred_boxes", "logits"), ("output0", "c1", "c2")][len(outputs) - 1]
-    graph = helper.make_graph(
-        [helper.make_node("Identity", [f"constant {name}"], [name]) for name in names],
-        "export",
-        [picture],
-        [
-            helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(output.dtype), output.shape)
-            for name, output in zip(names, outputs, strict=True)
-        ],
-        [
-            numpy_helper.from_array(output, f"constant {name}")
-            for name, output in zip(names, outputs, strict=True)
-        ],
-    )
-    return saved(folder, graph, metadata)
+    given = list(outputs)
+    nodes = []
+    if outputs[0].dtype == np.int64 and len(outputs) == 3:
+        names = ("labels", "boxes", "scores")
+        given[1] = outputs[1].astype(np.float32)
+        inputs.append(helper.make_tensor_value_info("orig_target_sizes", TensorProto.INT64, ["N", 2]))
+        nodes = [
+            helper.make_node("Cast", ["orig_target_sizes"], ["sizes"], to=TensorProto.FLOAT),
+            helper.make_node("Concat", ["sizes", "sizes"], ["scale"], axis=1),
+            helper.make_node("Mul", ["constant boxes", "scale"], ["boxes"]),
+        ]
+    made = {name for node in nodes for name in node.output}
+    nodes += [
+        helper.make_node("Identity", [f"constant {name}"], [name]) for name in names if name not in made
+    ]
+    said = [
+        helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(output.dtype), output.shape)
+        for name, output in zip(names, given, strict=True)
+    ]
+    constants = [
+        numpy_helper.from_array(output, f"constant {name}") for name, output in zip(names, given, strict=True)
+    ]
+    return saved(folder, helper.make_graph(nodes, "export", inputs, said, constants), metadata)
 
 
 def saved(folder: Path, graph: onnx.GraphProto, metadata: dict[str, str]) -> ModelFiles:
@@ -94,6 +103,7 @@ FAMILIES = {
     "end-to-end": [END],
     "DETR": [DETR],
     "DETR in two": [FEW / SIDE_PX, LOGITS],
+    "DETR in three": [CLASSES[:, 0], corners(FEW) / SIDE_PX, END[:, 4]],
 }
 
 
@@ -101,11 +111,13 @@ def plainly(family: str, outputs: list[Values]) -> list[Detection]:
     """What a photo of 320 x 240 pixels shows by these outputs, one box after another."""
     kind = family.partition(" ")[0]
     first = outputs[0].astype(float)
+    if family == "DETR in three":
+        first = np.column_stack([*outputs[1:], outputs[0]])
     if family == "YOLOv8":
         first = first.T
     found = []
     for index, row in enumerate(first):
-        if kind == "end-to-end":
+        if kind == "end-to-end" or family == "DETR in three":
             left, top, right, bottom, score, cls = row
         else:
             x, y, width, height = row[:4]
@@ -168,7 +180,7 @@ def rows(found: list[Detection]) -> list[Any]:
 def test_a_family_is_recognised_and_its_boxes_are_those_of_a_plain_decoder(
     family: str, kind: type[np.floating[Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    outputs = [output.astype(kind) for output in FAMILIES[family]]
+    outputs = [output if output.dtype == int else output.astype(kind) for output in FAMILIES[family]]
     given = [output if output.ndim == 5 else output[np.newaxis] for output in outputs]
     detector = Detector(model=export(tmp_path, *given), threads=1)
     assert f"light: {family.partition(' ')[0]} head, 3 classes, 160 x 160\n" in capfd.readouterr().err
@@ -273,6 +285,14 @@ REFUSED = {
     "DETR's names": (
         [like(1, 300, 4), like(1, 300, 80)],
         r"logits is 1 x 300 x 80, as of DETR with 80 classes, but",
+    ),
+    "a label beyond": (
+        [np.full((1, 9), 3), like(1, 9, 4), like(1, 9)],
+        r"output labels has class 3, but there are 3 names",
+    ),
+    "other labels": (
+        [np.zeros((1, 8), int), like(1, 9, 4), like(1, 9)],
+        r"not understood \(labels: 1 x 8 int64",
     ),
     "boxes in pixels": (
         [like(1, 300, 4, fill=9), like(1, 300, 3)],

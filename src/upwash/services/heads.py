@@ -3,7 +3,8 @@
 - YOLOv5: 1 x cells x (5 + classes): centre and size of a box, objectness, classes
 - YOLOv8, also v9, v11 and later: 1 x (4 + classes) x cells: centre and size, classes
 - end-to-end, as YOLOv10, YOLO26 and exports that suppress: 1 x boxes x 6: corners, score, class
-- DETR: 1 x boxes x (4 + classes), or two outputs for these: centre and size as shares of the picture, classes
+- DETR: 1 x boxes x (4 + classes), or two outputs for these: centre and size as shares of the picture, classes;
+  or three outputs for boxes by their corners, scores and labels
 
 YOLOv3's raw heads, which need anchors, are those of `darknet/heads.py`.
 """
@@ -46,11 +47,20 @@ class BoxHead:
     in_columns: bool = False
     shares: bool = False
     logits: bool = False
+    corners: bool = False  # and a class after the score
 
     @property
     def overlaps(self) -> bool:
         """Whether several boxes of one object are left."""
         return self.family in ("YOLOv5", "YOLOv8")
+
+    def rows(self, outputs: Sequence[Floats]) -> Floats:
+        """A row for each box."""
+        import numpy as np
+
+        parts = [output[0].astype(np.float32, copy=False) for output in outputs]
+        rows: Floats = np.column_stack(parts) if len(parts) > 1 else parts[0]
+        return rows.T if self.in_columns else rows
 
     def read(self, outputs: Sequence[Floats], *, side_px: tuple[int, int], confidence: float) -> Candidates:
         """The boxes that score above `confidence`, at most MOST_CANDIDATES, each of its best class.
@@ -59,7 +69,7 @@ class BoxHead:
         """
         import numpy as np
 
-        rows = _rows(outputs, in_columns=self.in_columns)
+        rows = self.rows(outputs)
         with np.errstate(all="ignore"):  # outputs may be infinite
             if self.family == "YOLOv5":
                 rows = rows[rows[:, 4] > confidence]  # low objectness spares the classes
@@ -69,7 +79,7 @@ class BoxHead:
             height_px, width_px = side_px if self.shares else (1, 1)
             scale = np.array([width_px, height_px] * 2, np.float32)
             boxes = np.clip(rows[best, :4] * scale, -_FARTHEST_PX, _FARTHEST_PX)
-        if self.family != "end-to-end":
+        if not self.corners:
             centres, halves = boxes[:, :2], boxes[:, 2:] / 2
             boxes = np.hstack([centres - halves, centres + halves])
         return Candidates(boxes, np.minimum(scores[best], 1), classes[best])
@@ -78,7 +88,7 @@ class BoxHead:
         """The best class of each row with its score."""
         import numpy as np
 
-        if self.family == "end-to-end":
+        if self.corners:
             known = (rows[:, 5] >= 0) & (rows[:, 5] < MOST_LABELS)
             return np.where(known, rows[:, 5], -1).astype(np.intp), rows[:, 4]
         scores = rows[:, 5:] * rows[:, 4:5] if self.family == "YOLOv5" else rows[:, 4:]
@@ -95,27 +105,33 @@ def recognise(outputs: Mapping[str, Floats], *, side_px: int, names: int) -> Box
         for name, output in outputs.items()
         if output.ndim == 3 and len(output) == 1 and output.dtype.kind == "f" and output.size <= MOST_VALUES
     }
+    three = _labels_apart(outputs)
     # Old exports of YOLOv5 give its cells a second time, before decoding, with five dimensions.
-    if len(found) not in (1, 2) or any(
-        output.ndim != 5 for name, output in outputs.items() if name not in found
-    ):
+    rest = (output for name, output in outputs.items() if name not in found)
+    if not three and (len(found) not in (1, 2) or any(output.ndim != 5 for output in rest)):
         raise ValueError(_not_known(outputs))
-    if not all(np.isfinite(output).all() for output in found.values()):
+    if not all(np.isfinite(outputs[name]).all() for name in three or found):
         raise ValueError(
             "some numbers of its outputs are infinite or none (NaN) for a grey picture: export it with 32-bit floats"
         )
-    head = (
-        _recognise_one(*next(iter(found.items())), names) if len(found) == 1 else _recognise_two(found, names)
-    )
+    head: BoxHead | None
+    if three:
+        head = BoxHead("DETR", three, corners=True)
+        if (highest := int(outputs[three[2]].max(initial=0))) >= names:
+            raise ValueError(_wrong_names(f"output {three[2]} has class {highest}", names))
+    elif len(found) == 1:
+        head = _recognise_one(*next(iter(found.items())), names)
+    else:
+        head = _recognise_two(found, names)
     if head is None:
         raise ValueError(_not_known(outputs))
-    rows = _rows([found[name] for name in head.outputs], in_columns=head.in_columns)
+    rows = head.rows([outputs[name] for name in head.outputs])
     if head.family == "YOLOv5" and len(rows) == sum((side_px // stride) ** 2 for stride in _STRIDES):
         raise ValueError(
             f"its output has {len(rows)} cells of one box and an objectness, as of YOLOX, whose pictures and boxes "
             f"are others: {_OWN_SERVICE}"
         )
-    scores = rows[:, 4:5] if head.family == "end-to-end" else rows[:, 4:]
+    scores = rows[:, 4:5] if head.corners else rows[:, 4:]
     if not head.logits and scores.size and not (scores.min() >= 0 and scores.max() <= 1.001):
         raise ValueError(
             f"its outputs are like those of {head.family} networks, but scores are from {scores.min():.3g} to "
@@ -136,7 +152,7 @@ def _recognise_one(name: str, values: Floats, names: int) -> BoxHead | None:
         (rows[:, 5] >= 0).all() and (rows[:, 5] == np.rint(rows[:, 5])).all()
     )
     if counts_classes and (not height or rows[:, 5].max() < names):
-        return BoxHead("end-to-end", (name,))
+        return BoxHead("end-to-end", (name,), corners=True)
     shares = _are_shares(rows[:, :4])
     if width == 5 + names:
         return BoxHead("YOLOv5", (name,), shares=shares)
@@ -155,6 +171,18 @@ def _recognise_one(name: str, values: Floats, names: int) -> BoxHead | None:
     return None
 
 
+def _labels_apart(outputs: Mapping[str, Floats]) -> tuple[str, ...]:
+    """The names of boxes, scores and labels, if these are the outputs."""
+    boxes = [name for name, output in outputs.items() if output.ndim == 3 and output.shape[2] == 4]
+    scores = [name for name, output in outputs.items() if output.ndim == 2 and output.dtype.kind == "f"]
+    labels = [name for name, output in outputs.items() if output.ndim == 2 and output.dtype.kind == "i"]
+    names = (*boxes, *scores, *labels)
+    if not len(boxes) == len(scores) == len(labels) == 1 or len(outputs) != len(names):
+        return ()
+    fits = all(outputs[name].shape[:2] == (1, outputs[boxes[0]].shape[1]) for name in names)
+    return names if fits and outputs[boxes[0]].size <= MOST_VALUES else ()
+
+
 def _recognise_two(outputs: Mapping[str, Floats], names: int) -> BoxHead | None:
     """The head of a network that gives boxes and scores apart."""
     fours = [name for name, output in outputs.items() if output.shape[2] == 4]
@@ -167,15 +195,6 @@ def _recognise_two(outputs: Mapping[str, Floats], names: int) -> BoxHead | None:
         raise ValueError(_wrong_names(f"{shape}, as of DETR with {_classes(classes)}", names))
     logits = bool(((outputs[scores] < 0) | (outputs[scores] > 1)).any())
     return BoxHead("DETR", (boxes, scores), shares=True, logits=logits)
-
-
-def _rows(outputs: Sequence[Floats], *, in_columns: bool) -> Floats:
-    """A row for each box."""
-    import numpy as np
-
-    parts = [output[0].astype(np.float32, copy=False) for output in outputs]
-    rows: Floats = np.hstack(parts) if len(parts) > 1 else parts[0]
-    return rows.T if in_columns else rows
 
 
 def _are_shares(boxes: Floats) -> bool:

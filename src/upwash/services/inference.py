@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
@@ -196,12 +196,12 @@ def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInf
         metadata = session.get_modelmeta().custom_metadata_map
         outputs = {output.name: output.shape for output in session.get_outputs()}
         kinds = {output.type for output in session.get_outputs()}
-        pictures = _checked_input(file, session)
+        inputs = _checked_inputs(file, session)
     except UnicodeDecodeError as error:
         raise ModelError(file, "", f"its names or metadata are not text ({error})") from error
     labels = _read_labels(files.names) if files.names else _labels_in(file, metadata)
     heads = files.heads or _heads_in(file, metadata)
-    network = _Loaded(session, pictures, metadata, for_each_size=provider == "cuda")
+    network = _Loaded(session, *inputs, metadata, for_each_size=provider == "cuda")
     if strange := [kind for kind in sorted(kinds) if not kind.startswith("tensor(")]:
         raise ModelError(file, "", f"its outputs are {', '.join(strange)}: give a network that detects")
     if not heads:
@@ -221,6 +221,7 @@ def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInf
 class _Loaded:
     session: onnxruntime.InferenceSession
     pictures: onnxruntime.NodeArg
+    sizes: onnxruntime.NodeArg | None  # in which boxes are given: width and height
     metadata: Mapping[str, str]
     for_each_size: bool  # whether it prepares for each size of a picture
 
@@ -243,8 +244,12 @@ class OnnxInference(Inference):
         options = onnxruntime.RunOptions()
         options.log_severity_level = 4 if quiet else 3  # errors are raised too
         pictures = self._network.pictures
-        given = picture.astype(np.float16) if pictures.type == _HALF else picture
-        outputs: list[Floats] = self._network.session.run(self._outputs, {pictures.name: given}, options)
+        given: dict[str, NDArray[Any]] = {
+            pictures.name: picture.astype(np.float16) if pictures.type == _HALF else picture
+        }
+        if (sizes := self._network.sizes) is not None:
+            given[sizes.name] = np.array([picture.shape[:1:-1]], np.int64)
+        outputs: list[Floats] = self._network.session.run(self._outputs, given, options)
         return outputs
 
 
@@ -346,13 +351,18 @@ def _labels_in(file: Path, metadata: Mapping[str, str]) -> list[str]:
         raise ModelError(file, "", words_of(problem)) from error
 
 
-def _checked_input(file: Path, session: onnxruntime.InferenceSession) -> onnxruntime.NodeArg:
+def _checked_inputs(
+    file: Path, session: onnxruntime.InferenceSession
+) -> tuple[onnxruntime.NodeArg, onnxruntime.NodeArg | None]:
+    """The pictures, and the sizes that exports of RT-DETR scale boxes to."""
     inputs = session.get_inputs()
-    if len(inputs) != 1 or not _takes_pictures(inputs[0]):
+    pictures = [given for given in inputs if _takes_pictures(given)]
+    sizes = [given for given in inputs if given.type == "tensor(int64)" and given.shape[1:] == [2]]
+    if len(pictures) != 1 or len(sizes) > 1 or len(inputs) != len(pictures) + len(sizes):
         found = ", ".join(f"{given.type} {given.shape}" for given in inputs) or "none"
         problem = f"its inputs are {found}: one of float 1 x 3 x height x width is needed, of 32 or 16 bits"
         raise ModelError(file, "", words_of(problem))
-    return inputs[0]
+    return pictures[0], sizes[0] if sizes else None
 
 
 class NcnnInference(Inference):
