@@ -31,7 +31,7 @@ RNG = np.random.default_rng(7)
 def export(
     folder: Path, *outputs: Values, metadata: dict[str, str] = NAMES, side: Any = SIDE_PX
 ) -> ModelFiles:
-    """A network with these outputs for any picture; boxes beside labels are scaled to the sizes of its second input."""
+    """A network with these outputs for any picture; boxes beside labels are scaled by its second input."""
     kind = TensorProto.FLOAT16 if outputs[0].dtype == np.float16 else TensorProto.FLOAT
     inputs = [helper.make_tensor_value_info("images", kind, [1, 3, side, side])]
     names = [("output0",), ("pred_boxes", "logits"), ("output0", "c1", "c2")][len(outputs) - 1]

@@ -172,7 +172,7 @@ def _recognise_one(name: str, values: Floats, names: int) -> BoxHead | None:
 
 
 def _labels_apart(outputs: Mapping[str, Floats]) -> tuple[str, ...]:
-    """The names of boxes, scores and labels, if these are the outputs."""
+    """The names of the outputs of boxes, scores and labels; none of other outputs."""
     boxes = [name for name, output in outputs.items() if output.ndim == 3 and output.shape[2] == 4]
     scores = [name for name, output in outputs.items() if output.ndim == 2 and output.dtype.kind == "f"]
     labels = [name for name, output in outputs.items() if output.ndim == 2 and output.dtype.kind == "i"]

@@ -221,7 +221,7 @@ def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInf
 class _Loaded:
     session: onnxruntime.InferenceSession
     pictures: onnxruntime.NodeArg
-    sizes: onnxruntime.NodeArg | None  # in which boxes are given: width and height
+    sizes: onnxruntime.NodeArg | None  # width and height that boxes are scaled to
     metadata: Mapping[str, str]
     for_each_size: bool  # whether it prepares for each size of a picture
 
