@@ -216,11 +216,11 @@ async def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through
     model: ModelFiles, photo: bytes, way: tuple[Runtimes, GrpcDialer, str]
 ) -> None:
     detector = Detector(model=model, threads=2)
-    giant = cv2.imencode(".jpg", np.zeros((10_000, 10_000), np.uint8))[1].tobytes()
-    png = cv2.imencode(".png", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    giant = cv2.imencode(".jpg", np.zeros((11_000, 11_000), np.uint8))[1].tobytes()
+    png = cv2.imencode(".png", np.zeros((8, 8, 3), np.uint8))[1].tobytes()[:-9]
     wrong = {
         "empty": b"",
-        "png": png,
+        "cut png": png,
         "truncated": photo[: len(photo) // 2],
         "giant": giant,
         "text": b"a photo",
