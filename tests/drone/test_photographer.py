@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import io
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from PIL import ExifTags, Image
@@ -18,7 +19,9 @@ from upwash.core.geo import EarthPosition, Position, Velocity
 from upwash.core.georeference import Ground, PhotoGeometry, Place, Unplaced
 from upwash.core.lens import Lens
 from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
+from upwash.drone.mission import MissionThread
 from upwash.drone.photographer import Photographer, PhotoPose
+from upwash.errors import CameraError, UpwashError
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
 from upwash.ports import Camera, Photo
@@ -142,6 +145,65 @@ def test_a_photo_is_placed_where_the_drone_was_at_the_shutter() -> None:
 def test_a_photo_says_how_sure_its_position_is(gps: GpsFix | None, speed_m_s: float, error_m: float) -> None:
     told = {"gps": gps, "velocity": Velocity(speed_m_s, 0.0, 0.0)}
     assert geometry(Shutter(DOWN), Reported(told=told)).accuracy.position_m == pytest.approx(error_m)
+
+
+def film(
+    every_s: float, *, fails: set[int], stops_s: float = math.inf
+) -> tuple[list[float], list[float], str]:
+    """When photos began and frames came, whose analysis takes 0.5 s, or 3 s for the third, and how it ended."""
+    began, came = list[float](), list[float]()
+
+    class Failing(ModelCamera):
+        async def take_photo(self, at: Position) -> Photo:
+            began.append(asyncio.get_running_loop().time())
+            if len(began) in fails:
+                raise CameraError("test", "no frame")
+            return await super().take_photo(at)
+
+    async def flight() -> str:
+        loop, thread = asyncio.get_running_loop(), MissionThread()
+        log: Any = SimpleNamespace(record=lambda _: came.append(loop.time()))
+        vehicle: Any = Reported()
+        photographer = Photographer(Failing(photo_s=0.2), thread, log, autopilot=vehicle, payload=vehicle)
+
+        def program() -> None:
+            for number, _ in enumerate(photographer.frames(every_s), 1):
+                assert photographer.pose is not None
+                thread.call(asyncio.sleep(3.0 if number == 3 else 0.5))
+
+        if stops_s < math.inf:
+            loop.call_later(stops_s, thread.stop, "the pilot has taken over")
+        try:
+            await thread.run(program)
+        except UpwashError as error:
+            return str(error)
+        return ""
+
+    end = run_virtually(flight())
+    return began, came, end
+
+
+def test_frames_are_photos_at_a_steady_pace_until_the_mission_is_stopped() -> None:
+    began, came, end = film(1.0, fails=set(), stops_s=8.0)
+    assert began == pytest.approx([0.0, 1.0, 2.0, 5.2, 6.2, 7.2]), "the third is looked at for 3 s"
+    assert came == pytest.approx([at_s + 0.2 for at_s in began])
+    assert end == "the pilot has taken over"
+
+
+def test_a_frame_that_fails_is_left_out_and_a_camera_that_fails_is_an_error() -> None:
+    began, came, end = film(1.0, fails={2, 3, 5, 6, 7})
+    assert (len(began), len(came)) == (7, 2)
+    assert began[1:4] == pytest.approx([1.0, 2.0, 3.0])
+    assert end == "camera test: no frame"
+
+
+@pytest.mark.parametrize("every_s", [-1.0, math.nan, math.inf])
+def test_frames_need_a_time_that_passes(every_s: float) -> None:
+    photographer: Any = Photographer(
+        *[cast(Any, None)] * 3, autopilot=cast(Any, None), payload=cast(Any, None)
+    )
+    with pytest.raises(ValueError, match="give a number of seconds"):
+        photographer.frames(every_s)
 
 
 def test_a_mission_reads_where_an_object_lies() -> None:

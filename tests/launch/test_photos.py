@@ -23,6 +23,7 @@ def shoots(drone):
 def asks_for_help(drone):
     helping.shoot(drone)
 """
+FILMS = "def films(drone):\n    for frame in drone.camera.frames():\n        pass\n"
 SOUNDS = "def sounds(drone):\n    drone.autopilot.arm()\n"
 JPEG = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
 
@@ -99,7 +100,13 @@ async def test_a_device_whose_picture_is_black_or_stands_still_is_told(
 
 @pytest.mark.parametrize(
     ("program", "needs"),
-    [("survey", True), ("m.py:shoots", True), ("m.py:asks_for_help", True), ("sounds.py:sounds", False)],
+    [
+        ("survey", True),
+        ("m.py:shoots", True),
+        ("films.py:films", True),
+        ("m.py:asks_for_help", True),
+        ("sounds.py:sounds", False),
+    ],
 )
 async def test_a_camera_is_needed_by_missions_that_take_photos(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, needs: bool
@@ -107,6 +114,7 @@ async def test_a_camera_is_needed_by_missions_that_take_photos(
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "helping.py").write_text("def shoot(drone):\n    return drone.camera.take_photo()\n")
     (tmp_path / "m.py").write_text(MISSIONS)
+    (tmp_path / "films.py").write_text(FILMS)
     (tmp_path / "sounds.py").write_text(SOUNDS)
     config = configured(tmp_path, program=program)
     assert needs_camera(config) == needs

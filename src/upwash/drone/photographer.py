@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -23,13 +23,14 @@ from upwash.core.lens import Lens
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
-from upwash.errors import NotWritten
+from upwash.errors import CameraError, NotWritten
 from upwash.eventlog import schema
 from upwash.eventlog.objects import found_objects
 from upwash.ports import Album, Autopilot, Camera, Journal, KeptPhoto, Photo
 from upwash.support.exif import PhotoPlace, with_place
 from upwash.support.jpeg import size_of
 
+_FAILURES = 3  # of frames in a row; a device that is silent takes 5 s for each
 _DIGITS = 7  # of a degree: about a centimetre
 _FIX_M: dict[FixKind, float] = {
     "none": 10.0, "2d": 5.0, "3d": 1.5, "dgps": 0.8, "rtk-float": 0.4, "rtk-fixed": 0.05,
@@ -104,6 +105,30 @@ class Photographer:
         """
         return self._thread.call(self._take_photo())
 
+    def frames(self, every_s: float = 0.5) -> Iterator[bytes]:
+        """Photos as by `take_photo`, one every `every_s` seconds until the loop is left or the mission ends.
+
+        A photo that takes longer, or a mission that does, delays the next one. A photo that fails is left out; raises
+        CameraError for the third failure in a row, and ValueError for a time below 0.
+        """
+        if not 0 <= every_s < math.inf:
+            raise ValueError(f"every_s = {every_s}: give a number of seconds from 0 on")
+        return self._frames(every_s)
+
+    def _frames(self, every_s: float) -> Iterator[bytes]:
+        began_s, failures = -math.inf, 0
+        while True:
+            began_s = self._thread.call(_wait_until(began_s + every_s))
+            try:
+                frame = self.take_photo()
+            except CameraError:
+                failures += 1
+                if failures == _FAILURES:
+                    raise
+                continue
+            failures = 0
+            yield frame
+
     async def _take_photo(self) -> bytes:
         before = self._moment()
         photo = await self._camera.take_photo(before.position)
@@ -177,6 +202,13 @@ class Photographer:
             lens = msgspec.structs.replace(lens, tilt_deg=-pitch_deg, turned_deg=yaw_deg)
         nose_deg = told.heading_deg if told.attitude is None else told.attitude.yaw_deg
         return lens, None if nose_deg is None else Attitude(0.0, 0.0, nose_deg)
+
+
+async def _wait_until(time_s: float) -> float:
+    """Waits, if that time is ahead; returns the time."""
+    loop = asyncio.get_running_loop()
+    await asyncio.sleep(max(0.0, time_s - loop.time()))
+    return loop.time()
 
 
 def _at(captured_s: float, before: _Moment, after: _Moment) -> _Moment:

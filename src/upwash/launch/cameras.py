@@ -32,7 +32,7 @@ from upwash.support.text import counted
 NO_CAMERA = (
     "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
 )
-_TAKES_ONE = "take_photo"
+_TAKES = ("take_photo", ".frames(")
 _MOST_FILES = 2000  # of a folder: a card may hold more than a person waits for
 _MOST_S = 60.0
 _MOST_NAMED = 5
@@ -56,7 +56,9 @@ def needs_camera(config: DroneConfig) -> bool:
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     program = mission.func if isinstance(mission, functools.partial) else mission
     module = sys.modules.get(program.__module__)
-    return module is None or any(_TAKES_ONE in _source(imported) for imported in _with_imported(module))
+    return module is None or any(
+        verb in _source(imported) for imported in _with_imported(module) for verb in _TAKES
+    )
 
 
 def _with_imported(module: ModuleType) -> Iterator[ModuleType]:
