@@ -6,6 +6,7 @@ import asyncio
 import os
 import sys
 import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ import pytest
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Camera, Photo
+from upwash.real.camera import camera
 from upwash.real.camera.camera import FolderCamera, read_photos
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.loop import run_virtually
@@ -118,6 +120,19 @@ def test_files_are_read_off_the_event_loop(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(Path, "read_bytes", read_bytes)
     assert shoot(FolderCamera(fill(tmp_path, "photo.jpg"), photo_s=0), 1) == [b"photo"]
     assert readers != [threading.current_thread()]
+
+
+def test_a_drive_that_does_not_answer_holds_up_neither_flight_nor_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(Path, "read_bytes", lambda _: bytes(answers.wait(30)))
+    monkeypatch.setattr(camera, "_READ_S", 0.05)
+    began_s = time.monotonic()
+    with pytest.raises(CameraError, match=r"photo\.jpg was not read within 0\.05 s; see that its drive"):
+        shoot(FolderCamera(fill(tmp_path, "photo.jpg"), photo_s=0), 1)
+    assert time.monotonic() - began_s < 10
+    answers.set()
 
 
 def test_a_missing_folder_is_refused_at_once(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import errno
 import itertools
 import os
 import stat
+from functools import partial
 from pathlib import Path
 
 from upwash.core.geo import Position
@@ -14,10 +15,12 @@ from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 from upwash.services.photo import NotAPhoto, jpeg_of
+from upwash.support.background import in_thread
 from upwash.support.loading import extra
 from upwash.support.text import by_name
 
 _MOST_BYTES = 100_000_000  # of a photo; a JPEG of 40 megapixels has some 20 MB
+_READ_S = 20.0  # a PNG of 40 megapixels takes seconds
 _PNG = ".png"
 _SUFFIXES = frozenset({".jpg", ".jpeg", _PNG})
 
@@ -35,10 +38,17 @@ class FolderCamera:
         self._paths = itertools.cycle(photo_files(folder))
 
     async def take_photo(self, at: Position) -> Photo:
-        """Returns the next file after `photo_s` seconds; raises CameraError if it cannot be read."""
+        """Returns the next file after `photo_s` seconds; raises CameraError if it cannot be read, or not in 20 s."""
         await asyncio.sleep(self._photo_s)
         path = next(self._paths)
-        jpeg = await asyncio.to_thread(read_photo_file, path)
+        try:
+            reading = in_thread(partial(read_photo_file, path), name=f"reading {shown_name(path)}")
+            jpeg = await asyncio.wait_for(reading, _READ_S)
+        except TimeoutError:
+            raise CameraError(
+                str(path.parent),
+                f"{shown_name(path)} was not read within {_READ_S:g} s; see that its drive is connected",
+            ) from None
         return Photo(jpeg, asyncio.get_running_loop().time(), source=shown_name(path), lens=self._lens)
 
 
