@@ -62,6 +62,7 @@ from upwash.services import Detector
 from upwash.services.darknet.heads import HEADS_METADATA, Head, encode_heads
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
+from upwash.services.heads import parse_names
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.sim.radio import read_goodput
@@ -487,6 +488,11 @@ def decoders() -> Mapping[str, Decoder]:
         "Darknet weights": Decoder(_as_file("model.weights", _weights), (UsageError,), (_small_weights(),)),
         "an ONNX model": Decoder(_as_file("whole.onnx", _model), (UsageError,), (model_with(_HEADS),)),
         "an ONNX model's metadata": Decoder(_metadata, (UsageError,), (_HEADS.encode(),)),
+        "an ONNX model's names": Decoder(
+            lambda data: parse_names(data.decode(errors="replace")),
+            (ValueError,),
+            (b"""{0: 'person', 1: "farmer's car"}""", b"['a', 'b\\\\n']"),
+        ),
         "a photo": Decoder(
             partial(read_photo, side_px=320),
             (NotAPhoto,),

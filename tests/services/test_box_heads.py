@@ -98,6 +98,7 @@ DETR = np.hstack([FEW / SIDE_PX, shares(300)])
 FAMILIES = {
     "YOLOv5": [V5],
     "YOLOv5 and cells": [V5, *[np.zeros((1, 3, 4, 4, 8))] * 2],
+    "YOLOv5 as YOLOv6": [np.hstack([V8[:, :4], np.ones((CELLS, 1)), V8[:, 4:]])],
     "YOLOv8": [V8.T],
     "YOLOv8 turned": [V8],
     "end-to-end": [END],

@@ -59,10 +59,11 @@ class Detector:
         light = heavy
         if light_model is not None:
             light = open_inference(light_model, threads=threads, provider=provider, engine=engine)
-        self._ways: dict[Mode, _Way] = {
-            "light": _Way.of(light, light_px or _fitting(light, 320)),
-            "heavy": _Way.of(heavy, heavy_px or _fitting(heavy, 608)),
-        }
+        light_px = light_px or _fitting(light, 320)
+        heavy_px = heavy_px or _fitting(heavy, 608)
+        way = _Way.of(light, light_px)
+        same = heavy is light and heavy_px == light_px
+        self._ways: dict[Mode, _Way] = {"light": way, "heavy": way if same else _Way.of(heavy, heavy_px)}
         for mode, way in self._ways.items():
             if described := way.inference.describe():
                 # For who starts it; the log of a server has what instances print.

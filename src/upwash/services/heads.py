@@ -126,7 +126,9 @@ def recognise(outputs: Mapping[str, Floats], *, side_px: int, names: int) -> Box
     if head is None:
         raise ValueError(_not_known(outputs))
     rows = head.rows([outputs[name] for name in head.outputs])
-    if head.family == "YOLOv5" and len(rows) == sum((side_px // stride) ** 2 for stride in _STRIDES):
+    cells = sum((side_px // stride) ** 2 for stride in _STRIDES)
+    # YOLOv6 has one box a cell too, and an objectness of 1.
+    if head.family == "YOLOv5" and len(rows) == cells and (rows[:, 4] < 1).any():
         raise ValueError(
             f"its output has {len(rows)} cells of one box and an objectness, as of YOLOX, whose pictures and boxes "
             f"are others: {_OWN_SERVICE}"
@@ -185,8 +187,10 @@ def _labels_apart(outputs: Mapping[str, Floats]) -> tuple[str, ...]:
 
 def _recognise_two(outputs: Mapping[str, Floats], names: int) -> BoxHead | None:
     """The head of a network that gives boxes and scores apart."""
+    if set(outputs) == {"dets", "labels"}:
+        return None  # RF-DETR, whose pictures are normalised otherwise
     fours = [name for name, output in outputs.items() if output.shape[2] == 4]
-    boxes = next((name for name in fours if "box" in name or name == "dets"), fours[0] if fours else "")
+    boxes = next((name for name in fours if "box" in name), fours[0] if fours else "")
     scores = next(name for name in outputs if name != boxes)
     if not boxes or outputs[boxes].shape[1] != outputs[scores].shape[1] or not _are_shares(outputs[boxes]):
         return None
