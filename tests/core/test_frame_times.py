@@ -57,6 +57,11 @@ def test_a_camera_that_changes_its_rate_soon_gives_new_frames(before_s: float, a
     assert late[-30:] == [0.0] * 30
 
 
+def test_a_stream_that_always_sends_ten_frames_at_once_is_not_starved() -> None:
+    late = late_s(accumulate([0.4, 0.001, 0.003, 0.001, 0.002, 0.001, 0.001, 0.004, 0.001, 0.001] * 10))
+    assert all(late[at + 9] == 0.0 for at in range(10, 100, 10))
+
+
 def test_a_stall_within_a_burst_does_not_make_old_frames_new() -> None:
     arrivals = [*steady(40), 5.0, 5.001, 8.0, 8.001, 8.002]
     assert all(late > 2 for late in late_s(arrivals)[40:])
