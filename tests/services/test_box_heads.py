@@ -218,16 +218,15 @@ def convolution(folder: Path, *sides: Any, shape: list[Any] | None = None) -> Mo
     return saved(folder, graph, NAMES)
 
 
-@pytest.mark.parametrize("sides", [(320, 320), ("height", "width")])
+@pytest.mark.parametrize(("sides", "margin"), [((320, 320), 48), ((256, 320), 16), (("height", "width"), 0)])
 def test_a_picture_is_a_letterbox_of_grey_114_and_where_sizes_vary_has_the_photos_shape(
-    sides: tuple[Any, Any], tmp_path: Path
+    sides: tuple[Any, Any], margin: int, tmp_path: Path
 ) -> None:
     files, jpeg = convolution(tmp_path, *sides), photo(400, 280)
     found = Detector(model=files, threads=1).process_photo(jpeg, "light", 0.6)
     decoded = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     assert decoded is not None
     scaled = cv2.resize(decoded, (320, 224))
-    margin = 0 if "width" in sides else 48
     grey = cv2.copyMakeBorder(scaled, margin, margin, 0, 0, cv2.BORDER_CONSTANT, value=(114, 114, 114))
     session = onnxruntime.InferenceSession(files.onnx or "", providers=["CPUExecutionProvider"])
     (output,) = session.run(None, {"images": cv2.dnn.blobFromImage(grey, 1 / 255, swapRB=True)})

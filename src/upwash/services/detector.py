@@ -66,8 +66,9 @@ class Detector:
         self._ways: dict[Mode, _Way] = {"light": way, "heavy": way if same else _Way.of(heavy, heavy_px)}
         for mode, way in self._ways.items():
             if described := way.inference.describe():
+                height_px, width_px = way.inference.frame_px or (way.side_px, way.side_px)
                 # For who starts it; the log of a server has what instances print.
-                print(f"{mode}: {described}, {way.side_px} x {way.side_px}", file=sys.stderr, flush=True)  # noqa: T201
+                print(f"{mode}: {described}, {width_px} x {height_px}", file=sys.stderr, flush=True)  # noqa: T201
 
     def process_photo(self, photo: bytes, mode: Mode = "heavy", confidence: float = 0.25) -> list[Detection]:
         """The objects above `confidence` in a photo, best first; raises NotAPhoto."""
@@ -76,7 +77,12 @@ class Detector:
         way = self._ways[mode]
         network = way.inference
         picture, letterbox = read_photo(
-            photo, way.side_px, way.cell_px, grey=network.grey, stretched=network.stretched
+            photo,
+            way.side_px,
+            way.cell_px,
+            grey=network.grey,
+            stretched=network.stretched,
+            frame_px=network.frame_px,
         )
         found = network.find(picture, confidence=confidence)
         return [
@@ -101,8 +107,8 @@ class _Way:
 
 
 def _fitting(inference: Inference, side_px: int) -> int:
-    only_px = inference.only_px
-    return side_px if only_px is None or not LEAST_SIDE_PX <= only_px <= MOST_SIDE_PX else only_px
+    only_px = inference.frame_px or (side_px,)
+    return max(only_px) if min(only_px) >= LEAST_SIDE_PX and max(only_px) <= MOST_SIDE_PX else side_px
 
 
 def _cores() -> int:

@@ -62,10 +62,10 @@ class BoxHead:
         rows: Floats = np.column_stack(parts) if len(parts) > 1 else parts[0]
         return rows.T if self.in_columns else rows
 
-    def read(self, outputs: Sequence[Floats], *, side_px: tuple[int, int], confidence: float) -> Candidates:
+    def read(self, outputs: Sequence[Floats], *, size_px: tuple[int, int], confidence: float) -> Candidates:
         """The boxes that score above `confidence`, at most MOST_CANDIDATES, each of its best class.
 
-        `side_px` are the picture's height and width. Boxes that are no numbers are left out.
+        `size_px` are the picture's height and width. Boxes that are no numbers are left out.
         """
         import numpy as np
 
@@ -76,7 +76,7 @@ class BoxHead:
             classes, scores = self._classes_of(rows)
             kept = (scores > confidence) & np.isfinite(rows[:, :4]).all(axis=1) & (classes >= 0)
             best = np.flatnonzero(kept)[np.argsort(-scores[kept], kind="stable")[:MOST_CANDIDATES]]
-            height_px, width_px = side_px if self.shares else (1, 1)
+            height_px, width_px = size_px if self.shares else (1, 1)
             scale = np.array([width_px, height_px] * 2, np.float32)
             boxes = np.clip(rows[best, :4] * scale, -_FARTHEST_PX, _FARTHEST_PX)
         if not self.corners:
@@ -96,8 +96,8 @@ class BoxHead:
         return scores.argmax(axis=1), sigmoid(best) if self.logits else best
 
 
-def recognise(outputs: Mapping[str, Floats], *, side_px: int, names: int) -> BoxHead:
-    """The head of a network from its outputs for a grey square of `side_px`; raises ValueError with what it saw."""
+def recognise(outputs: Mapping[str, Floats], *, size_px: tuple[int, int], names: int) -> BoxHead:
+    """The head of a network from its outputs for a grey picture of that height and width; raises ValueError."""
     import numpy as np
 
     found = {
@@ -126,7 +126,7 @@ def recognise(outputs: Mapping[str, Floats], *, side_px: int, names: int) -> Box
     if head is None:
         raise ValueError(_not_known(outputs))
     rows = head.rows([outputs[name] for name in head.outputs])
-    cells = sum((side_px // stride) ** 2 for stride in _STRIDES)
+    cells = sum((size_px[0] // stride) * (size_px[1] // stride) for stride in _STRIDES)
     # YOLOv6 has one box a cell too, and an objectness of 1.
     if head.family == "YOLOv5" and len(rows) == cells and (rows[:, 4] < 1).any():
         raise ValueError(

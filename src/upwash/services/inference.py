@@ -98,10 +98,10 @@ class Inference(ABC):
         self.heads = heads
 
     @property
-    def only_px(self) -> int | None:
-        """The side of the only pictures that it takes."""
+    def frame_px(self) -> tuple[int, int] | None:
+        """The height and width of the only pictures that it takes."""
         height, width = self._sides
-        return height if isinstance(height, int) and height == width else None
+        return (height, width) if isinstance(height, int) and isinstance(width, int) else None
 
     def label(self, index: int) -> str:
         """The name of a class; one beyond the names, which an end-to-end network may find, has its number."""
@@ -160,7 +160,7 @@ class Inference(ABC):
         import numpy as np
 
         try:
-            return self.run(np.full((1, 3, side_px, side_px), 0.5, np.float32))
+            return self.run(np.full((1, 3, *(self.frame_px or (side_px, side_px))), 0.5, np.float32))
         except Exception as error:  # onnxruntime's have no base of their own
             raise self._error(f"it cannot be run on a picture of {side_px} ({error})") from error
 
@@ -284,7 +284,8 @@ class BoxInference(OnnxInference):
             )
         outputs = dict(zip(self._outputs, self._try(side_px), strict=True))
         try:
-            head = recognise(outputs, side_px=side_px, names=len(self._labels))
+            size_px = self.frame_px or (side_px, side_px)
+            head = recognise(outputs, size_px=size_px, names=len(self._labels))
         except ValueError as error:
             raise self._error(str(error)) from error
         self._head, self._outputs, self.stretched = head, head.outputs, head.family == "DETR"
@@ -307,13 +308,17 @@ class BoxInference(OnnxInference):
         outputs = self.run(picture)
         height_px, width_px = picture.shape[2:]
         try:
-            found = self._head.read(outputs, side_px=(height_px, width_px), confidence=confidence)
+            found = self._head.read(outputs, size_px=(height_px, width_px), confidence=confidence)
         except (IndexError, ValueError) as error:
             shapes = ", ".join(by(output.shape) for output in outputs)
             raise self._error(
                 f"its outputs are {shapes} for a photo, unlike those for a grey picture"
             ) from error
         return best_of_each(found) if self._head.overlaps else found
+
+    def _require_taken(self, side_px: int) -> None:
+        if self.frame_px is None or max(self.frame_px) != side_px:
+            super()._require_taken(side_px)
 
     @property
     def _varies(self) -> bool:

@@ -37,7 +37,7 @@ class Letterbox:
     """A photo scaled into a square of `side_px`, centred, with grey around it.
 
     With `cell_px` the picture has only as many whole cells of the square as the photo needs. A `stretched` photo
-    fills the square.
+    fills the square. A `frame_px` is the picture's height and width in place of the square.
     """
 
     photo_width_px: int
@@ -46,16 +46,17 @@ class Letterbox:
     cell_px: int | None = None
     grey: float = DARKNET_GREY
     stretched: bool = False
+    frame_px: tuple[int, int] | None = None
 
     @property
     def width_px(self) -> int:
         """The photo's width in the picture."""
-        return self._scaled(self.photo_width_px)
+        return self._scaled(self.photo_width_px, self._frame_px[1])
 
     @property
     def height_px(self) -> int:
         """The photo's height in the picture."""
-        return self._scaled(self.photo_height_px)
+        return self._scaled(self.photo_height_px, self._frame_px[0])
 
     def picture(self, photo: MatLike) -> Floats:
         """The input of a network: shape 1, 3, height, width; red, green, blue from 0 to 1.
@@ -67,7 +68,7 @@ class Letterbox:
         import numpy as np
 
         scaled = cv2.resize(photo, (self.width_px, self.height_px), interpolation=cv2.INTER_LINEAR)
-        shape = (1, 3, self._whole_cells(self.height_px), self._whole_cells(self.width_px))
+        shape = (1, 3, *self._sides_px)
         picture = np.full(shape, self.grey, np.float32)
         for plane, channel in zip(
             picture[0], reversed(cv2.split(scaled)), strict=True
@@ -86,22 +87,34 @@ class Letterbox:
             return None
         return Box(left_px=left, top_px=top, width_px=right - left, height_px=bottom - top)
 
-    def _scaled(self, length_px: int) -> int:
-        longer_px = max(self.photo_width_px, self.photo_height_px)
-        return self.side_px if self.stretched else max(1, self.side_px * length_px // longer_px)
+    @property
+    def _frame_px(self) -> tuple[int, int]:
+        return self.frame_px or (self.side_px, self.side_px)
+
+    def _scaled(self, length_px: int, frame_px: int) -> int:
+        if self.stretched:
+            return frame_px
+        high_px, wide_px = self._frame_px
+        if self.photo_width_px * high_px >= self.photo_height_px * wide_px:
+            return max(1, wide_px * length_px // self.photo_width_px)
+        return max(1, high_px * length_px // self.photo_height_px)
 
     @property
     def _left_px(self) -> int:
-        return (self._whole_cells(self.width_px) - self.width_px) // 2
+        return (self._sides_px[1] - self.width_px) // 2
 
     @property
     def _top_px(self) -> int:
-        return (self._whole_cells(self.height_px) - self.height_px) // 2
+        return (self._sides_px[0] - self.height_px) // 2
 
-    def _whole_cells(self, length_px: int) -> int:
-        """The width or height of the picture for a photo of this length."""
-        cell_px = self.cell_px or self.side_px
-        return -(-length_px // cell_px) * cell_px
+    @property
+    def _sides_px(self) -> tuple[int, int]:
+        """The height and width of the picture."""
+        if self.cell_px is None:
+            return self._frame_px
+        return -(-self.height_px // self.cell_px) * self.cell_px, -(
+            -self.width_px // self.cell_px
+        ) * self.cell_px
 
 
 def read_photo(
@@ -111,6 +124,7 @@ def read_photo(
     *,
     grey: float = DARKNET_GREY,
     stretched: bool = False,
+    frame_px: tuple[int, int] | None = None,
 ) -> tuple[Floats, Letterbox]:
     """A photo as a picture with a longer side of `side_px`, and the photo's place in it; raises NotAPhoto.
 
@@ -118,7 +132,7 @@ def read_photo(
     """
     png = _decoded_png(photo) if photo.startswith(SIGNATURE) else None
     header = _read_header(photo) if png is None else _Header(png.shape[1], png.shape[0])
-    letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px, grey, stretched)
+    letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px, grey, stretched, frame_px)
     return letterbox.picture(_decode(photo, letterbox) if png is None else png), letterbox
 
 
