@@ -18,6 +18,7 @@ QUICK = {  # what each prints, among others
     "call": r"upwash, on the server, mutual TLS +[\d.]+ ms +[\d.]+\n",
     "decide": r"range everywhere +median [\d.]+ ms",
     "detector": r"heavy +[\d.]+ ms +[\d.]+ ms +[\d.]+ ms +[\d.]+ +\d+\n",
+    "findings": r" 40 m +0° 1.5 m \|( +\d+ \|){1}( +[\d.]+ m +[\d.]+ m +[\d.]+ % \|){2} +[\d.]+ +[\d.]+\n",
     "fleets": r"- look-ahead\n( +[\d.]+)+\n",
     "first_call": r"\| look-ahead \| \+0.5 s \| thesis, .* \| [-+][\d.]+ % \|",
     "gains": r"\| thesis: equal-servers-light, hitl \| [\d.]+ ± [\d.]+ \| [\d.]+ ± [\d.]+ \| = \|",

@@ -192,4 +192,4 @@ def test_findings_that_do_not_arrive_are_a_caution_until_they_do() -> None:
     )
     (notice,) = held(trouble, failed).values()
     assert notice.cause == "Not handed over to the webhook at h: 1 finding, 1 left at the end: no network"
-    assert "upwash report --findings" in notice.action
+    assert "upwash report LOG --findings" in notice.action

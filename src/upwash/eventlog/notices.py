@@ -275,6 +275,8 @@ def _by_content(event: Event) -> Iterator[Notice]:
             yield Notice("handover", f"Findings do not arrive at {to}: {why}" if why else "", of=to)
         case schema.HandoverFailed(to=to, count=count, why=why):
             failed = f"Not handed over to {to}: {counted(count, 'finding')}, {why}"
-            yield Notice("handover", failed, "The files of `upwash report --findings` have them.", of=to)
+            yield Notice(
+                "handover", failed, "The files of `upwash report LOG --findings FILE` have them.", of=to
+            )
         case schema.EventsLost(count=count):
             yield Notice("events", f"{counted(count, 'event')} of the log could not be kept")
