@@ -61,7 +61,7 @@ const watch = (selector, pattern, into) => {
   let last = null;
   new MutationObserver(() => {
     const value = Number(pattern.exec(element.textContent)?.[1]);
-    if (value === last) return;
+    if (value === last || Number.isNaN(value)) return; // without news the page shows none
     last = value;
     requestAnimationFrame(() => into.push([value, performance.timeOrigin + performance.now()]));
   }).observe(element, {childList: true, characterData: true, subtree: true});
