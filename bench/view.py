@@ -61,13 +61,13 @@ const watch = (selector, pattern, into) => {
   let last = null;
   new MutationObserver(() => {
     const value = Number(pattern.exec(element.textContent)?.[1]);
-    if (value === last || Number.isNaN(value)) return; // without news the page shows none
+    if (value === last) return;
     last = value;
     requestAnimationFrame(() => into.push([value, performance.timeOrigin + performance.now()]));
   }).observe(element, {childList: true, characterData: true, subtree: true});
 };
-watch(".where", /(\\d+) m up/, shown.where);
-watch(".totals", /(\\d+) calls/, shown.calls);
+watch(".where", /(\\d+)\\sm\\sup/, shown.where);
+watch(".totals", /(\\d+)\\scalls/, shown.calls);
 """
 
 
