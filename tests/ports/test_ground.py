@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -95,18 +96,18 @@ def grid(file: Path, *, hole: bool = False) -> Path:
 
 
 def test_the_ground_is_a_plane_through_the_grid(tmp_path: Path) -> None:
-    terrain = Terrain(grid(tmp_path / "hill.tif"), HOME)
-    ground = terrain.ground(Position(100.0, 50.0, 40.0))
+    with closing(Terrain(grid(tmp_path / "hill.tif"), HOME)) as terrain:
+        ground = terrain.ground(Position(100.0, 50.0, 40.0))
     assert ground.altitude_m == pytest.approx(10.0, abs=0.6)
     assert ground.slope_east == pytest.approx(0.1, abs=0.02)
     assert ground.slope_north == pytest.approx(0.0, abs=0.01)
     assert 1.0 <= ground.error_m < 1.5
-    terrain.close()
 
 
 @pytest.mark.parametrize("place", [Position(3000.0, 0.0, 20.0), Position(150.0, 0.0, 20.0)])
 def test_where_the_grid_ends_the_ground_is_level_and_says_so(tmp_path: Path, place: Position) -> None:
-    ground = Terrain(grid(tmp_path / "hill.tif", hole=True), HOME).ground(place)
+    with closing(Terrain(grid(tmp_path / "hill.tif", hole=True), HOME)) as terrain:
+        ground = terrain.ground(place)
     assert (ground.altitude_m, ground.slope_east) == (0.0, 0.0)
     assert "does not reach" in ground.assumes
     assert ground.error_m == 5.0
@@ -116,5 +117,7 @@ def test_what_is_no_grid_or_lies_elsewhere_is_refused(tmp_path: Path) -> None:
     (tmp_path / "no.tif").write_bytes(b"II*\0" + bytes(100))
     with pytest.raises(UsageError, match="no grid that GDAL reads"):
         Terrain(tmp_path / "no.tif", HOME)
-    with pytest.raises(UsageError, match=r"mission\.home"):
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(UsageError, match=r"mission\.home") as refused:
         Terrain(grid(tmp_path / "hill.tif"), GeoPosition(10.0, 10.0))
+    assert len(list(Path("/proc/self/fd").iterdir())) == before, f"closed, though {refused} holds it"

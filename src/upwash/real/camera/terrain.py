@@ -33,12 +33,19 @@ class Terrain:
         except rasterio.errors.RasterioError as error:
             raise UsageError(f"camera.terrain: {file} is no grid that GDAL reads: {error}") from error
         self._frame = LocalFrame(home)
+        try:
+            self._home_m = self._altitude_of_home(file)
+        except UsageError:
+            self.close()
+            raise
+
+    def _altitude_of_home(self, file: Path) -> float:
         if self._grid.crs is None:
             raise UsageError(f"camera.terrain: {file} does not say where on the Earth it lies (its CRS)")
         (home_m,) = self._altitudes([Position(0.0, 0.0)])
         if home_m is None:
             raise UsageError(f"camera.terrain: {file} does not reach mission.home: name a grid that does")
-        self._home_m = home_m
+        return home_m
 
     def ground(self, at: Position) -> Ground:
         """The plane that fits the ground as far around the place as the place is high; level where no grid is."""
