@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.eventlog.narration import in_one_line
-from upwash.eventlog.objects import FoundObject, found_objects
+from upwash.eventlog.objects import Outline, found_objects
 from upwash.services import Detection
 
-BOX = FoundObject(10.0, 20.0, 30.0, 40.0, "car", 0.5)
+BOX = Outline(10.0, 20.0, 30.0, 40.0, "car", 0.5)
 
 
 @dataclass

@@ -13,7 +13,7 @@ from tests.events import event
 
 from upwash.core.geo import GeoPosition
 from upwash.eventlog.schema import Event
-from upwash.launch.handover import Handover, Told
+from upwash.launch.handover import Handover, HandoverFacts
 from upwash.launch.recipients import Facts, NotTaken
 
 LOST = NotTaken("no network")
@@ -164,7 +164,7 @@ def flight() -> Iterator[Event]:
 
 
 def facts(*events: Event, home: GeoPosition | None = None) -> list[Facts]:
-    told = Told("heron", home)
+    told = HandoverFacts("heron", home)
     return [found for entry in events for found in told.by(entry)]
 
 

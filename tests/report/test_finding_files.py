@@ -22,8 +22,9 @@ from tests.report.test_findings import BOX, flight, jpeg
 from upwash.cli.main import main
 from upwash.core.geo import Position
 from upwash.core.georeference import Place
+from upwash.eventlog.objects import Outline
 from upwash.report.finding_files import as_csv, as_geojson, as_kml, as_zip
-from upwash.report.findings import OF_DRONE, OF_MISSION, OF_OBJECT, Finding, Outline
+from upwash.report.findings import OF_DRONE, OF_MISSION, OF_OBJECT, Finding
 from upwash.report.numbering import FlightFindings, PlacedFinding, placed
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import findings_of, read_records

@@ -14,9 +14,10 @@ import pytest
 from tests.events import event
 from tests.report.pages import SVG, Told, arrivals, heads, log_of, of_class, parsed, table_named, text
 
+from upwash.eventlog.objects import Outline
 from upwash.eventlog.schema import Event
 from upwash.report.crops import HEIGHT_PX, WIDTH_PX, crop_around, pixels_of
-from upwash.report.findings import MOST_PICTURED, Outline, Pairing
+from upwash.report.findings import MOST_PICTURED, Pairing
 
 COMPLETED: Told = (60.0, "mission_completed", {})
 BOX = {

@@ -9,7 +9,8 @@ import pytest
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.georeference import Place
-from upwash.report.findings import Finding, Outline, TakenPhoto
+from upwash.eventlog.objects import Outline
+from upwash.report.findings import Finding, TakenPhoto
 from upwash.report.numbering import FlightFindings, numbered, placed, what_was_found
 from upwash.report.photos import Shot
 

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TypeGuard
+
+import msgspec
 
 _LABELS = ("label", "name", "kind", "species", "class_name", "category")
 _SCORES = ("score", "confidence", "probability")
@@ -25,9 +26,8 @@ _CORNERS = (("left", "top", "right", "bottom"), ("x1", "y1", "x2", "y2"), ("xmin
 _FARTHEST_PX = 1e6
 
 
-@dataclass(frozen=True, slots=True)
-class FoundObject:
-    """A box in a photo, in its pixels, with a label; a point has no width and height."""
+class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
+    """A box in a photo, in its pixels; without a score where none is known. A point has no width and height."""
 
     left_px: float
     top_px: float
@@ -35,6 +35,11 @@ class FoundObject:
     height_px: float
     label: str
     score: float | None = None
+
+    @property
+    def words(self) -> str:
+        """What it is around, and how sure that is."""
+        return self.label if self.score is None else f"{self.label} {100 * self.score:.0f} %"
 
     @property
     def middle_and_size(self) -> tuple[float, float, float, float]:
@@ -47,7 +52,7 @@ class FoundObject:
         )
 
 
-def found_objects(message: object) -> list[FoundObject] | None:
+def found_objects(message: object) -> list[Outline] | None:
     """The objects of a message of plain values: of one object, or of a list of nothing else; None for any other."""
     items = message if isinstance(message, list) else [message]
     found = [_object(item) for item in items]
@@ -55,7 +60,7 @@ def found_objects(message: object) -> list[FoundObject] | None:
     return whole if len(whole) == len(found) else None
 
 
-def _object(item: object) -> FoundObject | None:
+def _object(item: object) -> Outline | None:
     if not isinstance(item, Mapping):
         return None
     fields = {str(name).removesuffix("_px"): value for name, value in item.items()}
@@ -64,7 +69,7 @@ def _object(item: object) -> FoundObject | None:
     if label is None or outline is None:
         return None
     score = next((fields[name] for name in _SCORES if _is_number(fields.get(name))), None)
-    return FoundObject(*outline, label, None if score is None else float(score))
+    return Outline(*outline, label, None if score is None else float(score))
 
 
 def _outline(fields: Mapping[str, object]) -> tuple[float, float, float, float] | None:

@@ -43,7 +43,7 @@ class Handover:
         home: GeoPosition | None,
         earlier: Iterable[Event] = (),
     ) -> None:
-        self._told = Told(drone, home)
+        self._told = HandoverFacts(drone, home)
         self._deliveries = [Delivery(recipient) for recipient in recipients]
         for event in earlier:
             self._told.by(event)
@@ -80,7 +80,7 @@ class Handover:
                         tell(failed)
 
 
-class Told:
+class HandoverFacts:
     """The findings in the events of a flight as recipients get them."""
 
     def __init__(self, drone: str, home: GeoPosition | None) -> None:

@@ -17,8 +17,9 @@ from foxglove.messages import (
 )
 
 from upwash.eventlog import schema
+from upwash.eventlog.objects import Outline
 from upwash.report.clock import RecordClock
-from upwash.report.findings import Outline, Pairing
+from upwash.report.findings import Pairing
 from upwash.report.palette import DARK, components
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from upwash.report.findings import Finding, Outline
+from upwash.eventlog.objects import Outline
+from upwash.report.findings import Finding
 from upwash.report.photos import PhotoShelf
 
 if TYPE_CHECKING:

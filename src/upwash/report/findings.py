@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from sys import intern
 
-import msgspec
-
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.georeference import PhotoGeometry, Place, Sight, Unplaced
 from upwash.eventlog import schema
 from upwash.eventlog.narration import in_one_line
-from upwash.eventlog.objects import found_objects
+from upwash.eventlog.objects import Outline, found_objects
 from upwash.eventlog.schema import Event
 from upwash.report.photos import Shot
 from upwash.support.text import printable
@@ -23,28 +21,6 @@ OF_MISSION = "the place that the mission named"
 OF_OBJECT = "the object's own place"
 _NO_LENS = "the camera's lens is unknown"
 _LONGEST_WORDS = 300  # characters
-
-
-class Outline(msgspec.Struct, frozen=True, omit_defaults=True, gc=False):
-    """A box in a photo, in its pixels; without a score where none is known. A point has no width and height."""
-
-    left_px: float
-    top_px: float
-    width_px: float
-    height_px: float
-    label: str
-    score: float | None = None
-
-    @property
-    def words(self) -> str:
-        """What it is around, and how sure that is."""
-        return self.label if self.score is None else f"{self.label} {100 * self.score:.0f} %"
-
-
-def outlines(message: object) -> list[Outline] | None:
-    """The boxes of a message, None where it has none."""
-    found = found_objects(message)
-    return None if found is None else [msgspec.convert(each, Outline, from_attributes=True) for each in found]
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +171,7 @@ class Finder:
         if not isinstance(event, schema.Notified) or not event.message or self._is_over:
             return ()
         photo = self.pairing.told_of
-        boxes = outlines(event.message)
+        boxes = found_objects(event.message)
         told = []
         for box in [None] if boxes is None else boxes:
             what = box.label if box else in_one_line(event.message)
@@ -225,5 +201,4 @@ class Finder:
         sight = self._sight[1]
         if isinstance(sight, Unplaced):
             return sight
-        middle_px = box.left_px + box.width_px / 2, box.top_px + box.height_px / 2
-        return sight.place_of(*middle_px, box.width_px, box.height_px)
+        return sight.place_of(*box.middle_and_size)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 
+from upwash.eventlog.objects import Outline
 from upwash.eventlog.progress import clock
 from upwash.report import tables
 from upwash.report.crops import Crop, cut_out
-from upwash.report.findings import MOST_PICTURED, Outline
+from upwash.report.findings import MOST_PICTURED
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import PlacedFinding
 from upwash.report.photos import PhotoShelf

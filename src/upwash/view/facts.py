@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from upwash.report.findings import Outline
+from upwash.eventlog.objects import Outline
 
 
 class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="fact", tag=str.lower):

@@ -16,10 +16,11 @@ from upwash.eventlog import schema
 from upwash.eventlog.causes import Considered, Course, course_after
 from upwash.eventlog.narration import MEANINGS, Narrator, tone_of
 from upwash.eventlog.notices import Notice, Notices
+from upwash.eventlog.objects import found_objects
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, call_lines, decision_lines
 from upwash.eventlog.schema import Event
-from upwash.report.findings import Finder, Finding, outlines
+from upwash.report.findings import Finder, Finding
 from upwash.report.numbering import FlightFindings
 from upwash.report.photos import Shot
 from upwash.report.record import place_of
@@ -343,7 +344,7 @@ class Story:
                 waypoint=photo.waypoint,
                 source=photo.shot.source,
                 kept=self._keeps(photo.shot.source),
-                truth=outlines(event.truth),
+                truth=found_objects(event.truth),
                 footprint_m=_corners(event.geometry),
             )
         for each in found:
