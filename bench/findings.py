@@ -3,9 +3,9 @@
 A drone surveys a rendered solar park in rows, its photos overlap by 75 %. It leans as in wind, and its reports are
 off: each photo's position by a GPS error of its own, altitude, tilt and heading by theirs. OpenCV projects the park's
 faults onto the photos, which is another way than the code under test takes. A detector misses one in 20 of them, and
-its boxes are a pixel off. For each altitude, tilt of the camera and GPS error the program prints the error of single
-sightings and of objects, how often the stated error holds, and precision and recall of the objects. First the program
-prints the time for 1,000 photos with 10 boxes each.
+its boxes are a pixel off. For each altitude, tilt of the camera and GPS error there is a row. It has the errors
+of single sightings and of objects, how often the stated errors hold, and precision and recall of the objects.
+First the program prints the time for 1,000 photos with 10 boxes each.
 """
 
 from __future__ import annotations

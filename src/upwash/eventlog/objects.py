@@ -3,11 +3,11 @@
 Every detector has a class of its own for its results. An object is a box or a point with a label. `_px` may follow
 the name of a field, and a score is optional.
 
-    box     left, top, width, height | left, top, right, bottom | x1, y1, x2, y2 | xmin, ymin, xmax, ymax
-            x, y, width, height, from the upper left | one of these in a field box, bbox or rect
-    point   x, y | one in a field point or centre
-    label   label, name, kind, species, class_name, category
-    score   score, confidence, probability
+- box: left, top, width, height; left, top, right, bottom; x1, y1, x2, y2; xmin, ymin, xmax, ymax;
+  x, y, width, height from the upper left; or one of these in a field box, bbox or rect
+- point: x, y; or these in a field point or centre
+- label: label, name, kind, species, class_name, category
+- score: score, confidence, probability
 """
 
 from __future__ import annotations

@@ -623,8 +623,8 @@ class Energy(Event, frozen=True, kw_only=True):
     """With `reserve_s`: the battery, its loss a second, the time to the landing, the charge needed, and the margin.
 
     The landing is at home, or with `on_failure = "land"` below the vehicle. Logged when first known, after a change
-    of the margin by more than 3 %, and once a minute. `guessed` lists the vehicle's unknown parameters, for which the
-    estimate takes usual values.
+    of the margin by more than 3 %, and once a minute. `guessed` lists the vehicle's unknown parameters: the estimate
+    takes usual values for them.
     """
 
     left_percent: Number

@@ -1,6 +1,6 @@
 """Starts the programs on real things: the flight, the edge daemon, the surveys before a flight.
 
-The laws: if the configuration names a thing that this machine lacks, a UsageError says so before anything starts.
+The laws: if the configuration names a thing that this machine lacks, a UsageError is raised before the start.
 What was opened is closed in reverse order, however the program ends. Optional libraries are imported where a
 configuration needs them.
 
@@ -9,5 +9,5 @@ and `survey` find beforehand what would prevent it. `handover` gives its finding
 starts the edge daemon from `daemon_keys`, `daemon_services`, `confinement` and `containers`. `daemon_changes`
 reloads it and hands it over.
 
-What is ugly: `daemon.serve` is one long function, because its subject is the order in which parts start and end.
+What is ugly: `daemon.serve` is one long function. Its subject is the order of all starts and ends.
 """

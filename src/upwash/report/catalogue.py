@@ -1,12 +1,13 @@
 """One object, one entry: which sightings on overlapping photos are of the same object.
 
 The places of a photo are off together, by the errors of its position and tilt. So the catalogue lays each photo over
-the entries with a shift of its own. At each candidate a box meets an entry. The most probable shift wins:
+the entries with a shift of its own. At each candidate a box meets an entry. The most probable shift wins, by the
+product of these:
 
-    a box on an entry         a normal distribution of their distance
-    a box on none             the density of objects on the ground
-    an entry without a box    the share of objects that a detector misses
-    the shift                 a normal distribution of the error of the pose
+- a box on an entry: a normal distribution of their distance
+- a box on no entry: the density of objects on the ground
+- an entry in view without a box: the share of objects that a detector misses
+- the shift: a normal distribution of the error of the pose
 
 Two boxes of a photo are never one object, and neither are two labels. `settle` then moves photos and entries to where
 all photos agree best, and joins entries that no photo shows together although both were in view.

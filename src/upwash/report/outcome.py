@@ -17,7 +17,7 @@ UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run of that name set out to do, and what it came to; `world` is a simulation's scenario and seed."""
+    """The plan of a run and its result; `world` is a simulation's scenario and seed."""
 
     name: str
     plan: schema.Planned
@@ -58,7 +58,7 @@ class OutcomeSoFar:
 
 
 def lasting(seconds: float) -> str:
-    """How long something took, or how much shorter it was, as on the flight page: "15.4 s", "3:46"."""
+    """A duration, or a difference of durations, as on the flight page: "15.4 s", "3:46"."""
     if abs(seconds) < _MINUTE_S:
         return f"{seconds:z.1f} s"
     return f"{'-' if seconds < 0 else ''}{clock(abs(seconds))}"

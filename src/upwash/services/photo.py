@@ -158,8 +158,8 @@ def jpeg_of(photo: bytes) -> bytes:
 def in_8_bits(image: MatLike) -> MatLike:
     """The image with 8 bits a channel.
 
-    Of a grey image of 16 bits, as thermal cameras give it, the darkest and the brightest thousandth of the pixels
-    become black and white, unless they are less than 256 values apart. Colours keep their upper 8 bits.
+    Thermal cameras give grey images of 16 bits. Their darkest and brightest thousandth of the pixels become black and
+    white, unless these are less than 256 values apart. Colours keep their upper 8 bits.
     """
     import numpy as np
 

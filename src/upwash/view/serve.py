@@ -70,8 +70,8 @@ async def serve_view(
 ) -> None:
     """Serves a page about the logs on this machine's loopback until SIGTERM or Ctrl-C.
 
-    `ready` is told its address. Port 0 is any that is free. `flown` is what other policies did, by name, in the world
-    of the one log. Raises UsageError for what is no event log.
+    `ready` is called with the address. Port 0 is any that is free. `flown` is what other policies did, by name, in
+    the world of the one log. Raises UsageError for what is no event log.
     """
     shelf = PhotoShelf(photos)
     with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
