@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 from bench.program import machine
 
+from upwash.core.camera.georeference import Accuracy, Ground, PhotoGeometry, Place, Sight
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.core.georeference import Accuracy, Ground, PhotoGeometry, Place, Sight
-from upwash.core.lens import Lens
 from upwash.core.vehicle.telemetry import Attitude
 from upwash.report.catalogue import Catalogue, Sighting
 from upwash.services.solar_park.geometry import Area, Park

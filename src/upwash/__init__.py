@@ -82,8 +82,8 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from upwash.core.camera.georeference import Place, Unplaced
     from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Waypoint
-    from upwash.core.georeference import Place, Unplaced
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User
     from upwash.drone.payload import Payload
@@ -106,7 +106,7 @@ else:
         "upwash.drone.vehicle": ("Vehicle",),
         "upwash.drone.payload": ("Payload",),
         "upwash.drone.photographer": ("Photographer", "PhotoPose"),
-        "upwash.core.georeference": ("Place", "Unplaced"),
+        "upwash.core.camera.georeference": ("Place", "Unplaced"),
         "upwash.drone.pending": ("Demand", "Pending"),
         "upwash.eventlog.log": ("read_log",),
         "upwash.eventlog.results": ("CallResult", "EnergyTotals", "RunResult", "Totals", "read_result"),

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeAlias
 
 from upwash.core.admission.limits import NO_LIMITS, Limits
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Circle, EarthPosition, Position, Velocity
-from upwash.core.lens import Lens
 from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.geofence import Fence

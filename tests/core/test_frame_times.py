@@ -7,7 +7,7 @@ from itertools import accumulate
 
 import pytest
 
-from upwash.core.frame_times import FrameTimes
+from upwash.core.camera.frame_times import FrameTimes
 
 PERIOD_S = 0.05
 

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from upwash.core.camera.georeference import Accuracy, Ground, PhotoGeometry, Place, Sight, Unplaced
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.core.georeference import Accuracy, Ground, PhotoGeometry, Place, Sight, Unplaced
-from upwash.core.lens import Lens
 from upwash.core.vehicle.telemetry import Attitude
 
 SIZE = (1600, 1200)

@@ -15,9 +15,9 @@ from PIL import ExifTags, Image
 from tests.report.test_findings import jpeg
 
 from upwash.config import read_drone_config
+from upwash.core.camera.georeference import Ground, PhotoGeometry, Place, Unplaced
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import EarthPosition, Position, Velocity
-from upwash.core.georeference import Ground, PhotoGeometry, Place, Unplaced
-from upwash.core.lens import Lens
 from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.photographer import Photographer, PhotoPose

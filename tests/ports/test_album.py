@@ -10,9 +10,9 @@ import exifread
 import pytest
 from tests.report.test_findings import jpeg
 
+from upwash.core.camera.georeference import PhotoGeometry, Sight
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import EarthPosition, Position
-from upwash.core.georeference import PhotoGeometry, Sight
-from upwash.core.lens import Lens
 from upwash.core.vehicle.telemetry import Attitude
 from upwash.errors import NotWritten, UsageError
 from upwash.ports import KeptPhoto

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 
 import pytest
 
+from upwash.core.camera.georeference import Place
 from upwash.core.geo import Position
-from upwash.core.georeference import Place
 from upwash.report.catalogue import Catalogue, Entry, Sighting
 
 HALF_M = 12.0  # of a photo's side

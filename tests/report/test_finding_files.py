@@ -20,8 +20,8 @@ from tests.events import line
 from tests.report.test_findings import BOX, flight, jpeg
 
 from upwash.cli.main import main
+from upwash.core.camera.georeference import Place
 from upwash.core.geo import Position
-from upwash.core.georeference import Place
 from upwash.eventlog.objects import Outline
 from upwash.report.finding_files import as_csv, as_geojson, as_kml, as_zip
 from upwash.report.findings import OF_DRONE, OF_MISSION, OF_OBJECT, Finding

@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from upwash.core.camera.georeference import Place
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.core.georeference import Place
 from upwash.eventlog.objects import Outline
 from upwash.report.findings import Finding, TakenPhoto
 from upwash.report.numbering import FlightFindings, numbered, placed, what_was_found

@@ -3,12 +3,12 @@
 Laws: no clock, socket, randomness, log or asyncio; time and position are arguments. Events come in, commands go out.
 
     geo, operation   places on the plane around home; what a call asks for
-    frame_times      when the frames of a stream were captured
     knowledge/       what the drone knows: servers and their states, delays, ranges
     planning/        the mission ahead: legs, calls, schedules, orders
     policies/        which server, and where a call runs
     selection/       the drone's machine: `Selection` takes events and returns commands
     vehicle/         the vehicle's owner, fences and battery
+    camera/          where what a photo shows lies
     admission/       the server's machine: `AdmissionController`, and what it keeps
 
 Drive it by hand with docs/driving-the-core.md.

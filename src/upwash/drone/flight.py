@@ -11,8 +11,8 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from msgspec import Struct
 
 from upwash.config import DroneConfig, ending, geofence, server_areas
+from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
-from upwash.core.georeference import Ground, level_ground
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection

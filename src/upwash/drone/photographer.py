@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from upwash.core.geo import EarthPosition, Position, rounded
-from upwash.core.georeference import (
+from upwash.core.camera.georeference import (
     Accuracy,
     Ground,
     PhotoGeometry,
@@ -19,7 +18,8 @@ from upwash.core.georeference import (
     Unplaced,
     level_ground,
 )
-from upwash.core.lens import Lens
+from upwash.core.camera.lens import Lens
+from upwash.core.geo import EarthPosition, Position, rounded
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload

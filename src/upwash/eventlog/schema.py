@@ -16,8 +16,8 @@ from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import msgspec
 
+from upwash.core.camera.georeference import PhotoGeometry
 from upwash.core.geo import Circle, GeoPosition, Position, rounded
-from upwash.core.georeference import PhotoGeometry
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import State, Trigger
 from upwash.core.operation import server_of

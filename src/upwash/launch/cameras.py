@@ -16,8 +16,8 @@ from types import ModuleType
 import msgspec
 
 from upwash.config import CameraConfig, DroneConfig
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.missions.bundled import load_mission
 from upwash.ports import Camera, Photo

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from upwash.config import DroneConfig, UserConfig, altitudes_above_sea, coverage_kept, unsigned_port
+from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Position
-from upwash.core.georeference import Ground, level_ground
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.home import above_home
 from upwash.drone.resumption import order_begun, waypoints_done

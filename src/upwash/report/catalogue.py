@@ -20,8 +20,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from upwash.core.camera.georeference import Place
 from upwash.core.geo import Position
-from upwash.core.georeference import Place
 
 _CELL_M = 4.0
 _MISSED = 0.15  # of the objects in view

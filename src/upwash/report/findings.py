@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from sys import intern
 
+from upwash.core.camera.georeference import PhotoGeometry, Place, Sight, Unplaced
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.core.georeference import PhotoGeometry, Place, Sight, Unplaced
 from upwash.eventlog import schema
 from upwash.eventlog.narration import in_one_line
 from upwash.eventlog.objects import Outline, found_objects

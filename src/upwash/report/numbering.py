@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import TypeAlias
 
+from upwash.core.camera.georeference import Place
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.core.georeference import Place
 from upwash.report.catalogue import Catalogue, Shift, Sighting
 from upwash.report.findings import Finding
 from upwash.support.text import counted, printable

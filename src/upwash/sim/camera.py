@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from upwash.config import EventConfig
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position, Waypoint, ground_distance_m
-from upwash.core.lens import Lens
 from upwash.ports import Photo
 from upwash.sim.chance import Chance
 from upwash.sim.runtime import EVENT

@@ -7,8 +7,8 @@ from datetime import datetime
 
 import msgspec
 
+from upwash.core.camera.georeference import PhotoGeometry
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.core.georeference import PhotoGeometry
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import ON_DRONE
 from upwash.core.vehicle.control import Owner

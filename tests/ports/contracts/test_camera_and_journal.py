@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from tests.events import event, written
 
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.core.lens import Lens
 from upwash.ports import Camera, Journal, Notifier
 from upwash.real.camera.camera import FolderCamera
 from upwash.real.camera.video import VideoCamera

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.core.lens import Lens
+from upwash.core.camera.lens import Lens
 from upwash.errors import UsageError
 from upwash.support.loading import extra
 

@@ -10,8 +10,8 @@ import stat
 from functools import partial
 from pathlib import Path
 
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 from upwash.services.photo import NotAPhoto, jpeg_of

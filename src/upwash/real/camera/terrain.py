@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from upwash.core.camera.georeference import Ground
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.core.georeference import Ground
 from upwash.errors import UsageError
 from upwash.support.loading import extra
 

@@ -9,9 +9,9 @@ import re
 import threading
 from pathlib import Path
 
-from upwash.core.frame_times import FrameTimes
+from upwash.core.camera.frame_times import FrameTimes
+from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
-from upwash.core.lens import Lens
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 from upwash.services.photo import in_8_bits

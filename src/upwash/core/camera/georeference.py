@@ -16,8 +16,8 @@ from typing import Annotated
 
 import msgspec
 
+from upwash.core.camera.lens import Lens, Vector
 from upwash.core.geo import FARTHEST_M, Metres, Position
-from upwash.core.lens import Lens, Vector
 from upwash.core.vehicle.telemetry import Attitude
 
 _Sigma = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
