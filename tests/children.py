@@ -40,6 +40,17 @@ def children(process_id: int) -> list[int]:
     ]
 
 
+def descendants(process_id: int) -> set[int]:
+    """The process, those that it started, and those that they started, in sandboxes and containers too."""
+    parents = {process.pid: process.parent for process in processes()}
+    found: set[int] = set()
+    added = {process_id}
+    while added:
+        found |= added
+        added = {child for child, parent in parents.items() if parent in added}
+    return found
+
+
 def expect_no_child() -> None:
     """Neither an instance nor a zombie is a child of this process; others may be, as other tests start pools."""
     own = [process for process in processes() if process.parent == os.getpid()]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.children import processes
+from tests.children import descendants, processes
 from tests.events import read
 from tests.programs import UPWASH, ended, stand_in, upwash
 from tests.system.faults.lateness import noting_lateness, noting_waits, read_lateness
@@ -84,10 +84,9 @@ class Emulation:
         mark = f"UPWASH_EMULATION={self.process.pid}:"
         return {process.pid: process.command for process in processes(mark=mark)}
 
-    def in_calls(self) -> list[int]:
-        """The processes that a call waits for: the drone's and the servers'."""
-        mine = self.processes().items()
-        return [pid for pid, command in mine if "upwash fly" in command or "upwash serve" in command]
+    def in_calls(self) -> set[int]:
+        """The processes that a call may wait for: the drone, the servers, their instances, the radio."""
+        return descendants(self.process.pid)
 
     def groups(self) -> list[Path]:
         """The control groups of its containers."""
