@@ -140,6 +140,16 @@ def test_the_old_header_has_a_shorter_counter(tmp_path: Path) -> None:
         np.testing.assert_array_equal(own, other)
 
 
+def test_of_an_option_that_stands_twice_darknet_reads_the_first() -> None:
+    twice = (
+        small()
+        .replace("[net]\n", "[net]\nbatch=1\nbatch=64\n")
+        .replace("filters=8\n", "filters=8\nfilters=9\n")
+    )
+    once, other = (read_network(CFG, text.encode()) for text in (small(), twice))
+    assert [layer.operator for layer in other.layers] == [layer.operator for layer in once.layers]
+
+
 # --- cfg files that are refused -----------------------------------------------------------------------------
 
 LINEAR = "[convolutional]\nfilters=21\nactivation=linear\n"
@@ -155,7 +165,6 @@ ONE_CLASS = LINEAR.replace("21", "18") + HEAD.replace("classes=2", "classes=1")
         ("width=3\n", "line 1", "expected [section] or option=value, found width=3"),
         ("[net]\nwidth\n", "line 2", "expected [section] or option=value, found width"),
         ("[net\n", "line 1", "not a section"),
-        ("[net]\nwidth=3\nwidth=3\n", "line 1 [net]", "line 3: a second width"),
         ("[net]\nchannels=1\n", "line 1 [net]", "channels=1: expected a whole number from 3 to 3"),
         (NET, "", "it has no [yolo] layer"),
         (

@@ -29,11 +29,9 @@ class Section:
         self._options: dict[str, str] = {}
         self._read: set[str] = set()
 
-    def add(self, name: str, value: str, line: int) -> None:
-        """Takes one `name=value`; raises ModelError for a second value."""
-        if name in self._options:
-            raise self.error(f"line {line}: a second {_quoted(name)}: remove one of the two")
-        self._options[name] = value
+    def add(self, name: str, value: str) -> None:
+        """Takes one `name=value`; of several values Darknet reads the first."""
+        self._options.setdefault(name, value)
 
     def error(self, problem: str) -> ModelError:
         """An error with the place in the cfg."""
@@ -126,7 +124,7 @@ def read_sections(file: Path, content: bytes) -> list[Section]:
             raise ModelError(
                 file, f"line {number}", f"expected [section] or option=value, found {_quoted(line)}"
             )
-        sections[-1].add(name, value, number)
+        sections[-1].add(name, value)
     return sections
 
 
