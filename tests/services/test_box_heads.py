@@ -99,9 +99,14 @@ FAMILIES = {
     "YOLOv5": [V5],
     "YOLOv5 and cells": [V5, *[np.zeros((1, 3, 4, 4, 8))] * 2],
     "YOLOv5 as YOLOv6": [np.hstack([V8[:, :4], np.ones((CELLS, 1)), V8[:, 4:]])],
+    "YOLOv5 of one class": [
+        np.hstack([V5[:, :4], V5[:, 5:6], np.full((3 * CELLS, 1), 0.5)])
+    ],  # as YOLOv7 leaves the class
+    "YOLOv5 as YOLOv6 of one class": [np.hstack([V8[:, :4], np.ones((CELLS, 1)), V8[:, 4:5]])],
     "YOLOv8": [V8.T],
     "YOLOv8 turned": [V8],
     "end-to-end": [END],
+    "end-to-end of YOLOv7": [np.hstack([np.zeros((300, 1)), END[:, :4], CLASSES, END[:, 4:5]])],
     "DETR": [DETR],
     "DETR in two": [FEW / SIDE_PX, LOGITS],
     "DETR in three": [CLASSES[:, 0], corners(FEW) / SIDE_PX, END[:, 4]],
@@ -118,16 +123,9 @@ def plainly(family: str, outputs: list[Values]) -> list[Detection]:
         first = first.T
     found = []
     for index, row in enumerate(first):
-        if kind == "end-to-end" or family == "DETR in three":
-            left, top, right, bottom, score, cls = row
-        else:
-            x, y, width, height = row[:4]
-            scores = list(row[5:] * row[4] if kind == "YOLOv5" else row[4:])
-            if family == "DETR in two":
-                scores = [1 / (1 + np.exp(-float(logit))) for logit in outputs[1][index]]
-            score = max(scores)
-            cls = scores.index(score)
-            left, top, right, bottom = x - width / 2, y - height / 2, x + width / 2, y + height / 2
+        score, cls, (left, top, right, bottom) = plain_row(
+            family, outputs[1][index] if family == "DETR in two" else row[4:], row
+        )
         if score <= CONFIDENCE:
             continue
         if kind == "DETR":  # the photo fills the picture
@@ -143,6 +141,24 @@ def plainly(family: str, outputs: list[Values]) -> list[Detection]:
         ):
             kept.append(item)
     return [detection for item in kept if (detection := cut(*item)) is not None]
+
+
+def plain_row(family: str, values: Values, row: Values) -> tuple[float, int, Values]:
+    if family == "end-to-end of YOLOv7":
+        return row[6], row[5], row[1:5]
+    if family in ("end-to-end", "DETR in three"):
+        return row[4], row[5], row[:4]
+    scores = list(values)
+    if family == "YOLOv5 of one class":
+        scores = [row[4]]
+    elif family.startswith("YOLOv5"):
+        scores = list(row[5:] * row[4])
+    elif family == "DETR in two":
+        scores = [1 / (1 + np.exp(-float(logit))) for logit in values]
+    score = max(scores)
+    x, y, width, height = row[:4]
+    corners = np.array([x - width / 2, y - height / 2, x + width / 2, y + height / 2])
+    return score, scores.index(score), corners
 
 
 def overlap(one: tuple[float, ...], other: tuple[float, ...]) -> float:
@@ -182,9 +198,11 @@ def test_a_family_is_recognised_and_its_boxes_are_those_of_a_plain_decoder(
     family: str, kind: type[np.floating[Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     outputs = [output if output.dtype == int else output.astype(kind) for output in FAMILIES[family]]
-    given = [output if output.ndim == 5 else output[np.newaxis] for output in outputs]
-    detector = Detector(model=export(tmp_path, *given), threads=1)
-    assert f"light: {family.partition(' ')[0]} head, 3 classes, 160 x 160\n" in capfd.readouterr().err
+    whole = family == "end-to-end of YOLOv7"
+    given = [output if whole or output.ndim == 5 else output[np.newaxis] for output in outputs]
+    names, classes = ({"names": "['person']"}, "1 class") if "one class" in family else (NAMES, "3 classes")
+    detector = Detector(model=export(tmp_path, *given, metadata=names), threads=1)
+    assert f"light: {family.partition(' ')[0]} head, {classes}, 160 x 160\n" in capfd.readouterr().err
     expected = plainly(family, outputs)
     assert len(expected) > 20
     np.testing.assert_allclose(
@@ -286,6 +304,7 @@ REFUSED = {
         [like(1, 300, 4), like(1, 300, 80)],
         r"logits is 1 x 300 x 80, as of DETR with 80 classes, but",
     ),
+    "a class beyond, of YOLOv7": ([like(9, 7, fill=7)], r"output0 has class 7, but there are 3 names"),
     "a label beyond": (
         [np.full((1, 9), 3), like(1, 9, 4), like(1, 9)],
         r"output labels has class 3, but there are 3 names",

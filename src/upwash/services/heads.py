@@ -1,8 +1,9 @@
 """Boxes that a network decodes itself: the family of its outputs, and the boxes in them.
 
-- YOLOv5: 1 x cells x (5 + classes): centre and size of a box, objectness, classes
+- YOLOv5, also v6 and v7: 1 x cells x (5 + classes): centre and size of a box, objectness, classes
 - YOLOv8, also v9, v11 and later: 1 x (4 + classes) x cells: centre and size, classes
-- end-to-end, as YOLOv10, YOLO26 and exports that suppress: 1 x boxes x 6: corners, score, class
+- end-to-end, as YOLOv10, YOLO26 and exports that suppress: 1 x boxes x 6: corners, score, class;
+  YOLOv7's have boxes x 7: picture, corners, class, score
 - DETR: 1 x boxes x (4 + classes), or two outputs for these: centre and size as shares of the picture, classes;
   or three outputs for boxes by their corners, scores and labels
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Literal
 
@@ -48,6 +49,8 @@ class BoxHead:
     shares: bool = False
     logits: bool = False
     corners: bool = False  # and a class after the score
+    of_all_pictures: bool = False  # the picture's number, corners, a class, a score
+    one_class: bool = False  # whose score is the objectness
 
     @property
     def overlaps(self) -> bool:
@@ -58,6 +61,9 @@ class BoxHead:
         """A row for each box."""
         import numpy as np
 
+        if self.of_all_pictures:
+            (boxes,) = outputs
+            return boxes[:, [1, 2, 3, 4, 6, 5]].astype(np.float32)
         parts = [output[0].astype(np.float32, copy=False) for output in outputs]
         rows: Floats = np.column_stack(parts) if len(parts) > 1 else parts[0]
         return rows.T if self.in_columns else rows
@@ -91,7 +97,10 @@ class BoxHead:
         if self.corners:
             known = (rows[:, 5] >= 0) & (rows[:, 5] < MOST_LABELS)
             return np.where(known, rows[:, 5], -1).astype(np.intp), rows[:, 4]
-        scores = rows[:, 5:] * rows[:, 4:5] if self.family == "YOLOv5" else rows[:, 4:]
+        if self.one_class:
+            scores = rows[:, 4:5]
+        else:
+            scores = rows[:, 5:] * rows[:, 4:5] if self.family == "YOLOv5" else rows[:, 4:]
         best = scores.max(axis=1)
         return scores.argmax(axis=1), sigmoid(best) if self.logits else best
 
@@ -106,19 +115,20 @@ def recognise(outputs: Mapping[str, Floats], *, size_px: tuple[int, int], names:
         if output.ndim == 3 and len(output) == 1 and output.dtype.kind == "f" and output.size <= MOST_VALUES
     }
     three = _labels_apart(outputs)
+    seven = _of_yolov7(outputs)
     # Old exports of YOLOv5 give its cells a second time, before decoding, with five dimensions.
     rest = (output for name, output in outputs.items() if name not in found)
-    if not three and (len(found) not in (1, 2) or any(output.ndim != 5 for output in rest)):
+    if not (three or seven) and (len(found) not in (1, 2) or any(output.ndim != 5 for output in rest)):
         raise ValueError(_not_known(outputs))
-    if not all(np.isfinite(outputs[name]).all() for name in three or found):
+    if not all(np.isfinite(outputs[name]).all() for name in three or seven or found):
         raise ValueError(
             "some numbers of its outputs are infinite or none (NaN) for a grey picture: export it with 32-bit floats"
         )
     head: BoxHead | None
     if three:
         head = BoxHead("DETR", three, corners=True)
-        if (highest := int(outputs[three[2]].max(initial=0))) >= names:
-            raise ValueError(_wrong_names(f"output {three[2]} has class {highest}", names))
+    elif seven:
+        head = BoxHead("end-to-end", seven, corners=True, of_all_pictures=True)
     elif len(found) == 1:
         head = _recognise_one(*next(iter(found.items())), names)
     else:
@@ -126,6 +136,8 @@ def recognise(outputs: Mapping[str, Floats], *, size_px: tuple[int, int], names:
     if head is None:
         raise ValueError(_not_known(outputs))
     rows = head.rows([outputs[name] for name in head.outputs])
+    if head.corners and (highest := int(rows[:, 5].max(initial=0))) >= names:
+        raise ValueError(_wrong_names(f"output {head.outputs[-1]} has class {highest}", names))
     cells = sum((size_px[0] // stride) * (size_px[1] // stride) for stride in _STRIDES)
     # YOLOv6 has one box a cell too, and an objectness of 1.
     if head.family == "YOLOv5" and len(rows) == cells and (rows[:, 4] < 1).any():
@@ -139,6 +151,10 @@ def recognise(outputs: Mapping[str, Floats], *, size_px: tuple[int, int], names:
             f"its outputs are like those of {head.family} networks, but scores are from {scores.min():.3g} to "
             f"{scores.max():.3g}, not from 0 to 1: export it with decoded boxes, or {_OWN_SERVICE}"
         )
+    # Training of YOLOv5 and v7 leaves the class out where there is one: its values say nothing. YOLOv6 has an
+    # objectness of 1.
+    if head.family == "YOLOv5" and names == 1 and (rows[:, 4] < 1).any():
+        return replace(head, one_class=True)
     return head
 
 
@@ -183,6 +199,15 @@ def _labels_apart(outputs: Mapping[str, Floats]) -> tuple[str, ...]:
         return ()
     fits = all(outputs[name].shape[:2] == (1, outputs[boxes[0]].shape[1]) for name in names)
     return names if fits and outputs[boxes[0]].size <= MOST_VALUES else ()
+
+
+def _of_yolov7(outputs: Mapping[str, Floats]) -> tuple[str, ...]:
+    """The name of the only output if it is that of YOLOv7 with suppression: boxes of all pictures x 7."""
+    return tuple(
+        name
+        for name, output in outputs.items()
+        if len(outputs) == 1 and output.ndim == 2 and output.shape[1] == 7 and output.dtype.kind == "f"
+    )
 
 
 def _recognise_two(outputs: Mapping[str, Floats], names: int) -> BoxHead | None:

@@ -331,10 +331,10 @@ class BoxInference(OnnxInference):
     def _are_whole(self, outputs: list[Floats], height_px: int, width_px: int) -> bool:
         """Whether the number of cells is in proportion; end-to-end networks give the same number of boxes."""
         assert self._head is not None  # noqa: S101 - a side was required
-        if self._head.family == "end-to-end":
-            return outputs[0].ndim == 3
         side_px = max(height_px, width_px)
         square = self._shapes.get(side_px, ())
+        if self._head.family == "end-to-end":
+            return outputs[0].ndim == len(square)
         return math.prod(outputs[0].shape) * side_px**2 == math.prod(square) * height_px * width_px
 
 
