@@ -8,8 +8,9 @@ READY := .venv/.ready
 PEERS := .venv-peers/bin
 PEERS_READY := .venv-peers/.ready
 PYTEST := $(BIN)/python -m pytest --dist loadgroup
+FOR_CARDS := onnxruntime-gpu $(addprefix nvidia-,cublas cuda-nvrtc cuda-runtime cudnn-cu13 cufft curand nvjitlink)
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-    --no-emit-find-links --no-annotate --no-header --no-emit-package onnxruntime-gpu
+    --no-emit-find-links --no-annotate --no-header $(addprefix --no-emit-package ,$(FOR_CARDS))
 
 # Without it each of the programs that a test starts would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE

@@ -563,7 +563,7 @@ def test_a_configuration_gives_everything(model: ModelFiles, tmp_path: Path, pho
     ("settings", "key", "problem"),
     [
         ("threads = 0", "threads", "an integer from 1 to 1024, found 0"),
-        ('provider = "tpu"', "provider", 'expected one of "cpu", "cuda", found "tpu"'),
+        ('provider = "tpu"', "provider", 'expected one of "auto", "cpu", "cuda", found "tpu"'),
         ("light_px = 31", "light_px", "an integer from 32 to 4096, in pixels, found 31"),
         ("confidence = 0.5", "confidence", 'unknown key "confidence"'),
     ],

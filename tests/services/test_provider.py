@@ -1,8 +1,9 @@
-"""Why a provider of onnxruntime cannot be used, in onnxruntime's own words."""
+"""Why a provider of onnxruntime cannot be used, in onnxruntime's own words, and what is used instead."""
 
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import onnxruntime
@@ -68,9 +69,44 @@ def test_a_library_that_is_missing_is_in_the_message_and_still_printed(
         'provider = "cuda" cannot be used here: Failed to load library /opt/libonnxruntime_providers_cuda.so with '
         "error: libcublasLt.so.13: cannot open shared object file: No such file or directory Failed to create "
         "CUDAExecutionProvider. Require cuDNN 9.* and CUDA 13.*. Please install all dependencies.; install what it "
-        "names, or leave the provider out to compute on the processor"
+        'names, and show the card to a service in a sandbox (`devices`), or say provider = "cpu"'
     )
     assert capfd.readouterr().err == MISSING_LIBRARY
+
+
+def test_a_card_that_nobody_asked_for_and_that_fails_is_told_and_the_processor_computes(
+    session: type[Session], capfd: pytest.CaptureFixture[str]
+) -> None:
+    session.raised = OLD_DRIVER
+    assert open_session(Path("model.onnx"), threads=1, provider="auto").get_providers() == [
+        "CPUExecutionProvider"
+    ]
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith(
+        'warning: provider = "cuda" cannot be used here: CUDA failure 35: CUDA driver version'
+    )
+    assert line.endswith("; the detector computes on the processor")
+
+
+def test_without_a_library_for_cards_nothing_is_said(
+    session: type[Session], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
+    open_session(Path("model.onnx"), threads=1, provider="auto")
+    assert capfd.readouterr().err == ""
+
+
+def test_libraries_beside_onnxruntime_are_loaded_before_it_looks_for_them(
+    session: type[Session], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def load() -> None:
+        sys.stdout.write("Failed to load libcufft.so.12: no such file\n")
+        session.raised = OLD_DRIVER  # what it says of the first library that is missing
+
+    session.printed = MISSING_LIBRARY
+    monkeypatch.setattr(onnxruntime, "preload_dlls", load)
+    assert "CUDA failure 35" in refusal()
+    assert capfd.readouterr().out == ""
 
 
 def test_an_error_of_cuda_is_in_the_message_with_its_number(session: type[Session]) -> None:

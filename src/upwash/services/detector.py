@@ -48,7 +48,7 @@ class Detector:
         model: ModelFiles = SOLAR_PARK,
         light_model: ModelFiles | None = None,
         threads: Threads | None = None,
-        provider: Provider = "cpu",
+        provider: Provider = "auto",
         engine: Engine = "onnxruntime",
         light_px: Side | None = None,
         heavy_px: Side | None = None,

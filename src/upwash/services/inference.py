@@ -27,7 +27,7 @@ from upwash.services.darknet.heads import (
 )
 from upwash.services.heads import MOST_LABELS, MOST_VALUES, BoxHead, by, parse_names, recognise
 from upwash.services.photo import DARKNET_GREY, ULTRALYTICS_GREY
-from upwash.services.provider import Provider, open_session
+from upwash.services.provider import Provider, is_on_card, open_session
 from upwash.support.input_files import read_file, text_of
 from upwash.support.text import counted, words_of
 
@@ -76,7 +76,7 @@ def open_inference(files: ModelFiles, *, threads: int, provider: Provider, engin
         return open_onnx(files, threads=threads, provider=provider)
     if files.onnx is not None:
         raise UsageError('engine = "ncnn" runs Darknet models: give cfg and weights, or leave the engine out')
-    if provider != "cpu":
+    if provider == "cuda":
         raise UsageError('engine = "ncnn" computes on the processor: leave either it or the provider out')
     return NcnnInference(files, threads=threads)
 
@@ -201,7 +201,7 @@ def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInf
         raise ModelError(file, "", f"its names or metadata are not text ({error})") from error
     labels = _read_labels(files.names) if files.names else _labels_in(file, metadata)
     heads = files.heads or _heads_in(file, metadata)
-    network = _Loaded(session, *inputs, metadata, for_each_size=provider == "cuda")
+    network = _Loaded(session, *inputs, metadata, for_each_size=is_on_card(session))
     if strange := [kind for kind in sorted(kinds) if not kind.startswith("tensor(")]:
         raise ModelError(file, "", f"its outputs are {', '.join(strange)}: give a network that detects")
     if not heads:
