@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -128,6 +129,13 @@ def test_the_published_networks_need_weights_of_the_published_sizes(
     weights.write_bytes(header())
     with pytest.raises(ModelError, match=rf"the network {weights_bytes} in all"):
         WeightsFile(weights, network)
+
+
+def test_weights_of_another_length_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    cfg, weights = write_model(tmp_path, small())
+    os.truncate(weights, 10**12)
+    with pytest.raises(ModelError, match="bytes are left after the last layer"), converted(cfg, weights):
+        pass
 
 
 def test_the_old_header_has_a_shorter_counter(tmp_path: Path) -> None:

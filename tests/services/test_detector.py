@@ -443,35 +443,17 @@ def test_heads_that_do_not_fit_their_model_are_refused(
         Detector(model=ModelFiles(onnx=file, names=model.names, heads=wrong))
 
 
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (None, r"model\.onnx: onnxruntime cannot load it"),
-        (b"", r"model\.onnx: onnxruntime cannot load it"),
-        (b"\xff\xd8\xff\xe0" * 1000, r"model\.onnx: onnxruntime cannot load it"),
-        (
-            helper.make_model(
-                helper.make_graph(
-                    [helper.make_node("Identity", ["x"], ["y"])],
-                    "other",
-                    [helper.make_tensor_value_info("x", TensorProto.INT64, [3])],
-                    [helper.make_tensor_value_info("y", TensorProto.INT64, [3])],
-                ),
-                opset_imports=[helper.make_opsetid("", 13)],
-                ir_version=8,
-            ).SerializeToString(),
-            r"its inputs are tensor\(int64\) \[3\]: one of float 1 x 3 x height x width is needed, of 32 or 16 bits",
-        ),
-    ],
-    ids=["missing", "empty", "photo", "another model"],
-)
-def test_a_file_that_is_no_detection_model_is_refused(
-    content: bytes | None, problem: str, tmp_path: Path
-) -> None:
+def test_a_model_that_takes_no_pictures_is_refused(tmp_path: Path) -> None:
+    graph = helper.make_graph(
+        [helper.make_node("Identity", ["x"], ["y"])],
+        "other",
+        [helper.make_tensor_value_info("x", TensorProto.INT64, [3])],
+        [helper.make_tensor_value_info("y", TensorProto.INT64, [3])],
+    )
     file = tmp_path / "model.onnx"
-    if content is not None:
-        file.write_bytes(content)
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8), file)
     heads = (Head(output="y", stride=8, anchors=((1.0, 1.0),)),)
+    problem = r"its inputs are tensor\(int64\) \[3\]: one of float 1 x 3 x height x width is needed, of 32 or 16 bits"
     with pytest.raises(ModelError, match=problem):
         Detector(model=ModelFiles(onnx=file, names=write_labels(tmp_path, 2), heads=heads))
 

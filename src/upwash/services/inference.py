@@ -26,6 +26,7 @@ from upwash.services.darknet.heads import (
     read_heads,
 )
 from upwash.services.heads import MOST_LABELS, MOST_VALUES, BoxHead, by, parse_names, recognise
+from upwash.services.model_file import explained
 from upwash.services.photo import DARKNET_GREY, ULTRALYTICS_GREY
 from upwash.services.provider import Provider, is_on_card, open_session
 from upwash.support.input_files import read_file, text_of
@@ -190,7 +191,10 @@ class Inference(ABC):
 def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInference:
     """A network that onnxruntime runs: with the raw heads that are described, or with boxes."""
     with _onnx(files) as model:
-        session = open_session(model, threads=threads, provider=provider)
+        try:
+            session = open_session(model, threads=threads, provider=provider)
+        except ModelError as error:
+            raise explained(error) from error
     file = files.onnx or files.weights or model
     try:
         metadata = session.get_modelmeta().custom_metadata_map
@@ -307,6 +311,10 @@ class BoxInference(OnnxInference):
         assert self._head is not None  # noqa: S101 - a side was required
         outputs = self.run(picture)
         height_px, width_px = picture.shape[2:]
+        if (values := sum(output.size for output in outputs)) > MOST_VALUES:
+            raise self._error(
+                f"its outputs for a photo have {values:,} numbers: at most {MOST_VALUES:,} are read"
+            )
         try:
             found = self._head.read(outputs, size_px=(height_px, width_px), confidence=confidence)
         except (IndexError, ValueError) as error:

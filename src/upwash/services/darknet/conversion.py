@@ -20,6 +20,7 @@ from upwash.services.darknet.heads import Head
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.ncnn import PLAIN_FLOATS, describe
 from upwash.services.darknet.weights import WeightsFile
+from upwash.services.model_file import kind_of
 from upwash.support.input_files import read_file
 
 _log = logging.getLogger("upwash.detector")
@@ -29,6 +30,7 @@ Form = Literal["onnx", "ncnn"]
 # Change it with each change of the conversion.
 _EDITIONS: dict[Form, bytes] = {"onnx": b"1", "ncnn": b"ncnn 1"}
 _MOST_CFG_BYTES = 10_000_000
+_START_BYTES = 30
 _MODELS: dict[Form, str] = {"onnx": "model.onnx", "ncnn": "model.param"}
 _NUMBERS = "model.numbers"
 _FACTS = "facts.json"
@@ -84,6 +86,10 @@ def _read(cfg: Path, weights: Path, edition: bytes) -> tuple[bytes, str]:
         if weights.exists() and not weights.is_file():
             raise ModelError(weights, "", "it is no file: check the path")
         with weights.open("rb") as file:
+            if kind := kind_of(file.read(_START_BYTES)):
+                raise ModelError(weights, "", f"it is {kind}")
+            WeightsFile(weights, read_network(cfg, content))  # reading one of another length may take minutes
+            file.seek(0)
             digests = [hashlib.sha256(content).digest(), hashlib.file_digest(file, "sha256").digest()]
     except OSError as error:
         raise ModelError(

@@ -1,0 +1,105 @@
+"""Why a file is no ONNX model that can be loaded, where its bytes say more than onnxruntime does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import BinaryIO
+
+from upwash.errors import ModelError
+
+_KINDS = (
+    (
+        rb"version https://git-lfs",
+        "a pointer of Git LFS and not the file itself: fetch that with `git lfs pull`",
+    ),
+    (rb"PK\x03\x04", "a zip archive, as PyTorch's .pt files are: export the model to ONNX"),
+    (rb"\x80[\x02-\x05]", "a pickle, as PyTorch's old .pt files are: export the model to ONNX"),
+    (rb"\x89HDF", "an HDF5 file, as Keras writes it: export the model to ONNX"),
+    (rb"\x1f\x8b", "compressed by gzip: unpack it"),
+    (rb"<[!?a-zA-Z]", "a web page or other XML: download the model itself"),
+)
+_AGAIN = "copy, download or export it again"
+_MOST_FIELDS = 10_000
+_LONGEST_START = 30  # bytes: more than a field's two numbers of at most ten bytes
+_MOST_LETTERS = 2000
+# What onnxruntime says before a reason: its own name, the file again, and places in its source.
+_BEFORE_REASONS = re.compile(
+    r"\[ONNXRuntimeError\] : \d+ : \w+ : (?:Load model from .*? failed:)?"
+    r"|/onnxruntime_src/\S+ .*?\) (?=[A-Z\[])"
+    r"|\w+\.cc:\d+ \w+ "
+)
+
+
+def kind_of(start: bytes) -> str:
+    """What a file is that starts so, and what to do about it; empty for what may be a model."""
+    return next((kind for pattern, kind in _KINDS if re.match(pattern, start)), "")
+
+
+def explained(error: ModelError) -> ModelError:
+    """The error of a file that onnxruntime did not load, with what the file is instead, or the reason alone."""
+    problem = _defect_of(error.file) or _BEFORE_REASONS.sub("", error.problem[:_MOST_LETTERS])
+    if re.search(r"\bopset versions\b|\bIR version\b", problem):
+        problem += ": update onnxruntime, or export the model with an older opset"
+    return ModelError(error.file, error.where, problem)
+
+
+def _defect_of(file: Path) -> str:
+    try:
+        size = file.stat().st_size
+        with file.open("rb") as opened:
+            if kind := kind_of(opened.read(_LONGEST_START)):
+                return f"it is {kind}"
+            needed = _needed_bytes(opened, size)
+    except OSError as error:
+        return f"cannot be read ({error.strerror}): check the path"
+    except ValueError:
+        return f"it is no ONNX model, or damaged: {_AGAIN}"
+    if not size:
+        return f"it is empty: {_AGAIN}"
+    return f"it is cut off: it has {size:,} of at least {needed:,} bytes: {_AGAIN}" if needed > size else ""
+
+
+def _needed_bytes(file: BinaryIO, size: int) -> int:
+    """How long the file has to be for its fields (protobuf); raises ValueError for what is no field."""
+    end = 0
+    for _ in range(_MOST_FIELDS):
+        if end >= size:
+            break
+        file.seek(end)
+        start = file.read(_LONGEST_START)
+        try:
+            end += _length_of(start)
+        except IndexError:  # the file ends within a number
+            return size + 1
+    return end
+
+
+def _length_of(start: bytes) -> int:
+    """The length of the field that begins so."""
+    tag, at = _number(start, 0)
+    if not tag >> 3:
+        raise ValueError
+    match tag & 7:
+        case 0:
+            return _number(start, at)[1]
+        case 1:
+            return at + 8
+        case 2:
+            length, at = _number(start, at)
+            return at + length
+        case 5:
+            return at + 4
+        case _:
+            raise ValueError
+
+
+def _number(start: bytes, at: int) -> tuple[int, int]:
+    """The number of seven bits a byte, and where it ends."""
+    value = 0
+    for bits in range(0, 70, 7):
+        value |= (start[at] & 0x7F) << bits
+        at += 1
+        if start[at - 1] < 0x80:
+            return value, at
+    raise ValueError
