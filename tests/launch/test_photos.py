@@ -57,15 +57,24 @@ def test_a_png_is_given_as_a_jpeg_and_a_damaged_one_is_named(tmp_path: Path) -> 
     assert "b.PNG cannot be read: the PNG is cut off" in trouble
 
 
+NOT_WHOLE = "no whole JPEG: copy it again"
+
+
 @pytest.mark.parametrize(
-    "bad",
-    [b"", b"a painting", JPEG[:-20], bytes.fromhex("0005160700020000")],
-    ids=["empty", "other", "cut off", "AppleDouble"],
+    ("bad", "what"),
+    [
+        (b"", NOT_WHOLE),
+        (b"a painting", NOT_WHOLE),
+        (JPEG[:-20], NOT_WHOLE),
+        (bytes.fromhex("0005160700020000"), NOT_WHOLE),
+        (b"RIFF\0\0\0\0WEBPVP8 ", "a WebP file: save it as a JPEG"),
+    ],
+    ids=["empty", "other", "cut off", "AppleDouble", "WebP"],
 )
-def test_each_photo_that_is_no_whole_jpeg_is_named(tmp_path: Path, bad: bytes) -> None:
+def test_each_photo_that_is_no_whole_jpeg_is_named(tmp_path: Path, bad: bytes, what: str) -> None:
     seen = looked_at(tmp_path, a=JPEG, b=bad, c=JPEG)
     (trouble,) = seen.troubles
-    assert "b.jpg is no whole JPEG" in trouble
+    assert f"b.jpg is {what}, or take it out of the folder" in trouble
     assert list(seen.photos) == ["a.jpg", "c.jpg"]
 
 

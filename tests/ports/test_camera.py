@@ -146,8 +146,11 @@ def test_a_folder_that_cannot_be_read_is_refused_at_once(tmp_path: Path) -> None
 
 
 def test_a_folder_without_photos_is_refused_at_once(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"has no \*\.jpg, \*\.jpeg or \*\.png file; put photos in it"):
+    none = r"has no \*\.jpg, \*\.jpeg or \*\.png file; "
+    with pytest.raises(UsageError, match=none + "put photos in it"):
         FolderCamera(fill(tmp_path, "notes.txt"), photo_s=0)
+    with pytest.raises(UsageError, match=none + r"save its \.TIF, \.heic files as PNG or JPEG"):
+        FolderCamera(fill(tmp_path, "a.TIF", "b.TIF", "c.heic"), photo_s=0)
 
 
 def test_a_photo_that_is_gone_is_named(tmp_path: Path) -> None:

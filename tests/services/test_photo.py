@@ -47,6 +47,13 @@ def gradient(width_px: int, height_px: int) -> MatLike:
 PHOTO = jpeg_of(gradient(1000, 600))
 
 
+HEADERS = {
+    "JPEG": jpeg_of(gradient(40, 30)),
+    "progressive": cv2.imencode(".jpg", gradient(40, 30), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes(),
+    "PNG": cv2.imencode(".png", gradient(40, 30))[1].tobytes(),
+}
+
+
 # --- to the network and back --------------------------------------------------------------------------------
 
 
@@ -335,6 +342,48 @@ def test_damaged_headers_raise_nothing_but_not_a_photo() -> None:
         except NotAPhoto:
             refused += 1
     assert 0 < refused < 300
+
+
+@pytest.mark.parametrize(
+    ("kind", "what"),
+    [
+        ("TIFF", "a TIFF or raw photo"), ("WEBP", "a WebP file"), ("BMP", "a BMP file"), ("GIF", "a GIF"),
+        ("JPEG2000", "a JPEG 2000 file"), ("PDF", "a PDF"),
+    ],
+)  # fmt: skip
+def test_photos_of_other_formats_are_refused_as_what_they_are(kind: str, what: str) -> None:
+    with pytest.raises(NotAPhoto, match=f"the photo is {what}, not a JPEG or PNG; save it as one of these"):
+        read_photo(saved(gradient(40, 30), kind), 320)
+
+
+def test_of_several_pictures_in_a_file_the_first_is_the_photo() -> None:
+    file, pictures = io.BytesIO(), [Image.fromarray(gradient(40, 30)), Image.new("RGB", (40, 30))]
+    pictures[0].save(file, "PNG", save_all=True, append_images=pictures[1:])
+    np.testing.assert_array_equal(decode_photo(file.getvalue())[:, :, ::-1], gradient(40, 30))
+
+
+@pytest.mark.parametrize("bits", [0, 12, 16])
+def test_a_jpeg_of_other_than_8_bits_is_refused(bits: int) -> None:
+    at = PHOTO.index(b"\xff\xc0") + 4
+    with pytest.raises(
+        NotAPhoto, match=f"{bits} bits a channel, not 8; save it as a baseline JPEG, or as a PNG"
+    ):
+        read_photo(PHOTO[:at] + bytes([bits]) + PHOTO[at + 1 :], 320)
+
+
+@given(st.sampled_from(["JPEG", "progressive", "PNG"]), st.data())
+def test_whatever_a_header_says_a_photo_has_the_stated_size_or_is_refused(
+    kind: str, data: st.DataObject
+) -> None:
+    photo = bytearray(HEADERS[kind])
+    for _ in range(data.draw(st.integers(1, 4))):
+        photo[data.draw(st.integers(2, min(len(photo), 700) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        box, pixels = read_photo(bytes(photo), 320)[1], decode_photo(bytes(photo))
+    except NotAPhoto as refusal:
+        assert len(str(refusal)) < 300
+        return
+    assert pixels.shape == (box.photo_height_px, box.photo_width_px, 3)
 
 
 # --- photos that would take long ----------------------------------------------------------------------------

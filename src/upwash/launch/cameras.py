@@ -24,6 +24,7 @@ from upwash.ports import Camera, Photo
 from upwash.real.camera.calibration import read_calibration
 from upwash.real.camera.camera import FolderCamera, photo_files, read_photo_file, shown_name
 from upwash.real.camera.video import VideoCamera
+from upwash.services.photo import other_format
 from upwash.sim.camera import RenderedCamera
 from upwash.support.jpeg import EOI, segments_of
 from upwash.support.loading import extra
@@ -162,9 +163,9 @@ def _look_at_files(folder: Path) -> Look:
             continue
         name = shown_name(file)
         if not any(segment.marker == EOI for segment in segments_of(jpeg)):
-            bad.append(
-                f"camera {folder}: {name} is no whole JPEG: copy it again, or take it out of the folder"
-            )
+            kind = other_format(jpeg)
+            problem = f"is {kind}: save it as a JPEG" if kind else "is no whole JPEG: copy it again"
+            bad.append(f"camera {folder}: {name} {problem}, or take it out of the folder")
         elif len(chosen) < 2 or len(jpeg) > max(map(len, chosen.values())):
             if len(chosen) == 2:
                 del chosen[list(chosen)[1]]

@@ -6,6 +6,7 @@ missions import this module only for its exception.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -146,6 +147,11 @@ def decode_photo(photo: bytes) -> MatLike:
     return _decoded(photo, cv2.IMREAD_COLOR)
 
 
+def other_format(photo: bytes) -> str:
+    """What a file is that is neither JPEG nor PNG, with its article; empty for what is not known."""
+    return next((kind for start, kind in _OTHER_FORMATS if re.match(start, photo, re.DOTALL)), "")
+
+
 def jpeg_of(photo: bytes) -> bytes:
     """A PNG as a JPEG of its stored pixels, other bytes unchanged; raises NotAPhoto."""
     import cv2
@@ -177,18 +183,24 @@ def in_8_bits(image: MatLike) -> MatLike:
 # --- from bytes to pixels --------------------------------------------------------------------------
 
 _JPEG_QUALITY = 95
+_JPEG_BITS = 8
 _OUTLIERS = 0.1  # per cent
 _LEAST_SPAN = 256.0  # a sensor's noise is a few values
 _DECODED_FRAMES = (0xC0, 0xC1, 0xC2)  # Huffman codes, sequential or progressive, as all cameras write
-_OTHER_FORMATS = {
-    b"GIF8": "a GIF",
-    b"RIFF": "a RIFF file (WebP?)",
-    b"II*\x00": "a TIFF or raw photo",
-    b"MM\x00*": "a TIFF or raw photo",
-    b"%PDF": "a PDF",
-}
-
-
+_OTHER_FORMATS = (
+    (rb"GIF8", "a GIF"),
+    (rb"RIFF....WEBP", "a WebP file"),
+    (rb"RIFF", "a RIFF file (a film?)"),
+    (rb"II[*+]\x00|MM\x00[*+]", "a TIFF or raw photo"),
+    (rb"BM", "a BMP file"),
+    (rb"%PDF", "a PDF"),
+    (rb"\x00\x00\x00\x0cjP  |\xff\x4f\xff\x51", "a JPEG 2000 file"),
+    (rb"\x00\x00\x00\x0cJXL |\xff\x0a", "a JPEG XL file"),
+    (rb"....ftyp(?:hei|hev|mif|msf)", "a HEIC file, as telephones write it"),
+    (rb"....ftypavi", "an AVIF file"),
+    (rb"....ftyp", "a film (MP4)"),
+    (rb"<", "a page of HTML or XML"),
+)
 _SMALLER = "have the camera take smaller photos"
 
 
@@ -218,8 +230,10 @@ def _read_header(photo: bytes) -> _Header:
     if not photo:
         raise NotAPhoto("the photo is empty (0 bytes); send the bytes of a JPEG or PNG file")
     if not photo.startswith(b"\xff\xd8\xff"):
-        kind = _OTHER_FORMATS.get(photo[:4], f"{len(photo)} bytes that start with {photo[:4].hex(' ')}")
-        raise NotAPhoto(f"the photo is {kind}, not a JPEG or PNG; send the bytes of a JPEG or PNG file")
+        if kind := other_format(photo):
+            raise NotAPhoto(f"the photo is {kind}, not a JPEG or PNG; save it as one of these")
+        start = f"{len(photo)} bytes that start with {photo[:4].hex(' ')}"
+        raise NotAPhoto(f"the photo is {start}, not a JPEG or PNG; send the bytes of a JPEG or PNG file")
     segments = list(segments_of(photo))
     markers = [segment.marker for segment in segments]
     if EOI not in markers:
@@ -230,6 +244,10 @@ def _read_header(photo: bytes) -> _Header:
     if frames[0].marker not in _DECODED_FRAMES:
         raise NotAPhoto(
             f"the JPEG is of a rare kind (marker ff {frames[0].marker:02x}); save it as a baseline JPEG"
+        )
+    if (bits := photo[frames[0].start + 4]) != _JPEG_BITS:
+        raise NotAPhoto(
+            f"the JPEG has {bits} bits a channel, not {_JPEG_BITS}; save it as a baseline JPEG, or as a PNG"
         )
     header = _Header(*size_in(photo, frames[0]))
     scans, progressive = markers.count(SOS), frames[0].marker == _DECODED_FRAMES[-1]

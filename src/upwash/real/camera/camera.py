@@ -23,6 +23,7 @@ _MOST_BYTES = 100_000_000  # of a photo; a JPEG of 40 megapixels has some 20 MB
 _READ_S = 20.0  # a PNG of 40 megapixels takes seconds
 _PNG = ".png"
 _SUFFIXES = frozenset({".jpg", ".jpeg", _PNG})
+_OTHER_SUFFIXES = frozenset({".tif", ".tiff", ".dng", ".heic", ".webp", ".bmp", ".gif", ".jp2", ".avif"})
 
 
 class FolderCamera:
@@ -88,7 +89,7 @@ def photo_files(folder: Path) -> list[Path]:
     """
     try:
         with os.scandir(folder) as entries:
-            names = sorted((entry.name for entry in entries if _is_photo(entry)), key=by_name)
+            files = [entry.name for entry in entries if _is_shown_file(entry)]
     except (FileNotFoundError, NotADirectoryError):
         raise UsageError(
             f"camera: there is no folder {folder}; name a folder that holds JPEG or PNG photos"
@@ -97,18 +98,23 @@ def photo_files(folder: Path) -> list[Path]:
         raise UsageError(
             f"camera: the folder {folder} cannot be read: {error.strerror}; let this user read it, or name another"
         ) from error
+    names = sorted((name for name in files if Path(name).suffix.lower() in _SUFFIXES), key=by_name)
     if not names:
-        raise UsageError(
-            f"camera: the folder {folder} has no *.jpg, *.jpeg or *.png file; put photos in it or name another"
+        others = sorted({Path(name).suffix for name in files if Path(name).suffix.lower() in _OTHER_SUFFIXES})
+        remedy = (
+            f"save its {', '.join(others)} files as PNG or JPEG"
+            if others
+            else "put photos in it or name another"
         )
+        raise UsageError(f"camera: the folder {folder} has no *.jpg, *.jpeg or *.png file; {remedy}")
     if any(name.lower().endswith(_PNG) for name in names):
         with extra("detector"):
             import cv2  # noqa: F401
     return [folder / name for name in names]
 
 
-def _is_photo(entry: os.DirEntry[str]) -> bool:
-    if entry.name.startswith(".") or Path(entry.name).suffix.lower() not in _SUFFIXES:
+def _is_shown_file(entry: os.DirEntry[str]) -> bool:
+    if entry.name.startswith("."):
         return False
     try:
         return entry.is_file()
