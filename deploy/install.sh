@@ -2,18 +2,20 @@
 # Makes a Debian machine (12 or newer) an edge server, under systemd. Run it again for another version of upwash: it leaves
 # the configuration and the keys as they are.
 #
-#   sudo deploy/install.sh NAME KEYS
+#   sudo deploy/install.sh NAME KEYS [detector-gpu]
 #
 # NAME is the server's, as in its certificate, and KEYS the folder of `upwash keys KEYS --server NAME ...`, made before on
-# a computer of your own: of it the server gets authority.pem, NAME.pem, NAME.key and revoked.txt.
+# a computer of your own: of it the server gets authority.pem, NAME.pem, NAME.key and revoked.txt. With detector-gpu the
+# detector computes on an NVIDIA card (docs/graphics-cards.md), with detector on the processor; default: as before.
 set -eu
 
-name=${1:?usage: install.sh NAME KEYS}
-keys=${2:?usage: install.sh NAME KEYS}
+name=${1:?usage: install.sh NAME KEYS [detector-gpu]}
+keys=${2:?usage: install.sh NAME KEYS [detector-gpu]}
 source=$(dirname "$(dirname "$(readlink -f "$0")")")
 root=${DESTDIR:-}  # where a package is made of what this installs
 settings=$root/etc/upwash
 unit=$root/etc/systemd/system/upwash.service
+card='devices = ["nvidia.com/gpu=all"]'
 
 fail() {
     echo "install.sh: $1" >&2
@@ -23,6 +25,7 @@ fail() {
 [ -n "$root" ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: sudo $0 $name $keys"
 command -v apt-get >/dev/null || fail "no apt-get here: this is for Debian; docs/operators.md has the steps for others"
 case $name in *[!A-Za-z0-9._-]* | "") fail "the name of a server has letters, digits, '.', '_' and '-', not \"$name\"" ;; esac
+case ${3:-detector} in detector | detector-gpu) ;; *) fail "the third word is detector or detector-gpu, not \"$3\"" ;; esac
 for file in authority.pem "$name.pem" "$name.key"; do
     [ -f "$keys/$file" ] || [ -f "$settings/keys/$file" ] ||
         fail "no $keys/$file: make the keys on your own computer, with upwash keys $keys --server $name --drone d1"
@@ -30,8 +33,12 @@ done
 
 apt-get install --yes python3-venv bubblewrap
 [ -x "$root/opt/upwash/bin/pip" ] || python3 -m venv "$root/opt/upwash"
-detector=detector  # or, where onnxruntime-gpu is installed in place of onnxruntime, what keeps it
-ls -d "$root"/opt/upwash/lib/python3*/site-packages/onnxruntime_gpu-*.dist-info >/dev/null 2>&1 && detector=detector-gpu
+there=detector  # or, where onnxruntime-gpu is installed in place of onnxruntime, what keeps it
+ls -d "$root"/opt/upwash/lib/python3*/site-packages/onnxruntime_gpu-*.dist-info >/dev/null 2>&1 && there=detector-gpu
+detector=${3:-$there}
+if [ "$detector" != "$there" ]; then  # each would overwrite files of the other
+    "$root/opt/upwash/bin/pip" uninstall --yes onnxruntime onnxruntime-gpu
+fi
 "$root/opt/upwash/bin/pip" install --upgrade "$source[$detector,metrics]"
 
 id upwash >/dev/null 2>&1 || useradd --system --home-dir /nonexistent --shell /usr/sbin/nologin upwash
@@ -63,12 +70,19 @@ name = "detector"
 [[server]]
 name = "$name"
 TOML
+    [ "$detector" = detector ] || sed -i "s|^name = \"detector\"\$|&\n$card|" "$settings/server.toml"
     chmod 644 "$settings/server.toml"
+elif [ "${3:-}" = detector-gpu ] && ! grep -q nvidia "$settings/server.toml"; then
+    echo "to show the card to the detector, add below its name in $settings/server.toml: $card"
 fi
 
 was_there=$([ -f "$unit" ] && echo yes || echo no)
 install -d "$root/etc/systemd/system"
 install -m 644 "$source/deploy/upwash.service" "$unit"
+if [ "${3:-}" = detector-gpu ]; then
+    install -d "$unit.d"
+    install -m 644 "$source/deploy/upwash-gpu.conf" "$unit.d/gpu.conf"
+fi
 if [ -n "$root" ]; then
     echo "installed below $root: nothing was started"
     exit 0

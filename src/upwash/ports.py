@@ -323,6 +323,7 @@ class InstanceSpec:
         frozenset()
     )  # that it declares, as far as known: answers of others are not believed
     limits: Limits = NO_LIMITS
+    devices: tuple[str, ...] = ()  # of the machine, which it may use
 
     @property
     def name(self) -> str:

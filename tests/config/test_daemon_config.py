@@ -225,7 +225,11 @@ DOCKER = 'kind = "docker"\nengine.addresses = '
             "engine.addresses",
             "one address .* is enough",
         ),
-        ('devices = ["nvidia.com/gpu=all"]', "devices[0]", "expected a path below /dev"),
+        (
+            'devices = ["nvidia.com/gpu=0", "amd.com/gpu=0"]',
+            "devices[1]",
+            'or "nvidia.com/gpu=0", found "amd',
+        ),
         ('devices = ["/dev/null", "/dev/../etc"]', "devices[1]", "expected a path below /dev"),
         ('kind = "lxd"\ndevices = ["/dev/dri"]', "devices", "by a profile: name it in engine.profiles"),
     ],

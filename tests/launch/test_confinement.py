@@ -88,11 +88,22 @@ def test_more_processors_than_there_are_are_no_limit(tmp_path: Path) -> None:
         in_sandbox.limits(read(tmp_path, service=f"cpus = {there + 1}"))
 
 
-async def test_a_device_that_is_not_here_ends_the_start_instead_of_the_sandbox(tmp_path: Path) -> None:
+def test_a_device_that_is_not_here_ends_the_start_instead_of_the_sandbox(tmp_path: Path) -> None:
     config = read(tmp_path, runtime='devices = ["/dev/null", "/dev/nosuchcard0"]')
     runtime = replace(config.runtime, sandbox="auto", sandbox_as_root=True)
+    config = replace(config, runtime=runtime)
     with pytest.raises(UsageError, match="devices: /dev/nosuchcard0 cannot be seen here: load the driver"):
-        await find_confinement(replace(config, runtime=runtime))
+        Confinement(Sandbox("bwrap")).devices(config)
+
+
+def test_a_service_has_its_own_devices_or_those_of_all_others(tmp_path: Path) -> None:
+    config = read(tmp_path, runtime='devices = ["/dev/null"]', service="devices = []")
+    assert Confinement(Sandbox("bwrap")).devices(config) == {"counter": (), "detector": ("/dev/null",)}
+    config = read(tmp_path, service='devices = ["/dev/null", "/dev/zero", "/dev/null"]')
+    assert Confinement(Sandbox("bwrap")).devices(config) == {
+        "counter": ("/dev/null", "/dev/zero"),
+        "detector": (),
+    }
 
 
 class Engine(BaseHTTPRequestHandler):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import mmap
 import os
 import platform
@@ -191,9 +192,8 @@ def test_it_uses_the_devices_that_it_is_given_and_no_others(sandbox: Sandbox) ->
 
     def opens(devices: tuple[str, ...]) -> str:
         tried = f"import os; os.close(os.open({device!r}, os.O_RDWR)); print(sorted(os.listdir('/dev')))"
-        given = Sandbox(sandbox.bubblewrap, devices=devices)
-        with open_call_filter() as inherited:
-            command = given.wrap([sys.executable, "-c", tried], call_filter=inherited)
+        with open_call_filter(devices=devices) as inherited:
+            command = sandbox.wrap([sys.executable, "-c", tried], call_filter=inherited, devices=devices)
             done = subprocess.run(command, capture_output=True, text=True, check=False, pass_fds=(inherited,))
         return done.stdout or done.stderr
 
@@ -208,6 +208,77 @@ def can_open(device: str) -> bool:
     except OSError:
         return False
     return True
+
+
+# Prints what a service has of a graphics card, in a sandbox with those devices.
+WITH_DEVICES = """
+import subprocess, sys
+from upwash.real.instances.cards import device_files
+from upwash.real.instances.sandbox import Sandbox, open_call_filter
+devices = device_files(sys.argv[2:])
+with open_call_filter(devices=devices) as inherited:
+    command = Sandbox("bwrap").wrap([sys.executable, "-c", sys.argv[1]], call_filter=inherited, devices=devices)
+    sys.exit(subprocess.run(command, pass_fds=(inherited,)).returncode)
+"""
+SEES = """
+import json, mmap, os
+def works(do):
+    try:
+        do()
+    except OSError:
+        return False
+    return True
+print(json.dumps({
+    "devices": sorted(name for name in os.listdir("/dev") if name.startswith("nvidia")),
+    "driver": os.path.exists("/sys/module/nvidia/initstate"),
+    "another driver": os.path.exists("/sys/module/other"),
+    "names a thread": works(lambda: open(f"/proc/self/task/{os.getpid()}/comm", "w").write("cuda")),
+    "shares memory": works(lambda: mmap.mmap(-1, 4096)) and works(lambda: os.memfd_create("cuda")),
+    "sets the kernel": works(lambda: open("/proc/sys/kernel/core_pattern", "r+")),
+    "changes the driver": works(lambda: open("/sys/module/nvidia/initstate", "w")),
+}))
+"""
+WITHOUT_CARD = {
+    "devices": [],
+    "driver": False,
+    "another driver": False,
+    "names a thread": False,
+    "shares memory": False,
+    "sets the kernel": False,
+    "changes the driver": False,
+}
+DRIVER = "/sys/module/nvidia/initstate"
+
+
+@pytest.mark.parametrize(
+    ("named", "seen"),
+    [
+        ([], []),
+        (["/dev/null"], []),
+        (["nvidia.com/gpu=1"], ["nvidia-uvm", "nvidia1", "nvidiactl"]),
+        (["nvidia.com/gpu=all"], ["nvidia-uvm", "nvidia0", "nvidia1", "nvidiactl"]),
+        (["/dev/nvidia0", "/dev/nvidiactl"], ["nvidia0", "nvidiactl"]),
+    ],
+)
+def test_with_a_card_it_has_what_cuda_needs_and_without_one_nothing_of_it(
+    sandbox: Sandbox, tmp_path: Path, named: list[str], seen: list[str]
+) -> None:
+    (tmp_path / "live").write_text("live\n")
+    machine = [sandbox.bubblewrap, "--dev-bind", "/", "/", "--dev", "/dev"]  # with two cards that do nothing
+    for name in ("nvidia0", "nvidia1", "nvidiactl", "nvidia-uvm"):
+        machine += ["--dev-bind", "/dev/null", f"/dev/{name}"]
+    machine += ["--tmpfs", "/sys/module", "--bind", f"{tmp_path}/live", DRIVER, "--dir", "/sys/module/other"]
+    done = subprocess.run(
+        [*machine, "--", sys.executable, "-c", WITH_DEVICES, SEES, *named],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if not seen:
+        assert (json.loads(done.stdout or "{}"), done.stderr) == (WITHOUT_CARD, "")
+        return
+    has = {"devices": seen, "driver": True, "shares memory": True, "names a thread": os.geteuid() != 0}
+    assert (json.loads(done.stdout or "{}"), done.stderr) == (WITHOUT_CARD | has, "")
 
 
 async def test_it_reaches_nobody(sandbox: Sandbox, tmp_path: Path) -> None:
@@ -331,8 +402,9 @@ def test_a_processor_of_which_no_calls_are_known_gets_no_sandbox() -> None:
 
 
 @pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
-def test_a_filter_goes_forward_and_ends_in_an_answer(machine: str) -> None:
-    steps = list(struct.iter_unpack("HBBI", call_filter(machine)))
+@pytest.mark.parametrize("shares", [False, True])
+def test_a_filter_goes_forward_and_ends_in_an_answer(machine: str, shares: bool) -> None:
+    steps = list(struct.iter_unpack("HBBI", call_filter(machine, shares=shares)))
     assert len(steps) < 100
     for place, (operation, if_so, if_not, _) in enumerate(steps):
         if operation & 0x07 == 0x05:

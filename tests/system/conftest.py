@@ -73,7 +73,9 @@ def docker_host(
         async with led(credentials("s1")) as lead:
             runtime = DockerRuntime(
                 engine,
-                DockerSettings(tmp_path, limits=dict.fromkeys(SERVICES, LIMITS), devices=devices),
+                DockerSettings(
+                    tmp_path, limits=dict.fromkeys(SERVICES, LIMITS), devices=dict.fromkeys(SERVICES, devices)
+                ),
                 images or {service: reference_of(service) for service in SERVICES},
                 listen=sockets_in(tmp_path),
                 freezes=freezes,

@@ -361,6 +361,27 @@ def test_an_upgrade_by_the_script_keeps_the_library_for_a_graphics_card(tmp_path
     )
 
 
+def test_one_word_more_installs_what_a_graphics_card_needs_and_keeps_a_configuration(tmp_path: Path) -> None:
+    make_keys(tmp_path / "keys", servers=[["s9"]])
+    assert install(tmp_path, "s9", "keys", "detector-gpu").returncode == 0
+    root = tmp_path / "root"
+    file = root / "etc/upwash/server.toml"
+    assert read_daemon_config(file).images[0].devices == ("nvidia.com/gpu=all",)
+    drop_in = root / "etc/systemd/system/upwash.service.d/gpu.conf"
+    assert drop_in.read_text() == (ROOT / "deploy" / "upwash-gpu.conf").read_text()
+    told = [line for line in (tmp_path / "told").read_text().splitlines() if line.startswith("pip")]
+    assert told[0] == "pip uninstall --yes onnxruntime onnxruntime-gpu"
+    assert told[1].endswith("[detector-gpu,metrics]")
+
+    mine = file.read_text().replace('devices = ["nvidia.com/gpu=all"]\n', "")
+    file.write_text(mine)
+    done = install(tmp_path, "s9", "keys", "detector-gpu")
+    assert file.read_text() == mine
+    assert f'below its name in {file}: devices = ["nvidia.com/gpu=all"]' in done.stdout
+
+    assert "the third word is detector or detector-gpu" in install(tmp_path, "s9", "keys", "cuda").stderr
+
+
 def test_both_extras_of_the_detector_differ_in_the_library_alone() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     library = {"detector": "onnxruntime>=1.20", "detector-gpu": "onnxruntime-gpu[cuda,cudnn]>=1.21"}

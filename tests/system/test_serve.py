@@ -474,6 +474,9 @@ class Eater:
             return type(error).__name__
         return "taken"
 
+    def sees(self, path: str) -> bool:
+        return os.path.exists(path)
+
 
 @service
 class Modest(Eater):
@@ -488,10 +491,14 @@ class Greedy(Eater):
 
 @pytest.mark.sandbox
 @pytest.mark.usefixtures("_sandbox")
-async def test_limits_of_one_service_hold_and_are_not_anothers(tmp_path: Path, own_keys: Path) -> None:
+async def test_limits_and_devices_of_one_service_hold_and_are_not_anothers(
+    tmp_path: Path, own_keys: Path
+) -> None:
     program = tmp_path / "eaters.py"
     program.write_text(EATERS)
+    device = next(name for name in ("/dev/fuse", "/dev/kmsg", "/dev/net/tun") if Path(name).exists())
     modest = {"name": "modest", "program": f"{program}:Modest", "memory_bytes": 2**28, "cpus": 1}
+    modest["devices"] = [device]
     greedy = {"name": "greedy", "program": f"{program}:Greedy"}
     text = config(own_keys, runtime={"sandbox": "required"}, service=[*SERVICES, modest, greedy])
     said = []
@@ -501,11 +508,12 @@ async def test_limits_of_one_service_hold_and_are_not_anothers(tmp_path: Path, o
             async with guests(at, f"{program}:{name}", known) as (heron,):
                 endpoint = (await heron.start(name.lower())).endpoint
                 eaten = await heron.call(endpoint, "eat", 2**29)
-                said.append([eaten, await heron.call(endpoint, "processors")])
+                sees = await heron.call(endpoint, "sees", device)
+                said.append([eaten, await heron.call(endpoint, "processors"), sees])
                 if name == "Modest":
                     assert await heron.call(endpoint, "take_all_processors") == "PermissionError"
         reply = await ask_status(at.address, server="s1", operator="alice", keys=own_keys)
-    assert said == [["no memory", 1], [str(2**29), len(os.sched_getaffinity(0))]]
+    assert said == [["no memory", 1, True], [str(2**29), len(os.sched_getaffinity(0)), False]]
     assert (reply.limits["modest"].memory_bytes, reply.limits["modest"].cpus) == (2**28, 1)
     assert (reply.limits["greedy"].memory_bytes, reply.limits["greedy"].cpus) == (2**31, None)
 

@@ -14,10 +14,12 @@ from upwash.config.problems import Problem, metrics_problems, name_problems, unk
 from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import (
     Cpus,
+    Devices,
     DiskBytes,
     MemoryBytes,
     Processes,
     RuntimeConfig,
+    device_problems,
     runtime_problems,
 )
 from upwash.config.shorthand import each_table, image_written_out
@@ -65,6 +67,8 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Files of an instance; default: `runtime.disk_bytes`."""
     cpus: Cpus | None = None
     """Processors of an instance; default: `runtime.cpus`."""
+    devices: Devices | None = None
+    """Devices of this machine that the service may use; default: `runtime.devices`."""
 
 
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -189,6 +193,8 @@ def _problems(config: DaemonConfig) -> Iterator[Problem]:
     if config.runtime.kind == "lxd" and not is_reached:
         problem = '"lxd" needs [keys] and a "host:port" to listen on: containers are called over the network'
         yield "runtime.kind", problem
+    for index, service in enumerate(config.images):
+        yield from device_problems(f"service[{index}].devices", service.devices or (), config.runtime)
     names = [image.name for image in config.images]
     yield from name_problems("service", names)
     yield from name_problems("server", [identity.name for identity in config.identities])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
@@ -21,8 +22,10 @@ EngineAddresses = Annotated[
 ]
 
 Devices = Annotated[
-    tuple[values.Text, ...], Meta(description='an array of paths like "/dev/dri", or of device names')
+    tuple[values.Text, ...],
+    Meta(description='an array of paths like "/dev/dri", or of names like "nvidia.com/gpu=all"'),
 ]
+NVIDIA_CARD = re.compile(r"nvidia\.com/gpu=(all|\d{1,3})", re.ASCII)  # of the Container Device Interface
 _ADDRESSES = {"docker": "unix:/var/run/docker.sock", "lxd": "unix:/var/lib/lxd/unix.socket"}
 
 
@@ -77,8 +80,8 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     idle: Literal["stop", "freeze"] = "freeze"
     """What happens to an unused instance in a container."""
     devices: Devices = ()
-    """[Devices](graphics-cards.md) of this machine that services may use: paths such as `/dev/dri`, and with `docker`
-    names of the Container Device Interface such as `nvidia.com/gpu=all`; not of LXD or Incus."""
+    """[Devices](graphics-cards.md) of this machine for every service without `devices` of its own: paths such as
+    `/dev/dri`, or names of the Container Device Interface such as `nvidia.com/gpu=all`; not of LXD or Incus."""
     engine: EngineConfig = EngineConfig()
     network: ContainerNetworkConfig = ContainerNetworkConfig()
 
@@ -90,16 +93,26 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     """What is wrong with a runtime's table, beyond its types."""
-    if runtime.devices and runtime.kind == "lxd":
-        problem = "containers of LXD or Incus get devices by a profile: name it in engine.profiles"
-        yield "runtime.devices", problem
-    for index, device in enumerate(runtime.devices if runtime.kind == "process" else ()):
-        if not device.startswith("/dev/") or ".." in device.split("/"):
-            yield f"runtime.devices[{index}]", f'expected a path below /dev, found "{device}"'
+    yield from device_problems("runtime.devices", runtime.devices, runtime)
     if runtime.kind == "docker":
         yield from _docker_problems(runtime.engine_addresses)
     else:
         yield from _lxd_problems(runtime)
+
+
+def device_problems(key: str, devices: tuple[str, ...], runtime: RuntimeConfig) -> Iterator[Problem]:
+    """What is wrong with the devices of a key, for services in that runtime."""
+    if devices and runtime.kind == "lxd":
+        problem = "containers of LXD or Incus get devices by a profile: name it in engine.profiles"
+        yield key, problem
+    for index, device in enumerate(devices if runtime.kind == "process" else ()):
+        if NVIDIA_CARD.fullmatch(device):
+            continue
+        if not device.startswith("/dev/") or ".." in device.split("/"):
+            yield (
+                f"{key}[{index}]",
+                f'expected a path below /dev, "nvidia.com/gpu=all" or "nvidia.com/gpu=0", found "{device}"',
+            )
 
 
 def _lxd_problems(runtime: RuntimeConfig) -> Iterator[Problem]:

@@ -1,4 +1,4 @@
-"""What the daemon's services may see and use: the sandbox for processes, and the limits of each service.
+"""What the daemon's services may see and use: the sandbox for processes, and limits and devices of each service.
 
 A limit that the configuration names holds, or the daemon does not start. A default that cannot hold is left out.
 """
@@ -15,6 +15,7 @@ from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.config.daemon import ImageConfig
 from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import UsageError
+from upwash.real.instances.cards import device_files
 from upwash.real.instances.sandbox import Sandbox, find_sandbox
 
 _ROOT = (
@@ -38,6 +39,21 @@ class Confinement:
             service.name: Limits(**{name: self._limit(name, service, config.runtime) for name in _NAMES})
             for service in config.images
         }
+
+    def devices(self, config: DaemonConfig) -> dict[str, tuple[str, ...]]:
+        """The devices of each service; raises UsageError for a device that is not here."""
+        runtime = config.runtime
+        named = {
+            service.name: runtime.devices if service.devices is None else service.devices
+            for service in config.images
+        }
+        if runtime.kind != "process":
+            return named
+        if self.sandbox is None:  # all are there
+            return dict.fromkeys(named, ())
+        found = {service: device_files(devices) for service, devices in named.items()}
+        _refuse_missing([device for devices in found.values() for device in devices])
+        return found
 
     def _limit(self, name: str, service: ImageConfig, runtime: RuntimeConfig) -> int | None:
         unenforced = self.unenforced.get(name, "")
@@ -68,12 +84,11 @@ async def find_confinement(config: DaemonConfig) -> Confinement:
             "services run without a sandbox, as runtime.sandbox says",
             'processes have limits in a sandbox alone, and runtime.sandbox is "off": say "required"',
         )
-    _refuse_missing(runtime.devices)
     is_root = os.geteuid() == 0
     if is_root and not runtime.sandbox_as_root:
         raise UsageError(_ROOT)
     try:
-        sandbox = await asyncio.to_thread(find_sandbox, readable=runtime.readable, devices=runtime.devices)
+        sandbox = await asyncio.to_thread(find_sandbox, readable=runtime.readable)
     except UsageError as error:
         if runtime.sandbox == "required":
             raise
@@ -86,9 +101,9 @@ async def find_confinement(config: DaemonConfig) -> Confinement:
 
 
 def _refuse_missing(devices: Sequence[str]) -> None:
-    if missing := [device for device in devices if not Path(device).exists()]:
+    if missing := sorted({device for device in devices if not Path(device).exists()}):
         raise UsageError(
-            f"runtime.devices: {', '.join(missing)} cannot be seen here: load the driver, and under systemd let the "
+            f"devices: {', '.join(missing)} cannot be seen here: load the driver, and under systemd let the "
             "unit use devices (docs/graphics-cards.md)"
         )
 

@@ -22,6 +22,7 @@ from upwash.real.link.door import Lead
 async def containers(
     config: DaemonConfig,
     limits: Mapping[str, Limits],
+    devices: Mapping[str, tuple[str, ...]],
     lead: Lead | None,
     *,
     sockets: Path,
@@ -38,7 +39,7 @@ async def containers(
     else:
         runtime = DockerRuntime(
             docker_engine(config.runtime),
-            DockerSettings(folder=sockets, limits=limits, devices=config.runtime.devices),
+            DockerSettings(folder=sockets, limits=limits, devices=devices),
             docker_images(config),
             listen=listen,
             freezes=config.runtime.idle == "freeze",

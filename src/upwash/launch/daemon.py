@@ -183,8 +183,8 @@ async def _runtime(
     if config.runtime.kind != "process":
         from upwash.launch.containers import containers
 
-        limits = confinement.limits(config)
-        async with containers(config, limits, lead, sockets=sockets, listen=listen) as runtime:
+        limits, devices = confinement.limits(config), confinement.devices(config)
+        async with containers(config, limits, devices, lead, sockets=sockets, listen=listen) as runtime:
             yield runtime, runtime.concurrency
     else:
         processes = ProcessRuntime(

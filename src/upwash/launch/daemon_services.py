@@ -44,7 +44,7 @@ class DaemonServices:
     def __init__(self, config: DaemonConfig, confinement: Confinement) -> None:
         self._upwash = version_of_upwash()
         self._confinement = confinement
-        limits = confinement.limits(config)
+        limits, devices = confinement.limits(config), confinement.devices(config)
         self._lanes: Mapping[str, int] = {}
         self._named = {service.name: _named(service) for service in config.images}
         self.images: dict[str, Image] = {}
@@ -52,7 +52,9 @@ class DaemonServices:
             found = _look_at(config, index)
             if isinstance(found, str):
                 raise UsageError(found)
-            self.images[service.name] = replace(found, limits=limits[service.name])
+            self.images[service.name] = replace(
+                found, limits=limits[service.name], devices=devices[service.name]
+            )
 
     def know_lanes(self, lanes: Mapping[str, int]) -> None:
         """Takes in the lanes of those services whose programs only their runtime knows."""
@@ -63,9 +65,10 @@ class DaemonServices:
         """The services of another configuration, and of what lies on the disk now.
 
         A version that cannot be loaded is logged, and the former stays. Raises UsageError where the configuration
-        names another program or other settings that do not fit, and for a limit that would not hold.
+        names another program or other settings that do not fit, for a limit that would not hold, and for a device
+        that is not here.
         """
-        limits = self._confinement.limits(config)
+        limits, devices = self._confinement.limits(config), self._confinement.devices(config)
         is_loaded = config.runtime.kind == "process"
         if not is_loaded:
             _log.info("images of containers are looked at when the daemon starts: restart it to use others")
@@ -76,7 +79,9 @@ class DaemonServices:
             if not is_upgraded:
                 found = await _looked_at_elsewhere(config, index) if is_loaded else _look_at(config, index)
             if isinstance(found, Image):
-                images[service.name] = replace(found, limits=limits[service.name])
+                images[service.name] = replace(
+                    found, limits=limits[service.name], devices=devices[service.name]
+                )
                 continue
             if self._named.get(service.name) != _named(service):
                 raise UsageError(found)

@@ -40,6 +40,7 @@ class Image:
     lanes: int = 1
     version: str = ""
     limits: Limits = NO_LIMITS
+    devices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +162,7 @@ class Instances:
             start_pace_s=image.start_pace_s,
             methods=image.methods,
             limits=image.limits,
+            devices=image.devices,
         )
         settled = asyncio.get_running_loop().create_future()
         return _Life(spec, command.number, image, self._core.at(command.server), settled)

@@ -93,11 +93,14 @@ class ProcessRuntime:
         processors = self._least_used(spec.limits.cpus)
         with contextlib.ExitStack() as stack:
             if self._sandbox is not None:
-                inherited.append(stack.enter_context(open_call_filter(pins=bool(processors))))
+                inherited.append(
+                    stack.enter_context(open_call_filter(pins=bool(processors), devices=spec.devices))
+                )
                 command = self._sandbox.wrap(
                     command,
                     call_filter=inherited[-1],
                     program=spec.program,
+                    devices=spec.devices,
                     disk_bytes=spec.limits.disk_bytes,
                     processors=processors,
                 )

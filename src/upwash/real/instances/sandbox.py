@@ -2,7 +2,7 @@
 
 In a sandbox there is no network except the inherited socket. Files of the system, Python and the service are there,
 read-only, and a /tmp of its own in memory. There are no devices except those that the operator names, no processes
-except the instance's, and the kernel's calls that `syscalls` allows.
+except the instance's, and the kernel's calls that `syscalls` allows. With a graphics card there is what CUDA needs.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from pathlib import Path
 
 from upwash.errors import UsageError
 from upwash.ports import Program
+from upwash.real.instances.cards import has_card, read_by_cuda
 from upwash.real.instances.syscalls import call_filter
 from upwash.support.loading import module_command
 
@@ -78,14 +79,13 @@ _ENVIRONMENT = ("LANG", "LC_ALL", "TZ", "GRPC_VERBOSITY", "OMP_NUM_THREADS")
 
 @dataclass(frozen=True, slots=True)
 class Sandbox:
-    """Wraps commands for bubblewrap, so that they can read these files and use these devices.
+    """Wraps commands for bubblewrap, so that they can read these files.
 
     `unenforced` has the reason for each limit that does not hold.
     """
 
     bubblewrap: str
     readable: tuple[Path, ...] = ()
-    devices: tuple[str, ...] = ()
     unenforced: Mapping[str, str] = field(default_factory=dict)
 
     def wrap(
@@ -94,14 +94,16 @@ class Sandbox:
         *,
         call_filter: int,
         program: Program | None = None,
+        devices: Collection[str] = (),
         disk_bytes: int | None = None,
         processors: Collection[int] = (),
     ) -> list[str]:
         """The command in a sandbox that can read Python, upwash, the program's code and its settings' files.
 
         It inherits the file descriptor `call_filter` of `open_call_filter`. Each folder that it may write to holds
-        `disk_bytes`. It runs on these `processors`, on all if there are none.
+        `disk_bytes`. It may use these `devices`. It runs on these `processors`, on all if there are none.
         """
+        shown_by_kernel = (*_SETTINGS, *(read_by_cuda() if has_card(devices) else ()))
         size = () if disk_bytes is None else ("--size", str(disk_bytes))
         pinned = ("--cpu-list", ",".join(map(str, sorted(processors))))
         return [
@@ -110,10 +112,10 @@ class Sandbox:
             *(self.bubblewrap, "--seccomp", str(call_filter)),
             *("--unshare-all", "--unshare-user", "--die-with-parent", "--new-session", "--cap-drop", "ALL"),
             *(word for name in _SYSTEM for word in _as_it_is(name)),
-            *(word for name in _SETTINGS for word in ("--ro-bind-try", name, name)),
-            *("--proc", "/proc", *_hidden_in_proc(), "--remount-ro", "/proc", "--dev", "/dev"),
+            *(word for name in shown_by_kernel for word in ("--ro-bind-try", name, name)),
+            *("--proc", "/proc", *_hidden_in_proc(), *_read_only_proc(devices), "--dev", "/dev"),
             *("--dev-bind", "/dev/full", "/dev/zero"),  # it reads the same, but cannot be mapped
-            *(word for device in self.devices for word in ("--dev-bind", device, device)),
+            *(word for device in devices for word in ("--dev-bind", device, device)),
             *(*size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
             *("--remount-ro", "/dev", *size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
             *(
@@ -153,12 +155,12 @@ class Sandbox:
         return shown
 
 
-def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -> Sandbox:
+def find_sandbox(*, readable: tuple[Path, ...]) -> Sandbox:
     """A sandbox that was tested here, with its limits; raises UsageError with the remedy if none works."""
     bubblewrap = shutil.which("bwrap")
     if bubblewrap is None:
         raise UsageError("bubblewrap is not installed: `apt install bubblewrap`")
-    sandbox = Sandbox(bubblewrap, readable, devices)
+    sandbox = Sandbox(bubblewrap, readable)
     can_pin = shutil.which(_TASKSET) is not None
     processors = sorted(os.sched_getaffinity(0))[:1] if can_pin else []
     try:
@@ -188,12 +190,12 @@ def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -
 
 
 @contextlib.contextmanager
-def open_call_filter(*, pins: bool = False) -> Iterator[int]:
+def open_call_filter(*, pins: bool = False, devices: Collection[str] = ()) -> Iterator[int]:
     """A file descriptor from which one bubblewrap can read its filter of system calls; raises UsageError.
 
-    With `pins` a process cannot choose other processors.
+    With `pins` a process cannot choose other processors. With a card among the `devices` it can share memory.
     """
-    text = call_filter(pins=pins)
+    text = call_filter(pins=pins, shares=has_card(devices))
     reading, writing = os.pipe()
     try:
         with open(writing, "wb", buffering=0) as pipe:  # noqa: PTH123 - a file descriptor
@@ -250,6 +252,11 @@ def _hidden_in_proc() -> Iterator[str]:
             yield from ("--tmpfs", str(place), "--remount-ro", str(place))
         elif place.exists():
             yield from ("--ro-bind", "/dev/null", str(place))
+
+
+def _read_only_proc(devices: Collection[str]) -> Iterable[str]:
+    """CUDA names its threads there, in files that are their process's own; root could write others too."""
+    return () if has_card(devices) and os.geteuid() != 0 else ("--remount-ro", "/proc")
 
 
 def _as_it_is(name: str) -> Iterator[str]:

@@ -60,6 +60,7 @@ _REFUSED: Mapping[int, Mapping[str, tuple[int, int]]] = {
         "shmget": (29, 194),
     },
 }
+_SHARING = "memfd_create"
 _FAMILIES = (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6)
 _MACHINES = {
     "x86_64": (0xC000003E, 0),
@@ -68,30 +69,32 @@ _MACHINES = {
 _FIRST_OF_OTHERS = 0x40000000  # numbers from here on are another kind of processor's
 
 
-def call_filter(machine: str = "", *, pins: bool = False) -> bytes:
+def call_filter(machine: str = "", *, pins: bool = False, shares: bool = False) -> bytes:
     """The filter for this machine's processor, or for that `machine`; raises UsageError for an unknown one.
 
-    With `pins` a process cannot choose other processors.
+    With `pins` a process cannot choose other processors. With `shares` it can share memory without a file.
     """
     machine = machine or platform.machine()
     if machine not in _MACHINES:
         raise UsageError(f"no filter of system calls is known for a processor of the kind {machine}")
-    return b"".join(_instructions(*_MACHINES[machine], pins=pins))
+    return b"".join(_instructions(*_MACHINES[machine], pins=pins, shares=shares))
 
 
-def _instructions(architecture: int, column: int, *, pins: bool) -> Iterable[bytes]:
+def _instructions(architecture: int, column: int, *, pins: bool, shares: bool) -> Iterable[bytes]:
     yield _step(_LOAD, _ARCHITECTURE)
     yield from _unless(_EQUAL, architecture, [_answer(_KILL)])
     yield _step(_LOAD, _NUMBER)
     yield from _where(_AT_LEAST, _FIRST_OF_OTHERS, [_refuse(errno.ENOSYS)])
     for error, calls in _REFUSED.items():
-        for numbers in calls.values():
+        for name, numbers in calls.items():
+            if shares and name == _SHARING:
+                continue
             yield from _where(_EQUAL, numbers[column], [_refuse(error)])
     if pins:
         yield from _where(_EQUAL, _CALLS["sched_setaffinity"][column], [_refuse(errno.EPERM)])
     for name, rules in {
         "clone": _rules_of_clone(),
-        "mmap": _rules_of_mmap(),
+        "mmap": _rules_of_mmap(shares=shares),
         "socket": _rules_of_sockets(),
         "socketpair": _rules_of_sockets(),
     }.items():
@@ -103,12 +106,15 @@ def _rules_of_clone() -> list[bytes]:
     return [_argument(0), _step(_AND, _NEW_NAMESPACES), *_unless(_EQUAL, 0, [_refuse(errno.EPERM)])]
 
 
-def _rules_of_mmap() -> list[bytes]:
+def _rules_of_mmap(*, shares: bool) -> list[bytes]:
     """Refuse memory that RLIMIT_DATA does not count: shared without a file, or a stack."""
-    return [
+    shared = [
         _argument(3),
         _step(_AND, _SHARED | _ANONYMOUS),
         *_where(_EQUAL, _SHARED | _ANONYMOUS, [_refuse(errno.ENOMEM)]),
+    ]
+    return [
+        *(() if shares else shared),
         _argument(3),
         _step(_AND, _GROWS_DOWN),
         *_unless(_EQUAL, 0, [_refuse(errno.ENOMEM)]),

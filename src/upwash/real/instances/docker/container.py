@@ -49,7 +49,7 @@ class DockerSettings:
 
     folder: Path
     limits: Mapping[str, Limits] = field(default_factory=dict)  # by service
-    devices: Sequence[str] = ()  # paths such as /dev/dri, or names of the Container Device Interface
+    devices: Mapping[str, Sequence[str]] = field(default_factory=dict)  # by service: paths, or names
 
 
 def definition(
@@ -65,8 +65,9 @@ def definition(
         binds.append("/usr:/usr:ro")
     limits = settings.limits.get(image.service, DEFAULT_LIMITS)
     scratch = f"size={limits.disk_bytes},mode=1777,nosuid,nodev"
-    paths = [device for device in settings.devices if device.startswith("/")]
-    named = [device for device in settings.devices if not device.startswith("/")]
+    devices = settings.devices.get(image.service, ())
+    paths = [device for device in devices if device.startswith("/")]
+    named = [device for device in devices if not device.startswith("/")]
     return {
         "image": image.fingerprint,
         "name": container_name(image.service, server),
