@@ -36,6 +36,25 @@ def test_a_service_is_measured_here_and_the_result_is_a_configuration(
     assert f"written: {out}" in capsys.readouterr().out
 
 
+def test_times_may_be_missing_from_the_configuration_and_what_the_service_prints_is_shown(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "talker.py").write_text(
+        "from upwash import service\n\n\n@service\nclass Talker:\n"
+        "    def __init__(self, *, name: str) -> None:\n        print(f'network of {name}')\n\n"
+        "    def look(self, photo: bytes) -> int:\n        return len(photo)\n"
+    )
+    config = tmp_path / "drone.toml"
+    config.write_text(
+        '[mission]\nwaypoints_m = [[0, 0]]\n[[service]]\nname = "talker"\nprogram = "talker.py:Talker"\n'
+        'settings = { name = "mine" }\n'
+    )
+    assert main(["profile", "talker", "--config", str(config), "--photos", str(photos), "--calls", "1"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("# It says: network of mine\n") == 1
+    assert "local_call_s = { look = " in said
+
+
 CHOOSER = """
 import time
 from typing import Literal

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import logging
 import os
 import platform
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,7 +19,9 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
 
 from upwash.cli.arguments import option
-from upwash.config import DroneConfig, ServerConfig, read_drone_config
+from upwash.config import DroneConfig, ServerConfig
+from upwash.config.drone_file import drone_config
+from upwash.config.reading import read_document
 from upwash.config.values import START_TIMEOUT_S
 from upwash.errors import InstanceError, NotWritten, UsageError
 from upwash.launch.profile import profile_at, profile_on_this_computer
@@ -28,10 +32,13 @@ from upwash.real.camera.camera import read_photos
 from upwash.rpc.service import spec_of
 from upwash.support.output_files import write_file
 from upwash.support.tables import show_table
-from upwash.support.text import counted
+from upwash.support.text import counted, printable
 
 T = TypeVar("T")
 
+_UNMEASURED = {"local_call_s": 1.0}
+_MOST_LINES = 4  # of what a service prints
+_LONGEST_LINE = 120  # characters
 
 ARGUMENTS = {
     "service": "a service of the configuration, a bundled one, or path/to/file.py:Class",
@@ -52,7 +59,7 @@ def run(options: argparse.Namespace) -> bool:
         )
     if options.server and options.each:
         raise UsageError("--each is for this computer: run it on the server for the server's own settings")
-    config = read_drone_config(options.config) if options.config else None
+    config = _read(options.config) if options.config else None
     start_timeout_s = config.start_timeout_s if config else START_TIMEOUT_S
     service, program = _service(options.service, config)
     found = samples(spec_of(service.cls), read_photos(options.photos, most=options.calls + 1))
@@ -70,11 +77,50 @@ def run(options: argparse.Namespace) -> bool:
     elif options.each:
         table, text = None, _with_each_value(service, options.each, here, program=program)
     else:
-        profile = here(service)
+        with _heard() as heard:
+            profile = here(service)
         table = call_table(profile.calls)
-        text = service_table(profile, program=program, computer=_computer(), settings=_settings(service))
+        said = "".join(f"# It says: {line}\n" for line in heard)
+        text = said + service_table(
+            profile, program=program, computer=_computer(), settings=_settings(service)
+        )
     _print(table, text, options.out)
     return True
+
+
+def _read(file: Path) -> DroneConfig:
+    """The configuration, which may lack the times that are measured here."""
+    document = read_document(file)
+    services = document.get("service")
+    if isinstance(services, list):
+        services = [_UNMEASURED | table if isinstance(table, dict) else table for table in services]
+        document = document | {"service": services}
+    return drone_config(document, file)
+
+
+@contextmanager
+def _heard() -> Iterator[list[str]]:
+    """The first different lines that services print in the block."""
+    lines: list[str] = []
+
+    class Handler(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.levelno >= logging.WARNING and logging.lastResort:
+                logging.lastResort.handle(record)
+                return
+            line = printable(record.getMessage().partition(": ")[2], _LONGEST_LINE)
+            if line not in lines and len(lines) < _MOST_LINES:
+                lines.append(line)
+
+    log, handler = logging.getLogger("upwash.instance"), Handler()
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield lines
+    finally:
+        log.setLevel(level)
+        log.removeHandler(handler)
 
 
 def _service(name: str, config: DroneConfig | None) -> tuple[LoadedService, str | None]:

@@ -148,7 +148,7 @@ def decode_photo(photo: bytes) -> MatLike:
 
 
 def other_format(photo: bytes) -> str:
-    """What a file is that is neither JPEG nor PNG, with its article; empty for what is not known."""
+    """The format of a photo that is no JPEG or PNG, with an article; empty for an unknown one."""
     return next((kind for start, kind in _OTHER_FORMATS if re.match(start, photo, re.DOTALL)), "")
 
 
