@@ -229,7 +229,7 @@ def test_a_call_that_failed_says_why(error: Exception | None, failure: str) -> N
 def test_calls_that_fail_and_are_never_asked_for_are_no_complaint_of_asyncio(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def fail(*_: object) -> None:
+    async def fail(*_: object, **__: object) -> None:
         raise InstanceError("it has crashed")
 
     async def run() -> None:

@@ -42,9 +42,8 @@ from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
 from upwash.drone import flight, server_session
 from upwash.drone.calling import Calling
 from upwash.drone.decisions import Background, Decisions
-from upwash.drone.pending import AnswerAction
+from upwash.drone.pending import AnswerAction, position_of
 from upwash.drone.server_session import ServerSession
-from upwash.drone.vehicle import position_of
 from upwash.errors import GarbledReply, LinkError, Refused, ServerFull
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -228,22 +227,22 @@ def asks_without_pause(raise_if_full: Any, self: ServerSession, reply: Any) -> N
         raise
 
 
-@planted("what an answer demands is done wherever the drone is", AnswerAction, "_come_back")
+@planted("what an answer demands is done wherever the drone is", AnswerAction, "come_back")
 def acts_on_the_spot(original: Any, self: AnswerAction[Any], waited_s: float) -> None:
-    self._finish(waited_s)
+    self.finish(waited_s)
 
 
-@planted("an answer that comes after the waypoint is not acted upon", AnswerAction, "_finish")
+@planted("an answer that comes after the waypoint is not acted upon", AnswerAction, "finish")
 def forgets_what_is_late(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
     if self.is_away:
-        self._demand._holds = False
+        self.demand._holds = False
     finish(self, waited_s)
 
 
-@planted("what an answer demands is done again on arrival", AnswerAction, "_finish")
+@planted("what an answer demands is done again on arrival", AnswerAction, "finish")
 def acts_twice(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
     finish(self, waited_s)
-    if self.is_away and self._demand.holds():
+    if self.is_away and self.demand.holds():
         finish(self, waited_s)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from upwash.config.drone import (
     ServiceConfig,
 )
 from upwash.config.flight_times import finish_by_s
-from upwash.config.places import geofence, is_planned_home, measured_servers, sweeps_of, waypoints
+from upwash.config.places import geofence, is_planned_home, measured_servers, row_ends, sweeps_of, waypoints
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.user import user_problems
@@ -30,6 +31,7 @@ from upwash.plans import FlightPlan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
 _HOME = Position(0.0, 0.0)
+_MOST_SPOTS = 100_000
 _MOST_DRONES = 1000  # the largest simulation that was tried
 
 
@@ -39,6 +41,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     if not config.drones:
         yield from _way_problems("mission", config.mission)
     yield from _mission_problems(config.mission, config.services)
+    yield from _photos_problems(config)
     yield from _autopilot_problems(config.autopilot)
     yield from _lighter_problems(config)
     yield from _battery_problems(config)
@@ -110,6 +113,32 @@ def _mission_problems(mission: MissionConfig, services: Sequence[ServiceConfig])
     keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
     if mission.program == "survey" and keys and mission.mode not in keys:
         yield "mission.mode", unknown("profile key", mission.mode, keys)
+
+
+def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
+    mission, photos = config.mission, config.mission.photos
+    if photos is None:
+        return
+    if mission.plan is not None or any(drone.plan is not None for drone in config.drones):
+        yield "mission.photos", "a plan has no rows: give a grid or waypoints_m, or leave photos out"
+    if mission.waypoints_m is not None and len(mission.waypoints_m) % 2:
+        count = len(mission.waypoints_m)
+        yield "mission.waypoints_m", f"{count} places: with photos, give the start and the end of each row"
+    if mission.order != "given":
+        yield "mission.order", 'rows are flown in the order of the file: leave it out, or set "given"'
+    rows_m = sum(ground_distance_m(*row) for row in row_ends(mission))
+    if rows_m / photos.every_m > _MOST_SPOTS:
+        yield (
+            "mission.photos.every_m",
+            f"more than {_MOST_SPOTS:,} photos of {rows_m:g} m of rows: make it larger",
+        )
+    fastest_m_s = photos.every_m / config.camera.photo_s if config.camera.photo_s else math.inf
+    if mission.ground_speed_m_s > fastest_m_s:
+        yield (
+            "mission.ground_speed_m_s",
+            f"a photo takes camera.photo_s = {config.camera.photo_s:g} s, so that one every {photos.every_m:g} m "
+            f"allows at most {fastest_m_s:.3g} m/s: fly slower, or make photos.every_m larger",
+        )
 
 
 def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:

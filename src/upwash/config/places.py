@@ -6,29 +6,67 @@ altitude of its own home.
 
 from __future__ import annotations
 
-from collections.abc import Container
+import math
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, replace
 
 import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
 from upwash.config.values import PlanFile
-from upwash.core.geo import Circle, GeoPosition, LocalFrame, Measured, Position, Reach, Waypoint
+from upwash.core.geo import (
+    Circle,
+    GeoPosition,
+    LocalFrame,
+    Measured,
+    Position,
+    Reach,
+    Waypoint,
+    ground_distance_m,
+)
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.order import Sweep, sweeps
 from upwash.core.vehicle.geofence import Fence
 from upwash.plans import Ending, FlightPlan
+
+_LAST_SPOT = 1e-6  # of the distance between spots: nearer to a row's end, the end is a spot
 
 
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     """The mission's waypoints in the order of the file, which is the order of their indices."""
     if mission.plan is not None:
         return _planned_waypoints(mission.plan.plan, _frame(mission.home))
-    places = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
-    return tuple(
-        Waypoint(index, Position(east_m, north_m, mission.altitude_m))
-        for index, (east_m, north_m) in enumerate(places)
+    if mission.photos is None:
+        return tuple(Waypoint(index, place) for index, place in enumerate(_places(mission)))
+    spots = (
+        (spot, end) for start, end in row_ends(mission) for spot in _spots(start, end, mission.photos.every_m)
     )
+    return tuple(Waypoint(index, spot, row_end=end) for index, (spot, end) in enumerate(spots))
+
+
+def row_ends(mission: MissionConfig) -> list[tuple[Position, Position]]:
+    """The start and the end of each row of the grid, or of the legs 0, 2, 4 ... of `waypoints_m`."""
+    places = _places(mission)
+    count = mission.grid.columns if mission.grid else 2
+    return [(places[first], places[first + count - 1]) for first in range(0, len(places) - count + 1, count)]
+
+
+def _places(mission: MissionConfig) -> list[Position]:
+    given = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
+    return [Position(east_m, north_m, mission.altitude_m) for east_m, north_m in given]
+
+
+def _spots(start: Position, end: Position, every_m: float) -> Iterator[Position]:
+    """The places of photos along a row: its start, and each `every_m` from there."""
+    length_m = ground_distance_m(start, end)
+    yield start
+    for number in range(1, math.floor(length_m / every_m + _LAST_SPOT) + 1):
+        share = min(1.0, number * every_m / length_m)
+        yield Position(
+            start.east_m + share * (end.east_m - start.east_m),
+            start.north_m + share * (end.north_m - start.north_m),
+            start.altitude_m,
+        )
 
 
 def stands(mission: MissionConfig) -> Position:

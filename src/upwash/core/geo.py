@@ -77,7 +77,7 @@ class Waypoint:
 
     `ground_speed_m_s` is the speed of the way there, None for the current speed. `above_sea_m` is its altitude in a
     plan that counts from the sea, which is sure only with home's altitude above the sea. The drone first hovers for
-    `hold_s`.
+    `hold_s`. With a `row_end` the waypoint is a spot of a row, which the drone passes on its way there.
     """
 
     index: int
@@ -85,6 +85,7 @@ class Waypoint:
     ground_speed_m_s: float | None = None
     above_sea_m: float | None = None
     hold_s: float = 0.0
+    row_end: Position | None = None
 
 
 @dataclass(frozen=True, slots=True)

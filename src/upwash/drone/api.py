@@ -9,9 +9,9 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
-from upwash.drone.pending import AnswerActions, Calls, Pending
+from upwash.drone.pending import AnswerActions, Calls, Pending, position_of
 from upwash.drone.photographer import Photographer
-from upwash.drone.vehicle import Vehicle, position_of
+from upwash.drone.vehicle import Vehicle
 from upwash.errors import UsageError
 from upwash.plans import Ending
 from upwash.ports import Notifier

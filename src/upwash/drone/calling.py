@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -125,6 +126,7 @@ class Calling:
         self._hedging = hedging
         # The rest of answered calls, each with the drone's own service that is busy with it, if any.
         self._losers: dict[asyncio.Task[Any], str | None] = {}
+        self._turns = defaultdict[str, asyncio.Lock](asyncio.Lock)  # of the calls of each of its services
 
     async def answer(self, decision: Decision, call: Invocation) -> CallAnswer:
         """The answer to a call that runs where the decision says, or on the drone if the server fails."""
@@ -147,6 +149,10 @@ class Calling:
         for loser in [loser for loser, busy in self._losers.items() if busy == service and not loser.done()]:
             await asyncio.shield(loser)
         return now_s() - began_s
+
+    def is_computing(self, service: str) -> bool:
+        """Whether the drone's service is busy."""
+        return self._turns[service].locked()
 
     async def stop_losers(self) -> None:
         """Ends the computations that go on after their calls were answered."""
@@ -317,8 +323,9 @@ class Calling:
 
         async def compute() -> Any:
             await self.queue(call.operation.service)
-            computing.began_s = now_s()
-            return await self.onboard(call)
+            async with self._turns[call.operation.service]:
+                computing.began_s = now_s()
+                return await self.onboard(call)
 
         computing.task = begin(compute())
         return computing

@@ -19,6 +19,7 @@ from upwash.core.knowledge.servers import Change
 from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Decision, Lightened, Local, Remote, Wait
+from upwash.core.selection.call_placement import Place
 from upwash.core.selection.commands import Command, Effect, ExpectedTimes, Full, Mapped, ServerPaused
 from upwash.core.selection.events import SelectionEvent, Tick
 from upwash.core.selection.selection import Selection
@@ -66,14 +67,29 @@ class Decisions:
         """Pass the event to the core, and carry out its effects."""
         effects = self.selection.handle(event, now_s=now_s(), position=self._autopilot.position)
         self._perform(effects)
-        self._told.set()
-        self._told = asyncio.Event()
+        self.wake()
         self.looked_after()
 
-    def decide(self, operation: Operation) -> Decision:
+    def free_place(self, operation: Operation, busy_until_s: Mapping[str, float]) -> Place:
+        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place."""
+        position = self._autopilot.position
+        return self.selection.free_place(operation, busy_until_s, now_s=now_s(), position=position)
+
+    async def told(self) -> None:
+        """Return after the next event of the core, or `wake`."""
+        await self._told.wait()
+
+    def wake(self) -> None:
+        """Have those that wait for events of the core look again."""
+        self._told.set()
+        self._told = asyncio.Event()
+
+    def decide(self, operation: Operation, *, on_drone: bool = False) -> Decision:
         """Decide where the call that the mission makes now runs, and whether lighter; log the decision."""
         position = self._autopilot.position
-        decision, effects = self.selection.decide(operation, now_s=now_s(), position=position)
+        decision, effects = self.selection.decide(
+            operation, now_s=now_s(), position=position, on_drone=on_drone
+        )
         lightened = decision.inputs.lightened
         self._decided(lightened.operation if lightened else operation, decision, effects, position)
         return decision

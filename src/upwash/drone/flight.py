@@ -120,6 +120,7 @@ class Flight:
         self._onboard = _onboard_services(config, programs, ports)
         selection = make_selection(config, specs, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
+        photos = config.mission.photos
         self._offloading = _offloading(config, selection, ports, self._onboard)
         self._vehicle = Vehicle(
             ports.autopilot,
@@ -134,12 +135,18 @@ class Flight:
                 home=planned_home(config.mission),
             ),
             tell=self._offloading.tell,
+            default_m_s=config.mission.ground_speed_m_s,
+            open_at_most=photos.at_most if photos else None,
         )
         self._handle = VehicleHandle(self._vehicle)
         self._ends: ComingDown | None = None  # how the flight is ended safely, while it is
         self._descent = Descent(ports.autopilot, doing=lambda: self._ends or self._vehicle.coming_down)
         self._calls = Calls(
-            self._thread, self._offloading.invoke, ports.journal, waypoint=lambda: self._vehicle.waypoint
+            self._thread,
+            self._offloading.invoke,
+            ports.journal,
+            waypoint=lambda: self._vehicle.waypoint,
+            several=photos is not None,
         )
 
     async def run(self) -> None:
@@ -411,7 +418,7 @@ class Flight:
             user=User(self._ports.notifier, self._thread),
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,
-            settle=self._handle.settle,
+            settle=self._handle.settle_for_call,
             answers=AnswerActions(
                 self._handle,
                 self._calls,
@@ -450,6 +457,7 @@ def _offloading(
         onboard=onboard,
         journal=ports.journal,
         hedging=make_hedging(config, selection.estimates),
+        first=config.mission.photos.first if config.mission.photos else None,
     )
 
 

@@ -22,6 +22,7 @@ from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
 from upwash.drone.calling import CallAnswer, Calling, Invocation
 from upwash.drone.decisions import Background, Decisions, now_s
+from upwash.drone.line import AT_ONCE, CallLine, Turn
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_session import ServerEndpoint
@@ -35,7 +36,10 @@ T = TypeVar("T")
 
 
 class Offloading:
-    """Makes one drone's calls, and selects, checks and leaves servers for them."""
+    """Makes one drone's calls, and selects, checks and leaves servers for them.
+
+    Calls are made one at a time. If it is said which one of several is `first`, they may be open at the same time.
+    """
 
     def __init__(
         self,
@@ -49,6 +53,7 @@ class Offloading:
         onboard: OnboardServices,
         journal: Journal,
         hedging: Hedging,
+        first: Literal["oldest", "newest"] | None = None,
     ) -> None:
         self._journal = journal
         self._radios = RadioWorkers(
@@ -73,6 +78,7 @@ class Offloading:
             journal=journal,
         )
         self._calling = Calling(self._decisions, self._radios, onboard, journal, hedging)
+        self._line = CallLine(self._decisions, self._calling.is_computing, first=first) if first else None
         self._failed = False
         self._background: asyncio.Task[Any] | None = None
 
@@ -106,15 +112,31 @@ class Offloading:
         """Pass the event to the core, and carry out its commands."""
         self._guarded(lambda: self._decisions.tell(event))
 
-    async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
+    async def invoke(
+        self,
+        operation: Operation,
+        method: Method,
+        request: bytes,
+        waypoint: int | None = None,
+        *,
+        urgent: bool = False,
+    ) -> Any:
         """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
 
+        Of several open calls, the log has the `waypoint` of each; one that is `urgent` comes before the others.
         Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
         when the drone's own service fails too.
         """
         if not self._failed and not method.once:
             try:
-                return await self._invoke(operation, method, request)
+                asked, asked_s = Invocation(operation, method, request), now_s()
+                in_line = (
+                    self._line.turn(operation, urgent=urgent)
+                    if self._line
+                    else contextlib.nullcontext(AT_ONCE)
+                )
+                async with in_line as turn:
+                    return await self._invoke(asked, turn, asked_s=asked_s, waypoint=waypoint)
             except Exception as error:
                 if isinstance(error, UpwashError) and not isinstance(error, TransitionError):
                     raise
@@ -137,10 +159,10 @@ class Offloading:
         self._decisions.tell(NoMoreCalls())
         await self._radios.done()
 
-    async def _invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
+    async def _invoke(self, asked: Invocation, turn: Turn, *, asked_s: float, waypoint: int | None) -> Any:
         began_s = now_s()
-        decision = self._decisions.decide(operation)
-        call = Invocation(operation, method, request).lighter(decision.inputs.lightened)
+        decision = self._decisions.decide(asked.operation, on_drone=turn.on_drone)
+        call = asked.lighter(decision.inputs.lightened)
         wait: Literal["", "paid off", "failed"] = ""
         why = decision.why
         if isinstance(decision, Wait):
@@ -148,6 +170,7 @@ class Offloading:
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = now_s() - began_s
+        turn.take(decision)
         answer = await self._calling.answer(decision, call)
         if answer.server is None and isinstance(decision, Remote):
             why = f"{why}; {_lost(answer)} on the drone"
@@ -156,18 +179,19 @@ class Offloading:
         lightened = answer.call.lightened
         self._journal.record(
             schema.Call(
+                waypoint=waypoint,
                 operation=str(answer.call.operation),
                 place=name_of(answer.server),
                 check=answer.attempt.check if answer.attempt is not None else None,
                 decision=why,
-                at_s=began_s,
-                delay_s=now_s() - began_s,
+                at_s=asked_s,
+                delay_s=now_s() - asked_s,
                 waited_s=waited_s,
                 onboard_s=answer.onboard_s,
                 wait=wait,
                 fell_back=answer.fell_back,
                 hedged_s=answer.hedged_s,
-                queued_s=answer.queued_s or None,
+                queued_s=began_s - asked_s + answer.queued_s or None,
                 remote_fault=answer.remote_fault,
                 **(lightened.facts if lightened else {}),
             )

@@ -15,7 +15,7 @@ from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
 from msgspec.structs import asdict
 
-from upwash.core.geo import Position, Waypoint
+from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook, StayRule, StayVerdict
 from upwash.drone.mission import MissionThread
@@ -29,7 +29,20 @@ from upwash.support.background import begin, end
 P = ParamSpec("P")
 T = TypeVar("T")
 
-Invoke = Callable[[Operation, Method, bytes], Coroutine[Any, Any, Any]]
+
+class Invoke(Protocol):
+    """Makes one call; of several open calls the log has the `waypoint`, and an urgent one comes first."""
+
+    def __call__(
+        self,
+        operation: Operation,
+        method: Method,
+        request: bytes,
+        waypoint: int | None = None,
+        *,
+        urgent: bool = False,
+    ) -> Coroutine[Any, Any, Any]:
+        """The decoded reply."""
 
 
 class Pending(Generic[T]):
@@ -130,23 +143,34 @@ class Demand(Generic[T]):
 
 
 class Calls:
-    """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan."""
+    """Makes the mission's calls, from its thread; `waypoint` returns the drone's waypoint, None off the plan.
+
+    With `several` they may be open at the same time.
+    """
 
     def __init__(
-        self, thread: MissionThread, invoke: Invoke, journal: Journal, *, waypoint: Callable[[], int | None]
+        self,
+        thread: MissionThread,
+        invoke: Invoke,
+        journal: Journal,
+        *,
+        waypoint: Callable[[], int | None],
+        several: bool = False,
     ) -> None:
         self._thread = thread
         self._invoke = invoke
         self._journal = journal
         self._waypoint = waypoint
-        self._under_way: Pending[Any] | None = None
+        self._several = several
+        self._under_way: Pending[Any] | None = None  # the last one, of several
         self._dropped: Pending[Any] | None = None
+        self._others: list[Pending[Any]] = []  # of several, some of which are over
 
     def call(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         self._require_free(operation)
         after, self._dropped = self._dropped, None
-        return self.do(self._run(operation, method, request, after))
+        return self.do(self._run(operation, method, request, after, self._waypoint(), urgent=True))
 
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Makes a call of a service's method with these arguments, and does not wait.
@@ -160,9 +184,11 @@ class Calls:
 
         def on_loop() -> None:
             self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
-            started._task = begin(self._run(operation, method, request, after))
+            started._task = begin(self._run(operation, method, request, after, waypoint))
             started._task.add_done_callback(_take_note)
 
+        if self._several and self._under_way is not None:
+            self._others = [call for call in self._others if not call.done()] + [self._under_way]
         self._under_way, self._dropped = started, None
         self._thread.post(on_loop)
         return started
@@ -182,22 +208,32 @@ class Calls:
 
     async def close(self) -> None:
         """Ends calls that are still under way; for the loop, after the mission's last call."""
-        await end(*(call._task for call in (self._under_way, self._dropped) if call is not None))
+        calls = (self._under_way, self._dropped, *self._others)
+        await end(*(call._task for call in calls if call is not None))
 
     def _require_free(self, operation: Operation) -> None:
         self._thread.require_turn()
-        if self._under_way is not None and not self._under_way.done():
+        if not self._several and self._under_way is not None and not self._under_way.done():
             raise UsageError(
                 f"{operation} cannot be called yet: another call is pending, and a drone makes one at a time; take "
                 "its answer first, with its result(), or drop it with cancel()"
             )
 
     async def _run(
-        self, operation: Operation, method: Method, request: bytes, after: Pending[Any] | None
+        self,
+        operation: Operation,
+        method: Method,
+        request: bytes,
+        after: Pending[Any] | None,
+        waypoint: int | None,
+        *,
+        urgent: bool = False,
     ) -> Any:
         if after is not None:
             await after._over()
-        return await self._invoke(operation, method, request)
+        if not self._several:
+            return await self._invoke(operation, method, request)
+        return await self._invoke(operation, method, request, waypoint, urgent=urgent)
 
 
 def _take_note(call: asyncio.Task[Any]) -> None:
@@ -209,6 +245,11 @@ def _take_note(call: asyncio.Task[Any]) -> None:
 Place = Waypoint | Position
 
 
+def position_of(place: Place) -> Position:
+    """The position of a waypoint, or the position given."""
+    return place.position if isinstance(place, Waypoint) else place
+
+
 def index_of(place: Place | None) -> int | None:
     """The index of a waypoint; None for a position."""
     return place.index if isinstance(place, Waypoint) else None
@@ -216,6 +257,10 @@ def index_of(place: Place | None) -> int | None:
 
 class VehicleVerbs(Protocol):
     """What settling an answer does with the vehicle."""
+
+    @property
+    def flies_rows(self) -> bool:
+        """Whether it flies rows without stopping, with several answers open."""
 
     def place(self) -> Place | None:
         """Where it was last sent to."""
@@ -249,25 +294,25 @@ class AnswerAction(Generic[T]):
         self._vehicle = vehicle
         self._calls = calls
         self._rule = rule
-        self._demand = demand
-        self._pending = demand.pending
+        self.demand = demand
+        self.pending = demand.pending
         self._act = act
         self._failed = failed
-        self._place = vehicle.place()
-        self.waypoint = index_of(self._place)
+        self.place = vehicle.place()
+        self.waypoint = index_of(self.place)
         self.is_away = False  # whether the drone has left the waypoint
         self.is_over = False
 
     def settle(self) -> None:
         """Waits for the answer; if it has a demand, flies to its waypoint, acts, and comes back here."""
-        here, waited_s = self._vehicle.place(), self._pending._wait()
-        if self.is_away and self._demand.holds():
-            self._demand.note()
-            self._come_back(waited_s)
+        here, waited_s = self._vehicle.place(), self.pending._wait()
+        if self.is_away and self.demand.holds():
+            self.demand.note()
+            self.come_back(waited_s)
             if here is not None:
                 self._vehicle.fly(here)
         else:
-            self._finish(waited_s)
+            self.finish(waited_s)
 
     def fly_on(self, place: Place) -> None:
         """Fly one leg with the answer open; wait for it before another leg."""
@@ -276,27 +321,40 @@ class AnswerAction(Generic[T]):
             self._vehicle.fly(place)
             return
         self.is_away = True
-        if not self._vehicle.fly(place, unless=self._demand):
-            self._come_back(0.0)
+        if not self._vehicle.fly(place, unless=self.demand):
+            self.come_back(0.0)
             self._vehicle.fly(place)
-        elif self._pending.done():  # in the moment of the arrival, or demanding nothing
+        elif self.pending.done():  # in the moment of the arrival, or demanding nothing
             self.settle()
 
-    def _come_back(self, waited_s: float) -> None:
-        self._calls.note(schema.TurnedBack(waypoint=self.waypoint, position=self._vehicle.position()))
-        if self._place is not None:
-            self._vehicle.fly(self._place, back=True)
-        self._finish(waited_s)
+    def demands(self) -> bool:
+        """Whether the answer, which is there, has a demand; logs one."""
+        holds = self.demand.holds()
+        if holds:
+            self.demand.note()
+        return holds
 
-    def _finish(self, waited_s: float) -> None:
+    def away_m(self, here: Position) -> float:
+        """How far its place is from here."""
+        return 0.0 if self.place is None else distance_m(here, position_of(self.place))
+
+    def come_back(self, waited_s: float) -> None:
+        """Fly to its place, and act there."""
+        self._calls.note(schema.TurnedBack(waypoint=self.waypoint, position=self._vehicle.position()))
+        if self.place is not None:
+            self._vehicle.fly(self.place, back=True)
+        self.finish(waited_s)
+
+    def finish(self, waited_s: float) -> None:
+        """Take the answer, and act if it has a demand."""
         self.is_over = True
-        demanded = self._demand.holds()
+        demanded = self.demand.holds()
         self._rule.answered(demanded=demanded)
-        self._pending._take(waited_s, demanded=demanded)
+        self.pending._take(waited_s, demanded=demanded)
         if not demanded:
             return
         try:
-            answer = self._pending._answer()
+            answer = self.pending._answer()
         except Exception as error:
             if self._failed is None:
                 raise
@@ -322,6 +380,9 @@ class AnswerActions:
     ) -> None:
         """Waits for the answer and acts on it, or leaves it open and returns."""
         answer = AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
+        if self._vehicle.flies_rows:
+            self._vehicle.leave_open(answer)
+            return
         if self._rule.manner != "stay" and not demand.pending.done():
             verdict = self._calls.do(self._judge())
             self._calls.note(schema.StayOrGo(waypoint=answer.waypoint, **asdict(verdict)))

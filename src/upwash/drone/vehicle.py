@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from typing import Any, Literal
 
 from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
@@ -19,11 +19,8 @@ from upwash.core.selection.events import (
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.coming_down import ComingDown
 from upwash.drone.mission import MissionThread
-from upwash.drone.pending import (
-    AnswerAction,
-    Demand,
-    index_of,
-)
+from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
+from upwash.drone.rows import Rows, passed
 from upwash.drone.site import Site, require_altitude
 from upwash.errors import AutopilotError, UsageError
 from upwash.eventlog import schema
@@ -50,6 +47,8 @@ class Vehicle:
         *,
         site: Site,
         tell: Callable[[SelectionEvent], None],
+        default_m_s: float = 0.0,
+        open_at_most: int | None = None,
     ) -> None:
         self._autopilot = autopilot
         self._thread = thread
@@ -57,6 +56,7 @@ class Vehicle:
         self._site = site
         self._limits = VehicleLimits()  # as they were read before arming
         self._tell = tell
+        self._default_m_s = default_m_s
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._coming_down: ComingDown | None = None
@@ -66,6 +66,12 @@ class Vehicle:
         self._place: Waypoint | Position | None = None  # where it was last sent to
         self._open: AnswerAction[Any] | None = None
         self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
+        self._leg_end: Position | None = None  # of that leg
+        self._rows = (
+            Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, at_most=open_at_most)
+            if open_at_most
+            else None
+        )
 
     @property
     def position(self) -> Position:
@@ -154,6 +160,9 @@ class Vehicle:
         returns False, at rest on the way, or at the target if that is nearer. Raises AutopilotRefused, without a
         movement, if the plan's geofence forbids the place or the way.
         """
+        if self._rows is not None and unless is None:
+            self._rows.goto(place)
+            return True
         if self._open is None or unless is not None:
             return self._fly(place, unless=unless)
         with self._settling(self._open) as answer:
@@ -184,7 +193,9 @@ class Vehicle:
         self._thread.call(self._send_text(SEVERITIES.index(severity), text))
 
     def hover(self, duration_s: float) -> None:
-        """Hovers where the vehicle is for `duration_s`."""
+        """Hovers where the vehicle is for `duration_s`; on a row it first comes back to the last spot."""
+        if self._rows is not None:
+            self._rows.rest()
         self._thread.call(asyncio.sleep(duration_s))
 
     def hold(self) -> None:
@@ -207,10 +218,17 @@ class Vehicle:
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
     def _settle(self) -> None:
-        """Wait for the open answer, if there is one, and do what it demands."""
-        if self._open is not None:
+        """Wait for the open answers, if there are any, and do what they demand."""
+        if self._rows is not None:
+            self._rows.settle()
+        elif self._open is not None:
             with self._settling(self._open) as answer:
                 answer.settle()
+
+    def _settle_for_call(self) -> None:
+        """The same before another call is made; on rows several are open."""
+        if self._rows is None:
+            self._settle()
 
     def _fly(
         self, place: Waypoint | Position, *, unless: Demand[Any] | None = None, back: bool = False
@@ -256,7 +274,10 @@ class Vehicle:
     def _come_down(
         self, how: ComingDown, verb: Callable[[], Coroutine[Any, Any, None]], doing: _AtPlace
     ) -> None:
-        self._settle()
+        if self._rows is not None:
+            self._rows.settle(comes_back=how == "land")
+        else:
+            self._settle()
         self._coming_down = how
         try:
             self._thread.call(self._logged(verb, schema.Landed, begun=DescentBegun, before=doing))
@@ -318,6 +339,68 @@ class Vehicle:
             return False
         await self._rest_of_leg()
         return True
+
+    async def _set_off(self, end: Position) -> None:
+        """Set off for the end of a leg, and do not wait for the arrival."""
+        self._site.require_leg(self._limits, self._stands_at or self._autopilot.position, end)
+        self._leg_end = end
+        self._leg = begin(self._fly_leg(end))
+
+    async def _fly_leg(self, end: Position) -> None:
+        self._stands_at = None
+        self._on_a_leg = True
+        try:
+            await self._autopilot.goto(end)
+        finally:
+            self._on_a_leg = False
+        self._stands_at = end
+
+    def _head_for(self, place: Waypoint | Position) -> None:
+        """Note that the place is the next one on the leg."""
+        self._place, position = place, position_of(place)
+        self._journal.record(
+            schema.SetOff(waypoint=index_of(place), east_m=position.east_m, north_m=position.north_m)
+        )
+        self._tell(LegBegun(position, self._ground_speed_m_s))
+
+    async def _fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
+        """Return True where it passes the place, or arrives there; False when one of the answers is there."""
+        leg, end, position = self._leg, self._leg_end, position_of(place)
+        assert leg is not None and end is not None  # noqa: S101 - it was set off
+        is_there = False
+
+        async def passes() -> None:
+            nonlocal is_there
+            fastest_m_s = self._ground_speed_m_s or self._default_m_s
+            await passed(self._autopilot, position, end, fastest_m_s=fastest_m_s)
+            is_there = True
+
+        waits = [answer.demand.answered() for answer in answers]
+        if position != end:
+            waits.append(passes())
+        try:
+            await first(asyncio.wait([leg]), *waits)
+        except asyncio.CancelledError:
+            await self._end_leg()
+            raise
+        if leg.done():
+            await self._rest_of_leg()
+            is_there = True
+        if is_there:
+            self._tell(LegEnded())
+            self._journal.record(
+                schema.Arrived(
+                    waypoint=index_of(place),
+                    east_m=position.east_m,
+                    north_m=position.north_m,
+                    passing=position != end,
+                )
+            )
+        return is_there
+
+    async def _stop(self) -> None:
+        if self._leg_end is not None:
+            await self._stop_short_of(self._leg_end)
 
     async def _rest_of_leg(self) -> None:
         leg, self._leg = self._leg, None
@@ -408,6 +491,16 @@ class VehicleHandle:
         self.end_leg = vehicle._end_leg
         self.take_up = vehicle._take_up
         self.fly = vehicle._fly
+        self.settle_for_call = vehicle._settle_for_call
+        self.set_off = vehicle._set_off
+        self.head_for = vehicle._head_for
+        self.fly_on = vehicle._fly_on
+        self.stop = vehicle._stop
+
+    @property
+    def flies_rows(self) -> bool:
+        """Whether it flies rows without stopping, with several answers open."""
+        return self._vehicle._rows is not None
 
     def place(self) -> Waypoint | Position | None:
         """Where it was last sent to."""
@@ -419,9 +512,7 @@ class VehicleHandle:
 
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Have the verbs that follow settle the answer."""
-        self._vehicle._open = answer
-
-
-def position_of(place: Waypoint | Position) -> Position:
-    """The position of a waypoint, or the position given."""
-    return place.position if isinstance(place, Waypoint) else place
+        if self._vehicle._rows is not None:
+            self._vehicle._rows.leave_open(answer)
+        else:
+            self._vehicle._open = answer

@@ -97,10 +97,11 @@ class CallPlaces:
                 self.here = waypoint
             case schema.CallStarted(waypoint=waypoint):
                 self._under_way.append(waypoint)
-            case schema.Call():
-                self.of_call = self.of_call_under_way
-                if self._under_way:
-                    self._untaken.append((self._under_way.popleft(), self._calls))
+            case schema.Call(waypoint=waypoint):
+                self.of_call = self.of_call_under_way if waypoint is None else waypoint
+                if self.of_call in self._under_way:
+                    self._under_way.remove(self.of_call)
+                    self._untaken.append((self.of_call, self._calls))
                 self._calls += 1
             case schema.AnswerTaken(waypoint=waypoint, failed=""):
                 self.answered = self._taken(waypoint)

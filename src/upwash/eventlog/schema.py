@@ -266,12 +266,22 @@ class SetOff(Event, frozen=True, kw_only=True, omit_defaults=True, tag="leg"):
 
 
 class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """The drone has arrived where it set off for; it first hovers there for the plan's `hold_s`."""
+    """The drone has arrived where it set off for, and first hovers there for the plan's `hold_s`.
+
+    With `passing` it flies on along its row.
+    """
 
     waypoint: Index | None
     east_m: Number
     north_m: Number
     hold_s: Number = 0.0
+    passing: bool = False
+
+
+class PhotosWait(Event, frozen=True, kw_only=True):
+    """The drone stops on its row, as `waiting` photos have no answer; it flies on when there are fewer."""
+
+    waiting: Count
 
 
 class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="photo"):
@@ -862,6 +872,8 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
 class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     """A call has ended: its place, the reason, its begin and delay, and the shares of waiting and onboard computing.
 
+    `waypoint` is where the mission began it, if several calls may be open at the same time.
+
     `place` is a server's name, or `local` for the drone; `check` is the number of the server's selection, absent for
     the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service joined the call,
     and `queued_s` how long an earlier call kept that service busy. `remote_fault` is `confirmed` or `denied` if the
@@ -870,6 +882,7 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     `forecast_s` of its time, later than `finish_by_s`.
     """
 
+    waypoint: Index | None = None
     operation: Text
     asked: Text = ""
     forecast_s: Number | None = None

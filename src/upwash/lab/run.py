@@ -314,7 +314,11 @@ def _camera(config: DroneConfig, chance: Chance) -> Camera:
     if camera.park_seed is not None:
         return RenderedCamera(camera.park_seed, photo_s=camera.photo_s, in_thread=False)
     events = eventful(config.event, waypoints(config.mission), chance)
-    return ModelCamera(photo_s=camera.photo_s, events=[waypoint.position for waypoint in events])
+    return ModelCamera(
+        photo_s=camera.photo_s,
+        events=[waypoint.position for waypoint in events],
+        in_flight=config.mission.photos is not None,
+    )
 
 
 def _manner(vehicle: VehicleConfig) -> Manner:

@@ -28,19 +28,23 @@ _SAME_PLACE_M = 1.0
 class ModelCamera:
     """Returns the same few bytes after `photo_s`: the radio model knows the size of a photo.
 
-    At the places of `events` the photo shows an event, which modelled services detect.
+    At the places of `events` the photo shows an event, which modelled services detect. The shutter opens when the
+    photo is there, or `in_flight` at once.
     """
 
-    def __init__(self, *, photo_s: float, events: Sequence[Position] = ()) -> None:
+    def __init__(self, *, photo_s: float, events: Sequence[Position] = (), in_flight: bool = False) -> None:
         self._photo_s = photo_s
         self._events = events
+        self._in_flight = in_flight
 
     async def take_photo(self, at: Position) -> Photo:
         """The first bytes of a JPEG, after `photo_s`."""
+        asked_s = asyncio.get_running_loop().time()
         await asyncio.sleep(self._photo_s)
+        captured_s = asked_s if self._in_flight else asyncio.get_running_loop().time()
         shows_event = any(ground_distance_m(at, place) < _SAME_PLACE_M for place in self._events)
         photo = _JPEG + EVENT if shows_event else _JPEG
-        return Photo(photo, asyncio.get_running_loop().time(), source="model")
+        return Photo(photo, captured_s, source="model")
 
 
 class RenderedCamera:

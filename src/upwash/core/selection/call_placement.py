@@ -7,16 +7,19 @@ drone's own service computes them too. A call that runs on the drone is also sen
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import CHECKING, Server, State
-from upwash.core.operation import Operation
+from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.policies.policy import CallInputs, Decision, Inputs, Local, Policy, Remote, Wait
 from upwash.core.selection.commands import Effect
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
 
+Place: TypeAlias = Literal["", "either", "drone"]
 _TRIAL_S = 10.0  # for the server's answer to a call on trial
 
 
@@ -29,14 +32,43 @@ class CallPlacement:
     _estimates: Estimates
     _recovery: Recovery | None
 
-    def decide(self, operation: Operation, now_s: float) -> tuple[Decision, list[Effect]]:
-        """Decide where a call made now runs; leave the server in use if it is out of range."""
+    def free_place(self, operation: Operation, busy_until_s: Mapping[str, float], now_s: float) -> Place:
+        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place.
+
+        It is "either" place, or only the drone, because the server is busy for longer than the drone would take.
+        `busy_until_s` has the expected end of what each busy place computes.
+        """
+        server, is_drone_free = self._radios.in_use, ON_DRONE not in busy_until_s
+        local_s = self._estimates.local_s(operation)
+        remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
+        if server is None or local_s is None or remote_s is None or not self._answers(server, operation):
+            return "either" if is_drone_free else ""
+        remote_end_s = max(now_s, busy_until_s.get(server.name, now_s)) + remote_s
+        local_end_s = max(now_s, busy_until_s.get(ON_DRONE, now_s)) + local_s
+        if remote_end_s < local_end_s:
+            return "" if server.name in busy_until_s else "either"
+        return "drone" if is_drone_free else ""
+
+    def _answers(self, server: Server, operation: Operation) -> bool:
+        """Whether the server can take a call, and is not on trial."""
+        in_doubt = self._recovery is not None and self._recovery.in_doubt(server.name, operation)
+        return server.in_range and server.state is State.READY and not in_doubt
+
+    def decide(
+        self, operation: Operation, now_s: float, *, on_drone: bool = False
+    ) -> tuple[Decision, list[Effect]]:
+        """Decide where a call made now runs; leave the server in use if it is out of range.
+
+        With `on_drone` the server in use is busy with earlier calls for too long.
+        """
         inputs, server = self._inputs(operation, now_s), self._radios.in_use
         if server is None:
             return Local("no server selected", inputs), []
         if not server.in_range:
             effects = self._radios.leave(server, "out of range", now_s)
             return Local(f"{server.name} is out of range", inputs), effects
+        if on_drone:
+            return Local(f"{server.name} is busy with earlier calls", inputs), []
         local_s, remote_s = inputs.local_s, inputs.remote_s
         if local_s is None or remote_s is None:
             return Local(f"no estimate of {operation} on {server.name}", inputs), []

@@ -34,7 +34,7 @@ from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
 from upwash.core.selection import events
-from upwash.core.selection.call_placement import CallPlacement
+from upwash.core.selection.call_placement import CallPlacement, Place
 from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
 from upwash.core.selection.events import SelectionEvent
 from upwash.core.selection.mission_times import Lighter, Timetable
@@ -138,8 +138,15 @@ class Selection:
             return now_s  # what is known of a server changes with the place, or a border is crossed unseen
         return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
 
+    def free_place(
+        self, operation: Operation, busy_until_s: Mapping[str, float], *, now_s: float, position: Position
+    ) -> Place:
+        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place."""
+        self._locate(position, now_s)
+        return self._placement.free_place(operation, busy_until_s, now_s)
+
     def decide(
-        self, operation: Operation, *, now_s: float, position: Position
+        self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
     ) -> tuple[Decision, list[Effect]]:
         """Decide where a call made now runs; `inputs.lightened` of the decision is set if it runs lighter."""
         self._locate(position, now_s)
@@ -148,7 +155,7 @@ class Selection:
         self._planning.mission.call_begun(operation, now_s=now_s)
         lightened = self._lighter.judge(operation, now_s=now_s, position=position) if self._lighter else None
         operation = lightened.operation if lightened else operation
-        decision, effects = self._placement.decide(operation, now_s)
+        decision, effects = self._placement.decide(operation, now_s, on_drone=on_drone)
         self._planning.decided(decision, operation, now_s)
         if lightened is not None:
             decision = replace(decision, inputs=structs.replace(decision.inputs, lightened=lightened))

@@ -1,0 +1,104 @@
+"""The line of calls that are open at the same time: one is computed on the drone, and one on a server.
+
+    first in line   the oldest call, or the newest, as configured; a call that the mission waits for comes before all
+    its place       where it is expected to be answered soonest (core/selection): it waits until that place is free
+    decided         once its place is free, as any call is; then the next call is first
+
+A place is busy from the decision on until the call is answered, wherever it is computed in the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from upwash.core.operation import ON_DRONE, Operation, name_of
+from upwash.core.policies.policy import Decision, Remote
+from upwash.core.selection.call_placement import Place
+from upwash.drone.decisions import Decisions, now_s
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """The turn of a call to be decided; `take` gets the decision. With `on_drone` only the drone is free for it."""
+
+    take: Callable[[Decision], None]
+    on_drone: bool = False
+
+
+AT_ONCE = Turn(lambda _: None)  # of a call that waits for no other
+
+
+class CallLine:
+    """Lets calls be decided one after the other, each once a place is free for it.
+
+    `is_computing(service)` is whether the drone's own service is busy, perhaps with a call that a server answered.
+    """
+
+    def __init__(
+        self,
+        decisions: Decisions,
+        is_computing: Callable[[str], bool],
+        *,
+        first: Literal["oldest", "newest"],
+    ) -> None:
+        self._decisions = decisions
+        self._is_computing = is_computing
+        self._first = 0 if first == "oldest" else -1
+        self._urgent: list[object] = []
+        self._others: list[object] = []
+        self._is_deciding = False
+        self._busy_until_s: dict[str, float] = {}  # as expected, by place
+
+    @contextlib.asynccontextmanager
+    async def turn(self, operation: Operation, *, urgent: bool) -> AsyncIterator[Turn]:
+        """Enter the line; the block begins when the call may be decided, and ends when it is answered."""
+        call, line = object(), self._urgent if urgent else self._others
+        line.append(call)
+        try:
+            while not (free := self._free_place(call, operation)):
+                await self._decisions.told()
+        finally:
+            line.remove(call)
+            self._decisions.wake()  # another is first now
+        place, self._is_deciding = "", True
+
+        def take(decision: Decision) -> None:
+            nonlocal place
+            place = self._occupy(operation, decision)
+            self._go_on()
+
+        try:
+            yield Turn(take, on_drone=free == "drone")
+        finally:
+            if place:
+                del self._busy_until_s[place]
+                self._decisions.wake()
+            else:
+                self._go_on()
+
+    def _free_place(self, call: object, operation: Operation) -> Place:
+        first = self._urgent[0] if self._urgent else self._others[self._first]
+        if self._is_deciding or call is not first:
+            return ""
+        return self._decisions.free_place(operation, self._busy(operation))
+
+    def _go_on(self) -> None:
+        self._is_deciding = False
+        self._decisions.wake()
+
+    def _occupy(self, operation: Operation, decision: Decision) -> str:
+        estimates = self._decisions.selection.estimates
+        server = decision.server if isinstance(decision, Remote) else None
+        takes_s = estimates.local_s(operation) if server is None else estimates.remote_s(server, operation)
+        self._busy_until_s[name_of(server)] = now_s() + (takes_s or 0.0)
+        return name_of(server)
+
+    def _busy(self, operation: Operation) -> dict[str, float]:
+        busy = dict(self._busy_until_s)
+        if ON_DRONE not in busy and self._is_computing(operation.service):
+            local_s = self._decisions.selection.estimates.local_s(operation)
+            busy[ON_DRONE] = now_s() + (local_s or 0.0)
+        return busy

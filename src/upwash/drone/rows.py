@@ -1,0 +1,209 @@
+"""Rows that the drone flies without stopping, while answers to earlier photos are open; in the mission's thread.
+
+a spot       the first of a row is flown to, and the drone rests there; the others are passed, on one leg to the
+             row's end
+an answer    without a demand it is taken, while the drone flies on
+a demand     the drone brakes, flies back and acts; demands that are there by then are one detour, the nearest
+             first. Then it flies on from where it began to brake, or along its row if it acted there
+too many     with too many open answers the drone brakes and waits
+the end      before any other verb the drone arrives at the row's end, and every answer is in
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from upwash.core.geo import Position, Waypoint, distance_m
+from upwash.drone.mission import MissionThread
+from upwash.drone.pending import AnswerAction, Place, position_of
+from upwash.eventlog import schema
+from upwash.ports import Autopilot, Journal
+from upwash.support.background import first
+
+_LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
+
+
+async def passed(autopilot: Autopilot, spot: Position, end: Position, *, fastest_m_s: float) -> None:
+    """Return when the vehicle, on its way to `end`, passes the spot; at `fastest_m_s` at most."""
+    length_m = distance_m(spot, end)
+    east, north, up = (
+        (end.east_m - spot.east_m) / length_m,
+        (end.north_m - spot.north_m) / length_m,
+        (end.altitude_m - spot.altitude_m) / length_m,
+    )
+    while True:
+        here = autopilot.position
+        left_m = (
+            east * (spot.east_m - here.east_m)
+            + north * (spot.north_m - here.north_m)
+            + up * (spot.altitude_m - here.altitude_m)
+        )
+        if left_m <= 0:
+            return
+        velocity = autopilot.telemetry.velocity
+        speed_m_s = max(fastest_m_s, velocity.speed_m_s if velocity else 0.0)
+        await asyncio.sleep(max(_LEAST_S, left_m / speed_m_s))
+
+
+class LegVerbs(Protocol):
+    """What flying rows does with the vehicle; the coroutines run on the loop."""
+
+    def position(self) -> Position:
+        """Where it is."""
+
+    def place(self) -> Place | None:
+        """Where it was last sent to."""
+
+    def fly(self, place: Place, *, back: bool = False) -> bool:
+        """Fly to a place, from rest to rest."""
+
+    async def set_off(self, end: Position) -> None:
+        """Set off for the end of a leg."""
+
+    def head_for(self, place: Place) -> None:
+        """Note that the place is the next one on the leg."""
+
+    async def fly_on(self, place: Place, answers: Sequence[AnswerAction[Any]]) -> bool:
+        """Return True where it passes the place, or arrives there; False when one of the answers is there."""
+
+    async def stop(self) -> None:
+        """Brake and end the leg, or fly it to its end if that is nearer."""
+
+
+class Rows:
+    """Flies a plan of rows, and meets the demands of answers meanwhile."""
+
+    def __init__(
+        self,
+        vehicle: LegVerbs,
+        thread: MissionThread,
+        journal: Journal,
+        *,
+        plan: Sequence[Waypoint],
+        at_most: int,
+    ) -> None:
+        self._vehicle = vehicle
+        self._thread = thread
+        self._journal = journal
+        self._following = dict(itertools.pairwise(plan))
+        self._at_most = at_most
+        self._open: list[AnswerAction[Any]] = []
+        self._end: Position | None = None  # of the leg that is flown
+        self._acts = False
+
+    def goto(self, place: Place) -> None:
+        """Fly to a place, or on along a row until it is passed."""
+        if self._acts:
+            self._vehicle.fly(place)
+            return
+        row_end = place.row_end if isinstance(place, Waypoint) else None
+        if self._end is None or self._end not in (position_of(place), row_end):
+            self.stop()
+            self._set_off(position_of(place))
+        self._thread.post(lambda: self._vehicle.head_for(place))
+        while not self._thread.call(self._vehicle.fly_on(place, self._open)):
+            if demanding := self._taken():
+                self._detour(demanding, place)
+        if self._end == position_of(place):
+            self._end = None
+            self._set_off_for_next(place)
+
+    def leave_open(self, answer: AnswerAction[Any]) -> None:
+        """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
+        self._open.append(answer)
+        if len(self._open) >= self._at_most:
+            waiting = len(self._open)
+            self._thread.post(lambda: self._journal.record(schema.PhotosWait(waiting=waiting)))
+            self.stop()
+            while len(self._open) >= self._at_most:
+                self._take_next()
+
+    def stop(self) -> None:
+        """Brake, if a leg is flown."""
+        if self._end is not None:
+            self._end = None
+            self._thread.call(self._vehicle.stop())
+
+    def rest(self) -> None:
+        """Brake, and come back to the last place."""
+        if self._end is not None and not self._acts:
+            self.stop()
+            self._come_back(self._vehicle.place())
+
+    def settle(self, *, comes_back: bool = True) -> None:
+        """Wait at rest for every answer, and meet its demand; come back to the last place, or do not."""
+        if self._acts:
+            return
+        here, was_away = self._vehicle.place(), self._end is not None
+        self.stop()
+        while self._open:
+            was_away |= self._take_next()
+        if was_away and comes_back:
+            self._come_back(here)
+
+    def _come_back(self, place: Place | None) -> None:
+        if place is not None:
+            self._vehicle.fly(place, back=True)
+
+    def _set_off(self, end: Position) -> None:
+        self._thread.call(self._vehicle.set_off(end))
+        self._end = end
+
+    def _set_off_for_next(self, place: Place) -> None:
+        """Set off for the row's end at its first spot, and from there for the next waypoint of the plan."""
+        if not isinstance(place, Waypoint):
+            return
+        if place.row_end is not None and place.row_end != place.position:
+            self._set_off(place.row_end)
+        elif (following := self._following.get(place)) is not None:
+            self._set_off(following.position)
+
+    def _taken(self) -> list[AnswerAction[Any]]:
+        """The open answers that are there and have a demand; the others that are there are taken."""
+        demanding = []
+        for answer in [answer for answer in self._open if answer.pending.done()]:
+            if answer.demands():
+                demanding.append(answer)
+            else:
+                self._open.remove(answer)
+                answer.finish(0.0)
+        return demanding
+
+    def _detour(self, demanding: list[AnswerAction[Any]], target: Place) -> None:
+        end, left = self._end, self._vehicle.position()
+        assert end is not None  # noqa: S101 - a leg is flown
+        self.stop()
+        last = self._meet(demanding)
+        if position_of(target) != end and not (isinstance(last, Waypoint) and last.row_end == end):
+            self._vehicle.fly(left)
+        self._set_off(end)
+        self._thread.post(lambda: self._vehicle.head_for(target))
+
+    def _meet(self, demanding: list[AnswerAction[Any]]) -> Place | None:
+        """Act on the answers and on those that come meanwhile; return where the last was."""
+        self._acts = True
+        try:
+            while demanding:
+                here = self._vehicle.position()
+                answer = min(demanding, key=lambda answer: answer.away_m(here))
+                self._open.remove(answer)
+                answer.come_back(0.0)
+                demanding = self._taken()
+        finally:
+            self._acts = False
+        return answer.place
+
+    def _take_next(self) -> bool:
+        """Wait at rest for an answer and meet its demand; return whether the drone left its place."""
+        self._thread.call(_one_answered(self._open))
+        demanding = self._taken()
+        if demanding:
+            self._meet(demanding)
+        return bool(demanding)
+
+
+async def _one_answered(answers: Sequence[AnswerAction[Any]]) -> None:
+    await first(*(answer.demand.answered() for answer in answers))

@@ -1,0 +1,99 @@
+"""Surveys that photograph their rows without stopping."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from tests.programs import ROOT
+
+from upwash.eventlog import schema
+from upwash.lab.simulation import Simulation, simulate
+
+SCENARIO = ROOT / "scenarios" / "on-the-move.toml"
+
+
+def survey(**overrides: Any) -> Simulation:
+    return simulate(SCENARIO, overrides={key.replace("__", "."): value for key, value in overrides.items()})
+
+
+def of(run: Simulation, kind: type[schema.Event]) -> list[Any]:
+    return [event for event in run.events if isinstance(event, kind)]
+
+
+@pytest.mark.parametrize(
+    ("changed", "model_s"),
+    [
+        ({"event__every": 1000, "event__offset": 999}, 718.0),
+        ({"event__every": 1000, "event__offset": 999, "mission__ground_speed_m_s": 6.0}, 557.0),
+        ({}, 972.0),
+    ],
+)
+def test_it_takes_no_longer_than_a_model_of_it(changed: dict[str, Any], model_s: float) -> None:
+    run = survey(**changed)
+    assert run.completed and run.mission_time_s < 1.03 * model_s
+    assert {call.waypoint for call in run.calls} == set(range(121)), "every photo has its answer"
+
+
+def test_photos_are_taken_in_flight_at_their_spots_and_only_row_ends_are_stops() -> None:
+    run = survey()
+    places = of(run, schema.Planned)[0].waypoints_m
+    photos = of(run, schema.PhotoTaken)
+    assert len(photos) == 121
+    for photo, place in zip(photos, places, strict=True):
+        assert math.dist((photo.position.east_m, photo.position.north_m), place) < 0.1
+    stops = {
+        event.waypoint
+        for event in of(run, schema.Arrived)
+        if not event.passing and event.waypoint is not None
+    }
+    demanding = set(range(5, 121, 10))
+    assert stops - demanding == {row + column for row in range(0, 121, 11) for column in (0, 10)} - demanding
+
+
+def test_every_demand_is_met_at_its_place_once() -> None:
+    run = survey()
+    assert sorted(event.waypoint for event in of(run, schema.Acted)) == list(range(5, 121, 10))
+    places = of(run, schema.Planned)[0].waypoints_m
+    notified = sorted((event.at.east_m, event.at.north_m) for event in of(run, schema.Notified))
+    assert notified == sorted(places[waypoint] for waypoint in range(5, 121, 10))
+
+
+def test_demands_that_come_together_are_one_detour() -> None:
+    run = survey(
+        policy__name="local-only", event__every=1, event__offset=0
+    )  # answers are 60 m late, and each has a demand
+    letters = {schema.SetOff: "l", schema.TurnedBack: "t", schema.Acted: "a"}
+    way = "".join(letters.get(type(event), "") for event in run.events)
+    assert way.count("a") == 121
+    assert "atla" in way, "from one place to the next, and not back in between"
+
+
+def test_the_newest_photo_is_computed_first_where_only_now_counts() -> None:
+    run = survey(**{"policy__name": "local-only", "mission__photos": {"every_m": 20.0, "first": "newest"}})
+    order = [call.waypoint for call in run.calls]
+    assert order[:4] == [0, 1, 3, 5]
+
+
+def test_too_many_photos_without_an_answer_stop_the_drone() -> None:
+    run = survey(
+        **{
+            "policy__name": "local-only",
+            "mission__photos": {"every_m": 20.0, "at_most": 5},
+            "event__every": 1000,
+        }
+    )
+    assert run.completed and len(run.calls) == 121
+    waiting = open_photos = 0
+    for event in run.events:
+        open_photos += isinstance(event, schema.CallStarted)
+        open_photos -= isinstance(event, schema.AnswerTaken)
+        waiting = max(waiting, open_photos)
+    assert waiting == 5
+    assert len(of(run, schema.PhotosWait)) > 10
+
+
+def test_a_slow_photo_is_refused_with_the_speed_that_it_allows() -> None:
+    with pytest.raises(Exception, match=r"at most 10 m/s: fly slower, or make photos.every_m larger"):
+        survey(**{"camera__photo_s": 2.0, "mission__ground_speed_m_s": 12.0})
