@@ -50,6 +50,29 @@ def test_a_services_file_counts_from_the_configurations_folder(
     assert drone.mission.program == f"{tmp_path}/mine.py:fly"
 
 
+@pytest.mark.parametrize(
+    "device",
+    [
+        "/dev/video0",
+        "rtsp://10.0.0.5/a/b",
+        "videotestsrc ! appsink",
+        "other.mp4",
+        "x" * 300,
+        "{folder}/film.mp4",
+    ],
+)
+def test_a_film_counts_from_the_configurations_folder_and_other_sources_stay_as_they_are(
+    device: str, tmp_path: Path
+) -> None:
+    (tmp_path / "film.mp4").touch()
+    camera = '[camera]\ndevice = "{}"\n' + DRONE
+    film = read_drone_config(written(tmp_path, camera.format("film.mp4"), "gauge.py:Gauge"))
+    assert film.camera.device == f"{tmp_path}/film.mp4"
+    source = device.format(folder=tmp_path)
+    other = read_drone_config(written(tmp_path, camera.format(source), "gauge.py:Gauge"))
+    assert other.camera.device == source
+
+
 @pytest.mark.parametrize("program", ["gauge.py", "gauge.py:", "gauge/sh:Gauge", "Gauge", "gauge.py:a b"])
 def test_what_names_no_class_is_refused(program: str, tmp_path: Path) -> None:
     for read, text in (read_drone_config, DRONE), (read_daemon_config, DAEMON):

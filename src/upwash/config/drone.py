@@ -171,7 +171,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     folder: values.FilePath | None = None
     """A folder whose JPEG and PNG files are the photos, in turn."""
     device: values.VideoSource | None = None
-    """A video device's number or path, a stream's URL, or GStreamer's pipeline."""
+    """A video device's number or path, a video file's path, a stream's URL, or GStreamer's pipeline."""
     latency_s: values.NotNegative = 0.0
     """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
     fov_deg: FieldOfView | None = None

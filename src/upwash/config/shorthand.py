@@ -21,6 +21,7 @@ def written_out(document: Document, folder: Path) -> Document:
     found = document.get("service")
     services = [table for table in found if isinstance(table, dict)] if isinstance(found, list) else []
     changes: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+        "camera": lambda table: _with_film_from(table, folder),
         "mission": lambda table: _with_program_from(table, folder),
         "service": lambda table: _with_program_from(table, folder) | _by_key(table, *_LOCAL),
         "server": lambda table: _server(table, services, folder),
@@ -50,6 +51,21 @@ def _with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
             for word in command
         ]
     return table | paths
+
+
+def _with_film_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The camera; a device that is a video file as a path from the folder."""
+    device = table.get("device")
+    if not isinstance(device, str) or not _is_file(folder / device):
+        return table
+    return table | {"device": str(folder / device)}
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # no path at all, such as a pipeline
+        return False
 
 
 def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import get_args
 
 from msgspec.structs import replace
 
@@ -38,7 +39,7 @@ from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Finder
-from upwash.rpc.service import ServiceSpec
+from upwash.rpc.service import Method, ServiceSpec
 from upwash.support.text import counted
 
 
@@ -208,7 +209,7 @@ def _profile(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operat
             if not keys:
                 raise UsageError(
                     f"service {service.name}: local_call_s must have one delay per {method.profile_by}, "
-                    f"as {method.name} is slower or faster by it"
+                    f"as {method.name} is slower or faster by it: for example {_example(method)}"
                 )
             for key in keys:
                 yield Operation(service.name, method.name, key), key
@@ -217,6 +218,12 @@ def _profile(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operat
                 if key in service.local_call_s:
                     yield Operation(service.name, method.name), key
                     break
+
+
+def _example(method: Method) -> str:
+    """Delays for each value of the profile argument, which `upwash profile` measures."""
+    keys = [value for value in get_args(method.key_type) if isinstance(value, str)] or ["KEY"]
+    return f"{{ {', '.join(f'{key} = 1.0' for key in keys)} }}; upwash profile measures them"
 
 
 def _remote_s(server: ServerConfig, service: ServiceConfig, key: str) -> float | None:
