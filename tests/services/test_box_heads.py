@@ -375,7 +375,56 @@ def test_names_are_read_as_python_writes_them() -> None:
     assert parse_names("{1: 'b', 0: 'a',}") == ["a", "b"]
 
 
-@pytest.mark.parametrize("side", [100_000, 8])
+def two_faced(folder: Path, for_photos: Values) -> ModelFiles:
+    """A network that gives boxes as of YOLOv8 for a picture of one colour, and other values for photos."""
+    branches = []
+    for name, values in {"then": V8.T[np.newaxis], "else": for_photos}.items():
+        said = helper.make_tensor_value_info(f"{name} out", TensorProto.FLOAT, None)
+        node = helper.make_node("Identity", [name], [f"{name} out"])
+        numbers = numpy_helper.from_array(values.astype(np.float32), name)
+        branches.append(helper.make_graph([node], name, [], [said], [numbers]))
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("ReduceMin", ["images"], ["least"], keepdims=0),
+        helper.make_node("Equal", ["most", "least"], ["even"]),
+        helper.make_node("If", ["even"], ["output0"], then_branch=branches[0], else_branch=branches[1]),
+    ]
+    picture = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, SIDE_PX, SIDE_PX])
+    output = helper.make_tensor_value_info("output0", TensorProto.FLOAT, None)
+    return saved(folder, helper.make_graph(nodes, "export", [picture], [output]), NAMES)
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 3e38])
+def test_boxes_of_a_photo_that_have_no_place_or_score_are_left_out(wild: float, tmp_path: Path) -> None:
+    outputs = V8.T.copy()
+    outputs[:5, ::2] = wild  # boxes, and the score of the first class
+    found = Detector(model=two_faced(tmp_path, outputs[np.newaxis]), threads=1).process_photo(photo())
+    every_other = plainly("YOLOv8", [outputs[:, 1::2]])
+    assert len(found) >= len(every_other) > 20
+    assert all(0 <= each.left_px <= 320 and 0 < each.width_px <= 320 for each in found)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        (like(525), "its outputs are 525 for a photo, unlike those for a grey picture"),
+        (like(0, 0, 0), "its outputs are 0 x 0 x 0 for a photo, unlike"),
+        (
+            like(1, 7, 7_500_000, fill=0),
+            "its outputs for a photo have 52,500,000 numbers: at most 50,000,000 are",
+        ),
+    ],
+    ids=["another shape", "nothing", "too many"],
+)
+def test_outputs_for_a_photo_that_are_unlike_those_for_grey_end_the_call(
+    outputs: Values, said: str, tmp_path: Path
+) -> None:
+    detector = Detector(model=two_faced(tmp_path, outputs), threads=1)
+    with pytest.raises(ModelError, match=said):
+        detector.process_photo(photo())
+
+
+@pytest.mark.parametrize("side", [100_000, 8, 0])
 def test_a_picture_of_an_impossible_size_is_refused(side: int, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=f"it takes only pictures of {side} x {side}, not 320"):
         Detector(model=export(tmp_path, like(1, 7, 525), side=side))

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import os
 import pickle
+import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
 import onnx
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
-from upwash.errors import ModelError
+from upwash.errors import ModelError, UsageError
 from upwash.services import Detector, ModelFiles
 
 
@@ -22,7 +28,9 @@ def model(**versions: int) -> onnx.ModelProto:
     graph = helper.make_graph([helper.make_node("Identity", ["numbers"], ["boxes"])], "g", [picture], [boxes])
     graph.initializer.append(helper.make_tensor("numbers", TensorProto.FLOAT, [1, 7, 21], [0.0] * 147))
     opset = helper.make_opsetid("", versions.get("opset", 17))
-    return helper.make_model(graph, opset_imports=[opset], ir_version=versions.get("ir", 8))
+    made = helper.make_model(graph, opset_imports=[opset], ir_version=versions.get("ir", 8))
+    helper.set_model_props(made, {"names": "['a', 'b', 'c']"})
+    return made
 
 
 MODEL = model().SerializeToString()
@@ -90,3 +98,75 @@ def test_a_model_that_is_cut_off_is_refused_with_both_lengths(tenths: int, tmp_p
     (tmp_path / "model.onnx").write_bytes(cut)
     with pytest.raises(ModelError, match=rf"it is cut off: it has {len(cut)} of at least \d+ bytes: copy"):
         Detector(model=ModelFiles(onnx=tmp_path / "model.onnx"))
+
+
+# --- fields that say something else ---------------------------------------------------------------------------
+
+INTEGERS = (0, 1, -1, 3, 7, 32, 10**6, 2**31 - 1, -(2**31), 2**63 - 1, -(2**63))
+WORDS = (
+    b"",
+    b"picture",
+    b"numbers",
+    b"boxes",
+    b"Loop",
+    b"Resize",
+    b"TopK",
+    b"{0: 'a'}",
+    b"\n\x1b[2J",
+    b"x" * 3000,
+)
+PHOTO = cv2.imencode(".jpg", np.full((30, 40, 3), 90, np.uint8))[1].tobytes()
+
+
+def messages(message: Any) -> Iterator[Any]:
+    """The message and each message within it."""
+    yield message
+    for field, value in message.ListFields():
+        if field.message_type is not None:
+            for part in value if field.is_repeated else [value]:
+                yield from messages(part)
+
+
+def change(message: Any, data: st.DataObject) -> None:
+    """One of its fields is absent, there twice, or something else."""
+    field = data.draw(st.sampled_from(list(message.DESCRIPTOR.fields)))
+    there = getattr(message, field.name)
+    if data.draw(st.booleans()):
+        message.ClearField(field.name)
+    elif field.message_type is not None:
+        if field.is_repeated:
+            there.add().CopyFrom(there[0]) if there else there.add()
+        else:
+            there.SetInParent()
+    else:
+        kinds: dict[Any, st.SearchStrategy[Any]] = {
+            field.CPPTYPE_STRING: st.sampled_from(WORDS),
+            field.CPPTYPE_FLOAT: st.floats(width=32),
+            field.CPPTYPE_DOUBLE: st.floats(),
+            field.CPPTYPE_ENUM: st.integers(0, 30),
+            field.CPPTYPE_INT32: st.sampled_from([number for number in INTEGERS if abs(number) < 2**31]),
+            field.CPPTYPE_UINT64: st.sampled_from([number for number in INTEGERS if number >= 0]),
+        }
+        value = data.draw(kinds.get(field.cpp_type, st.sampled_from(INTEGERS)))
+        if field.type == field.TYPE_STRING:
+            value = value.decode()
+        if field.is_repeated:
+            there.append(value)
+        else:
+            setattr(message, field.name, value)
+
+
+@given(st.data())
+def test_whatever_a_model_says_of_itself_it_detects_or_is_refused_in_a_sentence(data: st.DataObject) -> None:
+    changed = model()
+    for _ in range(data.draw(st.integers(1, 3))):
+        change(data.draw(st.sampled_from(list(messages(changed)))), data)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "model.onnx")
+        file.write_bytes(changed.SerializeToString())
+        try:
+            Detector(model=ModelFiles(onnx=file), threads=1).process_photo(PHOTO)
+        except UsageError as refusal:
+            said = str(refusal)
+            assert len(said) < 2500
+            assert "\n" not in said
