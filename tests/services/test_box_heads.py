@@ -375,14 +375,15 @@ def test_names_are_read_as_python_writes_them() -> None:
     assert parse_names("{1: 'b', 0: 'a',}") == ["a", "b"]
 
 
-def two_faced(folder: Path, for_photos: Values) -> ModelFiles:
+def two_faced(folder: Path, for_photos: Values, node: str = "Identity") -> ModelFiles:
     """A network that gives boxes as of YOLOv8 for a picture of one colour, and other values for photos."""
     branches = []
     for name, values in {"then": V8.T[np.newaxis], "else": for_photos}.items():
         said = helper.make_tensor_value_info(f"{name} out", TensorProto.FLOAT, None)
-        node = helper.make_node("Identity", [name], [f"{name} out"])
-        numbers = numpy_helper.from_array(values.astype(np.float32), name)
-        branches.append(helper.make_graph([node], name, [], [said], [numbers]))
+        kind = node if name == "else" else "Identity"
+        numbers = numpy_helper.from_array(values if values.dtype == int else values.astype(np.float32), name)
+        made = helper.make_node(kind, [name], [f"{name} out"])
+        branches.append(helper.make_graph([made], name, [], [said], [numbers]))
     nodes = [
         helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
         helper.make_node("ReduceMin", ["images"], ["least"], keepdims=0),
@@ -420,6 +421,16 @@ def test_outputs_for_a_photo_that_are_unlike_those_for_grey_end_the_call(
     detector = Detector(model=two_faced(tmp_path, outputs), threads=1)
     with pytest.raises(ModelError, match=said):
         detector.process_photo(photo())
+
+
+def test_a_network_that_cannot_be_run_on_a_photo_ends_the_call_with_the_reason(tmp_path: Path) -> None:
+    files = two_faced(tmp_path, np.array([1, 7, 10**15]), "ConstantOfShape")
+    detector = Detector(model=files, threads=1)
+    with pytest.raises(
+        ModelError, match=r"it cannot be run on a photo \(.*Failed to allocate memory"
+    ) as refusal:
+        detector.process_photo(photo())
+    assert "onnxruntime_src" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("side", [100_000, 8, 0])

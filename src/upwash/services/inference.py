@@ -26,7 +26,7 @@ from upwash.services.darknet.heads import (
     read_heads,
 )
 from upwash.services.heads import MOST_LABELS, MOST_VALUES, BoxHead, by, parse_names, recognise
-from upwash.services.model_file import explained
+from upwash.services.model_file import explained, reason_in
 from upwash.services.photo import DARKNET_GREY, ULTRALYTICS_GREY
 from upwash.services.provider import Provider, is_on_card, open_session
 from upwash.support.input_files import read_file, text_of
@@ -114,7 +114,7 @@ class Inference(ABC):
 
     def find(self, picture: Floats, *, confidence: float) -> Candidates:
         """The best box of each object that scores above `confidence`, in pixels of the picture."""
-        return best_of_each(read_heads(self.run(picture), self.heads, confidence=confidence))
+        return best_of_each(read_heads(self._run_on_photo(picture), self.heads, confidence=confidence))
 
     def require_side(self, side_px: int) -> None:
         """Raises ModelError where pictures of that size do not give what the heads say; the first run is slow."""
@@ -150,6 +150,14 @@ class Inference(ABC):
         With `quiet` a failure is raised only, and not printed.
         """
 
+    def _run_on_photo(self, picture: Floats) -> list[Floats]:
+        try:
+            return self.run(picture)
+        except ModelError:
+            raise
+        except Exception as error:  # onnxruntime's have no base of their own
+            raise self._error(f"it cannot be run on a photo ({reason_in(str(error))})") from error
+
     def _require_taken(self, side_px: int) -> None:
         if any(isinstance(side, int) and side != side_px for side in self._sides):
             raise self._error(
@@ -163,7 +171,9 @@ class Inference(ABC):
         try:
             return self.run(np.full((1, 3, *(self.frame_px or (side_px, side_px))), 0.5, np.float32))
         except Exception as error:  # onnxruntime's have no base of their own
-            raise self._error(f"it cannot be run on a picture of {side_px} ({error})") from error
+            raise self._error(
+                f"it cannot be run on a picture of {side_px} ({reason_in(str(error))})"
+            ) from error
 
     def _coarsest_px(self) -> int:
         return max(head.stride for head in self.heads)
@@ -309,7 +319,7 @@ class BoxInference(OnnxInference):
     def find(self, picture: Floats, *, confidence: float) -> Candidates:
         """As of every network."""
         assert self._head is not None  # noqa: S101 - a side was required
-        outputs = self.run(picture)
+        outputs = self._run_on_photo(picture)
         height_px, width_px = picture.shape[2:]
         if (values := sum(output.size for output in outputs)) > MOST_VALUES:
             raise self._error(

@@ -38,10 +38,15 @@ def kind_of(start: bytes) -> str:
 
 def explained(error: ModelError) -> ModelError:
     """The error of a file that onnxruntime did not load, with what the file is instead, or the reason alone."""
-    problem = _defect_of(error.file) or _BEFORE_REASONS.sub("", error.problem[:_MOST_LETTERS])
+    problem = _defect_of(error.file) or reason_in(error.problem)
     if re.search(r"\bopset versions\b|\bIR version\b", problem):
         problem += ": update onnxruntime, or export the model with an older opset"
     return ModelError(error.file, error.where, problem)
+
+
+def reason_in(text: str) -> str:
+    """What onnxruntime says, without the places in its source."""
+    return _BEFORE_REASONS.sub("", text[:_MOST_LETTERS])
 
 
 def _defect_of(file: Path) -> str:
