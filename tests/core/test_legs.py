@@ -311,9 +311,11 @@ def test_the_next_leg_leads_to_the_next_waypoint_of_the_plan() -> None:
         assert expected.next_leg() is None, "a leg is under way"
         expected.arrived(now_s=20.0 * number + LEG_S)
         following = expected.next_leg()
-        legs.append(following and (following.start, following.end, following.leg.ground_speed_m_s))
+        if following is not None:
+            assert isinstance(following.leg, Leg)
+            legs.append((following.start, following.end, following.leg.ground_speed_m_s))
     speeds_m_s = (4.0, 4.0, 2.0, 4.0)
-    assert legs == [*zip(PLACES, PLACES[1:], speeds_m_s, strict=False), None]
+    assert legs == list(zip(PLACES, PLACES[1:], speeds_m_s, strict=False))
     expected.leg_begun(PLACES[4], Position(0.0, 20.0, 20.0), None, now_s=100.0)
     expected.arrived(now_s=109.0)
     assert expected.next_leg() is None, "it is off its plan"

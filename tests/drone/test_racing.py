@@ -60,7 +60,9 @@ class Field(Calling):
     def record(self, event: object) -> None:
         self.told.append(event)
 
-    def overtake(self, operation: Operation, *, began_s: float) -> tuple[Remote | None, float]:
+    def overtake(
+        self, operation: Operation, *, began_s: float, waypoint: int | None
+    ) -> tuple[Remote | None, float]:
         self.began_s.append(began_s)
         due_s = self.overtakes_s
         if due_s is not None and now_s() >= due_s:

@@ -45,6 +45,7 @@ class Invocation(Struct, frozen=True):
     operation: Operation
     method: Method
     request: bytes
+    waypoint: int | None = None  # for the log, of several open calls
     lightened: Lightened | None = None
 
     def lighter(self, lightened: Lightened | None) -> Invocation:
@@ -52,7 +53,7 @@ class Invocation(Struct, frozen=True):
         if lightened is None:
             return self
         request = self.method.under(lightened.operation.key, self.request)
-        return Invocation(lightened.operation, self.method, request, lightened)
+        return Invocation(lightened.operation, self.method, request, self.waypoint, lightened)
 
 
 @dataclass(slots=True)
@@ -336,7 +337,10 @@ class Calling:
             return None
         while not computing.task.done():
             began_s = now_s() if computing.began_s is None else computing.began_s
-            decision, again_s = self._decisions.overtake(computing.call.operation, began_s=began_s)
+            call = computing.call
+            decision, again_s = self._decisions.overtake(
+                call.operation, began_s=began_s, waypoint=call.waypoint
+            )
             if decision is not None:
                 return decision
             await self._decisions.until_told(computing.task, until_s=again_s)

@@ -84,21 +84,23 @@ class Decisions:
         self._told.set()
         self._told = asyncio.Event()
 
-    def decide(self, operation: Operation, *, on_drone: bool = False) -> Decision:
+    def decide(
+        self, operation: Operation, *, waypoint: int | None = None, on_drone: bool = False
+    ) -> Decision:
         """Decide where the call that the mission makes now runs, and whether lighter; log the decision."""
         position = self._autopilot.position
         decision, effects = self.selection.decide(
             operation, now_s=now_s(), position=position, on_drone=on_drone
         )
         lightened = decision.inputs.lightened
-        self._decided(lightened.operation if lightened else operation, decision, effects, position)
+        self._decided(lightened.operation if lightened else operation, decision, effects, position, waypoint)
         return decision
 
     def fall_back(self, operation: Operation) -> Lightened | None:
         """The lighter operation of a call that the drone computes after its server failed; None: as asked."""
         return self.selection.fall_back(operation, now_s=now_s(), position=self._autopilot.position)
 
-    async def wait(self, operation: Operation, wait: Wait) -> Decision:
+    async def wait(self, operation: Operation, wait: Wait, *, waypoint: int | None = None) -> Decision:
         """Wait for the server as decided; return where the call runs then."""
         check = self.selection.servers[wait.server].check
         with contextlib.suppress(TimeoutError):
@@ -109,17 +111,19 @@ class Decisions:
         decision, effects = self.selection.decide_after_wait(
             operation, check, now_s=now_s(), position=position
         )
-        self._decided(operation, decision, effects, position)
+        self._decided(operation, decision, effects, position, waypoint)
         return decision
 
-    def overtake(self, operation: Operation, *, began_s: float) -> tuple[Remote | None, float]:
+    def overtake(
+        self, operation: Operation, *, began_s: float, waypoint: int | None = None
+    ) -> tuple[Remote | None, float]:
         """The READY server expected to answer before the drone, logged, or None; and when to ask again."""
         position = self._autopilot.position
         decision, again_s = self.selection.overtake(
             operation, began_s=began_s, now_s=now_s(), position=position
         )
         if decision is not None:
-            self._decided(operation, decision, (), position)
+            self._decided(operation, decision, (), position, waypoint)
         return decision, again_s
 
     async def until_told(self, unless: asyncio.Task[object], *, until_s: float) -> None:
@@ -130,7 +134,12 @@ class Decisions:
                 await first(asyncio.wait([unless]), self._told.wait())
 
     def _decided(
-        self, operation: Operation, decision: Decision, effects: Sequence[Effect], position: Position
+        self,
+        operation: Operation,
+        decision: Decision,
+        effects: Sequence[Effect],
+        position: Position,
+        waypoint: int | None,
     ) -> None:
         self._perform(effects)
         if effects:
@@ -138,6 +147,7 @@ class Decisions:
         self.looked_after()
         self._journal.record(
             schema.Decided(
+                waypoint=waypoint,
                 operation=str(operation),
                 decision=_NAMES[type(decision)],
                 server=None if isinstance(decision, Local) else decision.server,

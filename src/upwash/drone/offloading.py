@@ -129,14 +129,14 @@ class Offloading:
         """
         if not self._failed and not method.once:
             try:
-                asked, asked_s = Invocation(operation, method, request), now_s()
+                asked, asked_s = Invocation(operation, method, request, waypoint), now_s()
                 in_line = (
                     self._line.turn(operation, urgent=urgent)
                     if self._line
                     else contextlib.nullcontext(AT_ONCE)
                 )
                 async with in_line as turn:
-                    return await self._invoke(asked, turn, asked_s=asked_s, waypoint=waypoint)
+                    return await self._invoke(asked, turn, asked_s=asked_s)
             except Exception as error:
                 if isinstance(error, UpwashError) and not isinstance(error, TransitionError):
                     raise
@@ -159,14 +159,14 @@ class Offloading:
         self._decisions.tell(NoMoreCalls())
         await self._radios.done()
 
-    async def _invoke(self, asked: Invocation, turn: Turn, *, asked_s: float, waypoint: int | None) -> Any:
+    async def _invoke(self, asked: Invocation, turn: Turn, *, asked_s: float) -> Any:
         began_s = now_s()
-        decision = self._decisions.decide(asked.operation, on_drone=turn.on_drone)
+        decision = self._decisions.decide(asked.operation, waypoint=asked.waypoint, on_drone=turn.on_drone)
         call = asked.lighter(decision.inputs.lightened)
         wait: Literal["", "paid off", "failed"] = ""
         why = decision.why
         if isinstance(decision, Wait):
-            decision = await self._decisions.wait(call.operation, decision)
+            decision = await self._decisions.wait(call.operation, decision, waypoint=call.waypoint)
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = now_s() - began_s
@@ -179,7 +179,7 @@ class Offloading:
         lightened = answer.call.lightened
         self._journal.record(
             schema.Call(
-                waypoint=waypoint,
+                waypoint=call.waypoint,
                 operation=str(answer.call.operation),
                 place=name_of(answer.server),
                 check=answer.attempt.check if answer.attempt is not None else None,

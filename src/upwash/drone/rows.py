@@ -161,7 +161,7 @@ class Rows:
         elif (following := self._following.get(place)) is not None:
             self._set_off(following.position)
 
-    def _taken(self) -> list[AnswerAction[Any]]:
+    def _taken(self, waited_s: float = 0.0) -> list[AnswerAction[Any]]:
         """The open answers that are there and have a demand; the others that are there are taken."""
         demanding = []
         for answer in [answer for answer in self._open if answer.pending.done()]:
@@ -169,7 +169,8 @@ class Rows:
                 demanding.append(answer)
             else:
                 self._open.remove(answer)
-                answer.finish(0.0)
+                answer.finish(waited_s)
+                waited_s = 0.0
         return demanding
 
     def _detour(self, demanding: list[AnswerAction[Any]], target: Place) -> None:
@@ -198,12 +199,15 @@ class Rows:
 
     def _take_next(self) -> bool:
         """Wait at rest for an answer and meet its demand; return whether the drone left its place."""
-        self._thread.call(_one_answered(self._open))
-        demanding = self._taken()
+        waited_s = self._thread.call(_one_answered(self._open))
+        demanding = self._taken(waited_s)
         if demanding:
             self._meet(demanding)
         return bool(demanding)
 
 
-async def _one_answered(answers: Sequence[AnswerAction[Any]]) -> None:
+async def _one_answered(answers: Sequence[AnswerAction[Any]]) -> float:
+    """Return once one of the answers is there, after how many seconds."""
+    begun_s = asyncio.get_running_loop().time()
     await first(*(answer.demand.answered() for answer in answers))
+    return asyncio.get_running_loop().time() - begun_s

@@ -240,6 +240,8 @@ def _left(before: Course, event: Event, doing: str) -> Course:
 def ran(outcome: schema.Call, decisions: Sequence[Considered], events: Sequence[Event]) -> str:
     """Where the call ran and why; `events` are what the log told of servers from its first decision on."""
     took = f"in {outcome.delay_s:.2f} s"
+    if outcome.waypoint is not None and outcome.queued_s:  # one of several that were open
+        took = f"in {outcome.delay_s - outcome.queued_s:.2f} s after {outcome.queued_s:.2f} s in line"
     if outcome.server is not None:
         return f"Ran on {outcome.server}{_server_cause(outcome, decisions)} {took}"
     if not decisions:

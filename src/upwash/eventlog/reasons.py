@@ -49,6 +49,7 @@ class ExplainedCall:
     outcome: schema.Call
     told: Sequence[Considered | Event]
     going: schema.StayOrGo | None = None
+    photographed_at: Position | None = None  # by a drone that flew on
 
     @property
     def decisions(self) -> Sequence[Considered]:
@@ -57,7 +58,9 @@ class ExplainedCall:
 
     @property
     def position(self) -> Position | None:
-        """The position of the drone at the begin of the call; None without a decision."""
+        """The position of the drone at the begin of the call, or of its photo; None if neither is known."""
+        if self.photographed_at is not None:
+            return self.photographed_at
         return next((decision.decided.position for decision in self.decisions), None)
 
     @property
@@ -109,6 +112,7 @@ class Reasons:
         self._delays_s: list[float] = []
         self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until the mission takes the answer
         self._turned: dict[int | None, Position] = {}
+        self._places: dict[int, Position] = {}  # of the waypoints that were reached
         self._back_m: dict[int | None, float] = {}
 
     @property
@@ -133,16 +137,20 @@ class Reasons:
                 return self._explain(event)
             case schema.ServerStep() | schema.RemoteFailed() | schema.RemoteRaised():
                 self._told.append(event)
+            case schema.Arrived(waypoint=int(waypoint), east_m=east_m, north_m=north_m):
+                self._arrived(waypoint, Position(east_m, north_m))
             case schema.StayOrGo(waypoint=waypoint):
                 self._going[waypoint] = event
             case schema.TurnedBack(waypoint=waypoint, position=position):
                 self._turned[waypoint] = position
-            case schema.Arrived(waypoint=waypoint) if waypoint in self._turned:
-                there = Position(event.east_m, event.north_m)
-                self._back_m[waypoint] = ground_distance_m(self._turned.pop(waypoint), there)
             case schema.AnswerTaken():
                 return self._explain_answer(event)
         return None
+
+    def _arrived(self, waypoint: int, there: Position) -> None:
+        self._places[waypoint] = there
+        if waypoint in self._turned:
+            self._back_m[waypoint] = ground_distance_m(self._turned.pop(waypoint), there)
 
     def _explain_answer(self, taken: schema.AnswerTaken) -> ExplainedAnswer | None:
         """None if the drone stayed or the call failed."""
@@ -154,7 +162,10 @@ class Reasons:
         return ExplainedAnswer(number, taken, taken.t - (self._began.at_s or 0.0), hidden_s, back_m)
 
     def _explain(self, outcome: schema.Call) -> ExplainedCall:
-        its, later = _parted(self._told)
+        if outcome.waypoint is None:
+            its, later = _parted(self._told)
+        else:
+            its, later = _own(self._told, outcome.waypoint)
         self._told = later
         waypoint, began_s = self._whereabouts.of_call, self._began.at_s or 0.0
         self._delays_s.append(outcome.delay_s)
@@ -166,6 +177,7 @@ class Reasons:
             outcome,
             its,
             self._going.get(waypoint),
+            None if outcome.waypoint is None else self._places.get(outcome.waypoint),
         )
 
 
@@ -180,6 +192,17 @@ def _parted(told: Sequence[Considered | Event]) -> tuple[list[Considered | Event
         is_its = getattr(event, "server", None) in asked and not isinstance(event, _LATER)
         (its if is_its else later).append(event)
     return its, later
+
+
+def _own(
+    told: Sequence[Considered | Event], waypoint: int
+) -> tuple[list[Considered | Event], list[Considered | Event]]:
+    """The decisions of one of several open calls, and those of the others."""
+    its, others = list[Considered | Event](), list[Considered | Event]()
+    for each in told:
+        if isinstance(each, Considered):
+            (its if each.decided.waypoint == waypoint else others).append(each)
+    return its, others
 
 
 def explained_calls(events: Iterable[Event]) -> list[CallText]:
@@ -240,7 +263,7 @@ def call_lines(call: ExplainedCall) -> Iterator[str]:
         )
     if outcome.hedged_s is not None:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
-    if outcome.queued_s and outcome.queued_s >= _SHORTEST_S:
+    if outcome.waypoint is None and outcome.queued_s and outcome.queued_s >= _SHORTEST_S:
         yield f"    the drone was busy with an earlier call for {outcome.queued_s:.2f} s"
     if call.going is not None:
         yield _going_text(call.going)

@@ -207,6 +207,7 @@ class Tally:
                 self.completed = True
             case schema.Arrived():
                 self._reached.add(event.waypoint)
+                self._went_on += event.passing
             case schema.LeftHovering():
                 self._left_hovering = True
             case schema.ServerStep():

@@ -850,8 +850,10 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
     `selected` is the server in use with its state and its `check`; `check_s` is how long the check should take and
     `check_elapsed_s` its age. `server` must answer within `deadline_s`; a wait lasts `at_most_s`. With `raced` the
     drone computes the call too. A second decision follows if a server becomes usable during an onboard call.
+    `waypoint` is where the mission began the call, if several may be open at the same time.
     """
 
+    waypoint: Index | None = None
     operation: Text
     decision: Literal["local", "remote", "wait"]
     server: Text | None = None
@@ -872,11 +874,10 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
 class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     """A call has ended: its place, the reason, its begin and delay, and the shares of waiting and onboard computing.
 
-    `waypoint` is where the mission began it, if several calls may be open at the same time.
-
     `place` is a server's name, or `local` for the drone; `check` is the number of the server's selection, absent for
     the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service joined the call,
-    and `queued_s` how long an earlier call kept that service busy. `remote_fault` is `confirmed` or `denied` if the
+    and `queued_s` how long earlier calls kept its place busy. `waypoint` is where the mission began the call, if
+    several may be open at the same time. `remote_fault` is `confirmed` or `denied` if the
     server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not
     the log's. `operation` is what ran. If a heavier operation was `asked` for, the mission would have ended at
     `forecast_s` of its time, later than `finish_by_s`.

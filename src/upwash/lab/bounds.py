@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
+from msgspec import structs
+
 from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_places, server_truth
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
@@ -17,11 +19,13 @@ from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
 from upwash.lab.least_time import Bound, FleetBound, Onward, SharedMission, bound, shared_s
 from upwash.lab.observer import RangeInterval
-from upwash.lab.run import Run
+from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_services, load_specs
 from upwash.rpc.service import spec_of
 from upwash.sim.radio import goodput_of
 from upwash.sim.world import computing_s, delay_of, occupying_s
+
+_NO_TIME_S = 1e-9  # of a call, which has to take some
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +136,8 @@ def _truths(config: DroneConfig) -> dict[str, ServerTruth]:
 
 def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> _Mission:
     mission_s = run.result.mission_time_s
+    if config.mission.photos is not None:
+        return _Mission([], _least_of_rows_s(run, config), may_go=True)
     if config.policy.stay_or_go == "stay":
         other_s = mission_s - run.result.totals.service_delay_s
         return _Mission(list(_made(run, config, truths)), other_s, may_go=False)
@@ -141,6 +147,20 @@ def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -
     calls = list(_made(run, config, truths, ways))
     other_s = mission_s - ways.in_vain_s - sum(made.waited_s for made in calls)
     return _Mission(calls, other_s, may_go=True)
+
+
+def _least_of_rows_s(run: Run, config: DroneConfig) -> float:
+    """The time of the rows alone, without a wait or a way back, and of the actions that answers demand."""
+    replace = structs.replace
+    services = tuple(
+        replace(
+            service, local_call_s=dict.fromkeys(service.local_call_s, _NO_TIME_S), local_first_extra_s=0.0
+        )
+        for service in config.services
+    )
+    alone = replace(config, servers=(), services=services, event=None, heat=None, energy=None, faults=())
+    acted = sum(isinstance(event, schema.Acted) for event in run.events)
+    return simulate(alone).result.mission_time_s + acted * config.mission.action_s
 
 
 def _begun_s(run: Run) -> float:

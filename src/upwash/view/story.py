@@ -324,6 +324,8 @@ class Story:
         match event:
             case schema.StayOrGo(goes=True, waypoint=waypoint, why=why):
                 yield facts.Going(at_s=self._now_s, waypoint=waypoint, words=why)
+            case schema.Arrived(passing=True, waypoint=waypoint):
+                yield facts.Going(at_s=self._now_s, waypoint=waypoint, words="it takes photos in flight")
             case schema.TurnedBack(waypoint=waypoint, position=place):
                 yield facts.Turn(
                     at_s=self._now_s, waypoint=waypoint, east_m=place.east_m, north_m=place.north_m

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import CHECKING, FULL_S, Server, State
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import ExpectedCall
+from upwash.core.planning.mission_model import CallClock, ExpectedCall
 from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer
 
 
@@ -82,11 +82,12 @@ def _calls(
     gaining: Iterable[str],
     banned_s: Mapping[str, float],
 ) -> Iterator[ComingCall]:
-    at_s = 0.0
+    clock = CallClock()
     measured = {server for server in gaining if estimates.is_measured(server)}
     delays_s: dict[Operation, dict[str, float]] = {}  # of each operation, by server
     for call in expected:
-        at_s += call.gap_s
+        before_s = clock.at_s
+        clock.begin(call)
         local_s = estimates.local_s(call.operation) or 0.0
         its_delays_s = delays_s.get(call.operation)
         if its_delays_s is None:
@@ -96,13 +97,15 @@ def _calls(
             }
         offers = []
         for server, in_range_s in call.in_range_s.items():
-            allowed_s = at_s - banned_s.get(server, -math.inf)
+            allowed_s = clock.at_s - banned_s.get(server, -math.inf)
             if server in its_delays_s and allowed_s > 0:
                 call_s = its_delays_s[server]
                 if server in measured:
                     call_s = estimates.remote_s(server, call.operation, call.position) or call_s
                 offers.append(Offer(server, call_s, min(in_range_s, allowed_s)))
-        yield ComingCall(local_s, call.gap_s, offers)
+        yield ComingCall(local_s, max(0.0, clock.at_s - before_s) if call.hides else call.gap_s, offers)
+        if call.hides:
+            clock.end(min([local_s, *(offer.call_s for offer in offers)]))
 
 
 def _check_times(server: Server, estimates: Estimates, now_s: float, idle_s: float) -> CheckTimes:

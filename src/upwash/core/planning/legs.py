@@ -78,6 +78,25 @@ class Leg(Struct, frozen=True):
         return self._top_m_s / self.acceleration_m_s2
 
 
+class Section(Struct, frozen=True):
+    """A part of a leg, from one place that is passed, or its start, to the next."""
+
+    whole: Leg
+    from_m: float
+    length_m: float
+
+    @property
+    def duration_s(self) -> float:
+        """The time of the part (s), with the settling if the leg ends there."""
+        to_m = self.from_m + self.length_m
+        settling_s = self.whole.settling_s if to_m >= self.whole.length_m else 0.0
+        return self.reached_s(self.length_m) + settling_s
+
+    def reached_s(self, travelled_m: float) -> float:
+        """Seconds from the start of the part until the vehicle has travelled that far."""
+        return self.whole.reached_s(self.from_m + travelled_m) - self.whole.reached_s(self.from_m)
+
+
 def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: float) -> float | None:
     """The acceleration that explains a leg's duration; None if the duration does not determine it."""
     cruise_s = length_m / ground_speed_m_s

@@ -19,7 +19,7 @@ from upwash.core.geo import Position, Reach, Waypoint, distance_m
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
-from upwash.core.planning.legs import Leg, Pace, acceleration_m_s2, entered_m
+from upwash.core.planning.legs import Leg, Pace, Section, acceleration_m_s2, entered_m
 
 _MOST_ENTRIES = 10_000  # of the cache of legs
 
@@ -35,13 +35,32 @@ class ExpectedCall(Struct, frozen=True):
     """A coming call, `gap_s` after the end of the call before; the first, after now.
 
     `in_range_s` has for each server in range at the call the part of `gap_s`, up to the call, that it is in range.
-    `position` is where the call is made; None: where the drone is.
+    `position` is where the call is made; None: where the drone is. If the gap `hides` the call before, it counts from
+    where that one was made: the drone flies on meanwhile.
     """
 
     operation: Operation
     gap_s: float
     in_range_s: Mapping[str, float]
     position: Position | None = None
+    hides: bool = False
+
+
+@dataclass(slots=True)
+class CallClock:
+    """When coming calls begin and end, one after the other, in seconds."""
+
+    at_s: float = 0.0
+    reached_s: float = 0.0  # the place of the last call
+
+    def begin(self, call: ExpectedCall) -> None:
+        """Go on to the begin of the call."""
+        self.reached_s = (self.reached_s if call.hides else self.at_s) + call.gap_s
+        self.at_s = max(self.at_s, self.reached_s)
+
+    def end(self, delay_s: float) -> None:
+        """Go on to the end of the call."""
+        self.at_s += delay_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +86,7 @@ class PlannedLeg(Struct, frozen=True):
 
     start: Position
     end: Position
-    leg: Leg
+    leg: Leg | Section
     begun_s: float = 0.0
 
 
@@ -106,6 +125,7 @@ class MissionModel:
         self._way: PlannedLeg | None = None
         self._last_leg_m = 0.0
         self._here: list[StopCall] = []
+        self._flies_on = any(waypoint.row_end is not None for waypoint in beliefs.plan)  # before its answers
         self._is_back = False  # or on the way back: the stop teaches nothing
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
         self._entries: dict[tuple[Position, Position], _Entries] = {}
@@ -129,7 +149,7 @@ class MissionModel:
         back: bool = False,
     ) -> None:
         """Note that the mission leaves for `target`; `back` if the calls there are over already."""
-        if self._place is not None and self._way is None and not self._is_back:
+        if self._place is not None and self._way is None and not self._is_back and not self._flies_on:
             self._routine = tuple(self._here)
             self._leaving_s = max(0.0, now_s - self._free_s)
         self._is_back = back
@@ -137,12 +157,12 @@ class MissionModel:
             self._ground_speed_m_s = ground_speed_m_s
         self._place, self._index, self._here = target, self._find(target), []
         self._last_leg_m = distance_m(start, target)
-        self._way = PlannedLeg(start, target, self._leg(self._last_leg_m), now_s)
+        section = None if self._index is None or back else self._section(self._index)
+        self._way = PlannedLeg(start, target, section or self._leg(self._last_leg_m), now_s)
 
     def arrived(self, *, now_s: float) -> None:
         """Note that the leg is over; learn the vehicle's acceleration from it."""
-        if self._way is not None:
-            leg = self._way.leg
+        if self._way is not None and isinstance(leg := self._way.leg, Leg):
             moved_s = now_s - self._way.begun_s - leg.settling_s
             found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, moved_s)
             if found is not None:
@@ -202,6 +222,8 @@ class MissionModel:
     def _calls(self, place: Position, position: Position, now_s: float) -> Iterator[ExpectedCall]:
         if self._way is not None:
             steps, stop = self._routine, self._rest_of_way(self._way, position)
+        elif self._flies_on:  # its call is made, and it flies on now
+            steps, stop = (), _Stop(0.0, self._near(place))
         else:
             steps, stop = self._routine[len(self._here) :], _Stop(self._free_s - now_s, self._near(place))
         yield from self._calls_of(steps, stop, place)
@@ -217,11 +239,11 @@ class MissionModel:
         for number, step in enumerate(steps):
             if number > 0:
                 stop = _Stop(0.0, self._near(place))
-            gap_s = max(0.0, stop.gap_s + step.pause_s)
+            gap_s = stop.gap_s if self._flies_on else max(0.0, stop.gap_s + step.pause_s)
             in_range_s = dict.fromkeys(stop.servers, gap_s)
             for server, time_s in stop.entered:
                 in_range_s[server] = max(0.0, time_s + step.pause_s)
-            yield ExpectedCall(step.operation, gap_s, in_range_s, place)
+            yield ExpectedCall(step.operation, gap_s, in_range_s, place, hides=self._flies_on)
 
     def _rest_of_way(self, way: PlannedLeg, position: Position) -> _Stop:
         leg = way.leg
@@ -246,7 +268,9 @@ class MissionModel:
             if way is None:
                 if len(self._ways) >= _MOST_ENTRIES:
                     self._ways.clear()
-                leg = self._leg(distance_m(place, waypoint.position), speed_m_s)
+                leg = self._section(index, speed_m_s) or self._leg(
+                    distance_m(place, waypoint.position), speed_m_s
+                )
                 way = self._way_of(leg, place, waypoint.position)
                 way = self._ways[index, speed_m_s] = structs.replace(
                     way, duration_s=way.duration_s + waypoint.hold_s
@@ -254,7 +278,21 @@ class MissionModel:
             yield waypoint.position, way
             place = waypoint.position
 
-    def _way_of(self, leg: Leg, start: Position, end: Position) -> _Way:
+    def _section(self, index: int, ground_speed_m_s: float | None = None) -> Section | None:
+        """The part of a row's leg that ends at the waypoint; None if the leg begins or ends at rest there."""
+        waypoint = self._plan[index]
+        first = index
+        while (
+            waypoint.row_end is not None and first > 0 and self._plan[first - 1].row_end == waypoint.row_end
+        ):
+            first -= 1
+        if first == index or waypoint.row_end is None:
+            return None
+        start, before = self._plan[first].position, self._plan[index - 1].position
+        whole = self._leg(distance_m(start, waypoint.row_end), ground_speed_m_s)
+        return Section(whole, distance_m(start, before), distance_m(before, waypoint.position))
+
+    def _way_of(self, leg: Leg | Section, start: Position, end: Position) -> _Way:
         entries = self._entered(start, end)
         entered_s = [(server, leg.reached_s(way_m)) for server, way_m in entries.entered_m]
         return _Way(leg.duration_s, entries.servers, entered_s)

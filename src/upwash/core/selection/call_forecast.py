@@ -19,7 +19,7 @@ from upwash.core.geo import Position
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import State
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import ExpectedCall
+from upwash.core.planning.mission_model import CallClock, ExpectedCall
 from upwash.core.policies.policy import CallInputs, Local, Option, Policy, Remote, Situation
 
 
@@ -50,10 +50,10 @@ class CallForecast:
 
     def places(self, calls: Iterable[ExpectedCall]) -> Iterator[CallPlace]:
         """The place of each call, in the order of the calls."""
-        at_s, here = 0.0, self.here
+        clock, here = CallClock(), self.here
         for call in calls:
-            at_s += call.gap_s
-            server = self._server(here.server, call, at_s)
+            clock.begin(call)
+            server = self._server(here.server, call, clock.at_s)
             if server is None:
                 here = CallPlace()
             elif server == here.server:
@@ -64,8 +64,8 @@ class CallForecast:
                 self.running.add(server)
             yield here
             delay_s = self.delay_s(here, call)
-            at_s += delay_s
-            here = CallPlace(here.server, max(0.0, here.ready_in_s - delay_s))
+            clock.end(delay_s)
+            here = CallPlace(here.server, max(0.0, here.ready_in_s - (0.0 if call.hides else delay_s)))
 
     def delay_s(self, place: CallPlace, call: ExpectedCall, operation: Operation | None = None) -> float:
         """The seconds that the call takes there, with the wait for a check; `operation` replaces the call's own."""

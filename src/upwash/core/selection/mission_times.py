@@ -27,7 +27,7 @@ from msgspec import structs
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import Pace
-from upwash.core.planning.mission_model import ExpectedCall, MissionBeliefs, MissionModel
+from upwash.core.planning.mission_model import CallClock, ExpectedCall, MissionBeliefs, MissionModel
 from upwash.core.policies.policy import Lightened
 from upwash.core.selection.call_forecast import CallPlace
 from upwash.core.selection.commands import ExpectedTimes
@@ -74,11 +74,22 @@ class Lighter:
             placing.delay_s(place, call, lighter_of.get(call.operation))
             for place, call in zip(places, calls, strict=True)
         ]
-        forecast_s = now_s - self.begun_s + sum(call.gap_s for call in calls) + sum(takes_s) + self.home_s
+        forecast_s = now_s - self.begun_s + _over_s(calls, takes_s) + self.home_s
         saves_s = [max(0.0, as_asked - less) for as_asked, less in zip(takes_s, lighter_s, strict=True)]
         if not is_lighter(saves_s[0], saves_s[1:], forecast_s - self._settings.finish_by_s):
             return None
         return Lightened(lighter, operation, forecast_s, self._settings.finish_by_s)
+
+
+def _over_s(calls: Sequence[ExpectedCall], takes_s: Sequence[float]) -> float:
+    """Seconds until the calls are over."""
+    if not calls[-1].hides:
+        return sum(call.gap_s for call in calls) + sum(takes_s)
+    clock = CallClock()
+    for call, delay_s in zip(calls, takes_s, strict=True):
+        clock.begin(call)
+        clock.end(delay_s)
+    return clock.at_s
 
 
 _HOME = Position(0.0, 0.0)
@@ -132,10 +143,10 @@ class Timetable:
         stop = self._beliefs.stop
         placing = self._planning.placing(now_s)
         reached_s: list[float] = []
-        at_s = takeoff_s
+        clock = CallClock(takeoff_s, takeoff_s)
         for number, (call, place) in enumerate(zip(calls, placing.places(calls), strict=True)):
-            at_s += call.gap_s
+            clock.begin(call)
             if number % len(stop) == 0:
-                reached_s.append(at_s - stop[0].pause_s)
-            at_s += placing.delay_s(place, call)
-        return reached_s, at_s + self.home_s
+                reached_s.append(clock.reached_s - (0.0 if call.hides else stop[0].pause_s))
+            clock.end(placing.delay_s(place, call))
+        return reached_s, clock.at_s + self.home_s

@@ -16,7 +16,7 @@ from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, ServerTable, State
 from upwash.core.operation import Operation
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
-from upwash.core.planning.legs import left_m
+from upwash.core.planning.legs import Leg, left_m
 from upwash.core.planning.mission_model import ExpectedCall, MissionModel
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import (
@@ -127,6 +127,7 @@ class ServerPlanning:
         way = self.mission.next_leg()
         if way is None or self.under_way is None or self._operation is None:
             return None
+        assert isinstance(way.leg, Leg)  # noqa: S101 - no row's: it begins at rest
         stay_s = go_s = self.mission.open_s(now_s)
         if not isinstance(self.under_way, Local):
             area = self._table.servers[self.under_way.server].area
