@@ -535,7 +535,8 @@ def test_a_configuration_gives_everything(model: ModelFiles, tmp_path: Path, pho
     what = configured(
         tmp_path,
         f'model = {{ cfg = "{cfg.name}", weights = "{weights.name}", names = "model.names" }}\n'
-        'threads = 1\nprovider = "cpu"\nlight_px = 96\nheavy_px = 128\n',
+        'threads = 1\nprovider = "cpu"\nlight_px = 96\nheavy_px = 128\n'
+        'tiles = "auto"\nmax_photo_mpixels = 50\n',
     )
     made = construct(Detector, spec_of(Detector).settings, what.settings)
     assert made.process_photo(photo, "light", 0.4)[0].label.startswith("thing ")
@@ -547,6 +548,9 @@ def test_a_configuration_gives_everything(model: ModelFiles, tmp_path: Path, pho
         ("threads = 0", "threads", "an integer from 1 to 1024, found 0"),
         ('provider = "tpu"', "provider", 'expected one of "auto", "cpu", "cuda", found "tpu"'),
         ("light_px = 31", "light_px", "an integer from 32 to 4096, in pixels, found 31"),
+        ("tiles = 31", "tiles", '"off", "auto" or an integer from 32 to 4096, in pixels, found 31'),
+        ('tiles = "on"', "tiles", '"off", "auto" or an integer from 32 to 4096, in pixels, found "on"'),
+        ("max_photo_mpixels = 0", "max_photo_mpixels", "an integer from 1 to 1000, in megapixels, found 0"),
         ("confidence = 0.5", "confidence", 'unknown key "confidence"'),
     ],
 )

@@ -117,6 +117,13 @@ def test_a_picture_shows_the_photo_at_any_resolution(width_px: int, height_px: i
     assert (outside == 0.5).all()
 
 
+def test_fine_stripes_of_a_png_become_grey_as_those_of_a_jpeg() -> None:
+    stripes = np.zeros((900, 1300, 3), np.uint8)
+    stripes[:, ::4] = stripes[::4] = 255
+    picture = read_photo(cv2.imencode(".png", stripes)[1].tobytes(), 96)[0]
+    assert np.abs(picture - read_photo(jpeg_of(stripes), 96)[0]).max() < 0.2
+
+
 @given(lengths, lengths, sides, st.sampled_from([8, 16, 32]))
 def test_a_picture_of_whole_cells_holds_the_photo_and_little_else(
     width_px: int, height_px: int, side_px: int, cell_px: int

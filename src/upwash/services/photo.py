@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from upwash.services.detection import Box
 from upwash.support.jpeg import EOI, FRAMES, MOST_SEGMENTS, SOI, SOS, Segment, segments_of, size_in
-from upwash.support.png import SIGNATURE, header_of, shown_of
+from upwash.support.png import SIGNATURE, Header, header_of, shown_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -62,12 +62,15 @@ class Letterbox:
     def picture(self, photo: MatLike) -> Floats:
         """The input of a network: shape 1, 3, height, width; red, green, blue from 0 to 1.
 
-        The photo may be decoded at once to twice the resolution of the picture: bilinear scaling reads four pixels
-        around each place.
+        Bilinear scaling reads four pixels around each place: a larger photo is halved before.
         """
         import cv2
         import numpy as np
 
+        high_px, wide_px = photo.shape[:2]
+        while high_px > 2 * self.height_px and wide_px > 2 * self.width_px:
+            high_px, wide_px = high_px // 2, wide_px // 2
+            photo = cv2.resize(photo, (wide_px, high_px), interpolation=cv2.INTER_AREA)
         scaled = cv2.resize(photo, (self.width_px, self.height_px), interpolation=cv2.INTER_LINEAR)
         shape = (1, 3, *self._sides_px)
         picture = np.full(shape, self.grey, np.float32)
@@ -126,24 +129,34 @@ def read_photo(
     grey: float = DARKNET_GREY,
     stretched: bool = False,
     frame_px: tuple[int, int] | None = None,
+    most_pixels: int | None = None,
 ) -> tuple[Floats, Letterbox]:
     """A photo as a picture with a longer side of `side_px`, and the photo's place in it; raises NotAPhoto.
 
     A JPEG is decoded at a half, a quarter or an eighth of its resolution if that is enough.
     """
-    png = _decoded_png(photo) if photo.startswith(SIGNATURE) else None
-    header = _read_header(photo) if png is None else _Header(png.shape[1], png.shape[0])
+    png = _decoded_png(photo, most_pixels) if photo.startswith(SIGNATURE) else None
+    header = _read_header(photo, most_pixels) if png is None else _Header(png.shape[1], png.shape[0])
     letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px, grey, stretched, frame_px)
     return letterbox.picture(_decode(photo, letterbox) if png is None else png), letterbox
 
 
-def decode_photo(photo: bytes) -> MatLike:
+def photo_size(photo: bytes, most_pixels: int | None = None) -> tuple[int, int]:
+    """The width and height of a JPEG or PNG that may be decoded; raises NotAPhoto."""
+    if photo.startswith(SIGNATURE):
+        png = _png_header(photo, most_pixels)
+        return png.width_px, png.height_px
+    header = _read_header(photo, most_pixels)
+    return header.width_px, header.height_px
+
+
+def decode_photo(photo: bytes, most_pixels: int | None = None) -> MatLike:
     """The stored pixels of a JPEG or PNG at full resolution, blue first; raises NotAPhoto."""
     import cv2
 
     if photo.startswith(SIGNATURE):
-        return _decoded_png(photo)
-    _read_header(photo)
+        return _decoded_png(photo, most_pixels)
+    _read_header(photo, most_pixels)
     return _decoded(photo, cv2.IMREAD_COLOR)
 
 
@@ -201,7 +214,7 @@ _OTHER_FORMATS = (
     (rb"....ftyp", "a film (MP4)"),
     (rb"<", "a page of HTML or XML"),
 )
-_SMALLER = "have the camera take smaller photos"
+_SMALLER = "have the camera take smaller photos, or raise the detector's setting max_photo_mpixels"
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,23 +222,25 @@ class _Header:
     width_px: int
     height_px: int
 
-    def require_bounded(self, kind: str, *, scans: int, held: bool) -> None:
+    def require_bounded(self, kind: str, most_pixels: int | None, *, scans: int, held: bool) -> None:
         """Raise NotAPhoto for too many pixels, or too many pixels visited by all scans."""
         size, pixels = f"{self.width_px} x {self.height_px} pixels", self.width_px * self.height_px
-        most = MAX_HELD_PIXELS if held else MAX_PHOTO_PIXELS
+        most = most_pixels or (MAX_HELD_PIXELS if held else MAX_PHOTO_PIXELS)
         if not 0 < pixels <= most:
-            remedy = "save it as a baseline JPEG" if 0 < pixels <= MAX_PHOTO_PIXELS else _SMALLER
+            saved = most_pixels is None and 0 < pixels <= MAX_PHOTO_PIXELS
+            remedy = "save it as a baseline JPEG" if saved else _SMALLER
             raise NotAPhoto(
                 f"the {kind} says it has {size}; photos of 1 to {most:,} pixels are accepted: {remedy}"
             )
-        if scans * pixels > MAX_SCANNED_PIXELS:
+        scanned = MAX_SCANNED_PIXELS * (most_pixels or MAX_HELD_PIXELS) // MAX_HELD_PIXELS
+        if scans * pixels > scanned:
             raise NotAPhoto(
                 f"the JPEG has {scans} scans of {size}; photos of that size with at most "
-                f"{MAX_SCANNED_PIXELS // pixels} scans are accepted: save it as a baseline JPEG"
+                f"{scanned // pixels} scans are accepted: save it as a baseline JPEG"
             )
 
 
-def _read_header(photo: bytes) -> _Header:
+def _read_header(photo: bytes, most_pixels: int | None = None) -> _Header:
     """The size of a JPEG without decoding; raises NotAPhoto unless the file is whole and decodes in bounded time."""
     if not photo:
         raise NotAPhoto("the photo is empty (0 bytes); send the bytes of a JPEG or PNG file")
@@ -251,20 +266,25 @@ def _read_header(photo: bytes) -> _Header:
         )
     header = _Header(*size_in(photo, frames[0]))
     scans, progressive = markers.count(SOS), frames[0].marker == _DECODED_FRAMES[-1]
-    header.require_bounded("JPEG", scans=scans, held=progressive or scans > 1)
+    header.require_bounded("JPEG", most_pixels, scans=scans, held=progressive or scans > 1)
     return header
 
 
-def _decoded_png(photo: bytes) -> MatLike:
-    import cv2
-    import numpy as np
-
+def _png_header(photo: bytes, most_pixels: int | None) -> Header:
     header = header_of(photo)
     if header is None:
         raise NotAPhoto(
             f"the PNG is cut off after {len(photo):,} bytes, or damaged; take or copy the photo again"
         )
-    _Header(header.width_px, header.height_px).require_bounded("PNG", scans=1, held=True)
+    _Header(header.width_px, header.height_px).require_bounded("PNG", most_pixels, scans=1, held=True)
+    return header
+
+
+def _decoded_png(photo: bytes, most_pixels: int | None = None) -> MatLike:
+    import cv2
+    import numpy as np
+
+    header = _png_header(photo, most_pixels)
     png = shown_of(photo, header)
     if png is None:
         raise NotAPhoto("the PNG is damaged: it has more data than pixels; take or copy the photo again")
