@@ -33,6 +33,12 @@ def test_a_leg_of_40_m_takes_as_long_as_recorded(speed_m_s: float, took_s: float
     assert 0.5 < max(phase.end.east_m for phase in leg) - 40 < 1.6  # it overshoots
 
 
+@pytest.mark.parametrize(("away_m", "took_s"), [(144.0, 77.95), (80.0, 62.89)])
+def test_a_return_from_10_m_takes_as_long_as_recorded(away_m: float, took_s: float) -> None:
+    home = airframe.return_and_land(Position(away_m, 0, 10), Position(0, 0))
+    assert duration_s(home) == pytest.approx(took_s, rel=0.05)
+
+
 @given(st.floats(-200, 200), st.floats(-200, 200), st.floats(1, 60), st.floats(0.5, 15))
 def test_phases_join_and_lead_where_they_should(
     east_m: float, north_m: float, altitude_m: float, cap_m_s: float

@@ -132,6 +132,18 @@ def test_a_target_changes_in_flight_without_a_stop() -> None:
     assert slowest_m_s > 3.0
 
 
+def test_a_row_that_begins_as_it_arrives_runs_beside_its_line_at_first() -> None:
+    flight = Flight()
+    flight.fly(Position(0.0, 20.0, 10.0), at_m_s=8.0)  # the next target is sent as it arrives, below 0.5 m/s
+    flight.copter.steer(flight.now_s, Position(200.0, 20.0, 10.0))
+    off_m = []
+    while flight.place.east_m < 20.0:
+        flight.wait(READ_S)
+        off_m.append(flight.place.north_m - 20.0)
+    assert 0.4 < max(off_m) < 0.7, "a real one 0.57 m"
+    assert 0.0 < off_m[-1] < 0.35, "a real one 0.3 m"
+
+
 def test_it_turns_its_nose_in_time() -> None:
     flight = Flight()
     flight.copter.steer(flight.now_s, Position(60.0, 0.0, 10.0))

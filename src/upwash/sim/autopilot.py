@@ -265,9 +265,10 @@ class ModelAutopilot:
         """Drops the text, as there is no ground station."""
 
     async def hold(self) -> None:
-        """Brakes, and stays where the vehicle comes to rest."""
+        """Brakes, and stays where the vehicle comes to rest; returns when it counts as arrived there."""
         self._command("hold", goes=True, target=self.stopping_place)
-        await self._move("hold", self._braking())
+        phases = self._braking()
+        await self._move("hold", phases, until_s=self._manner.arrival_s(phases))
 
     async def return_home_and_land(self) -> None:
         """Flies back to its home and lands."""

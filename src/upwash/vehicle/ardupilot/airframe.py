@@ -88,9 +88,17 @@ def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> 
 
 
 def redirected(
-    start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
+    start: Position,
+    velocity: Velocity,
+    end: Position,
+    *,
+    ground_speed_m_s: float,
+    rests_at: Position | None = None,
 ) -> tuple[MotionPart, ...]:
-    """The motion from the present velocity to rest at `end`, a new target or the old one at a new speed."""
+    """The motion from the present velocity to rest at `end`, a new target or the old one at a new speed.
+
+    `rests_at` is the former target, where the vehicle has all but arrived: it is still pulled there.
+    """
     length_m = distance_m(start, end)
     ahead = heading_of(start, end) if length_m else direction_of(velocity)
     along_m_s = _product(velocity, ahead)
@@ -101,7 +109,12 @@ def redirected(
     )
     aside = direction_of(across)
     cruise_m_s = _cruise_m_s(start, end, ground_speed_m_s)
-    samples = _GUIDED.chase(length_m, complex(along_m_s, across.speed_m_s), cruise_m_s=cruise_m_s)
+    rests_m = None
+    if rests_at is not None:
+        off_m = _between(start, rests_at)
+        rests_m = complex(_product(off_m, ahead), _product(off_m, aside))
+    speeds_m_s = complex(along_m_s, across.speed_m_s)
+    samples = _GUIDED.chase(length_m, speeds_m_s, cruise_m_s=cruise_m_s, rests_m=rests_m)
     knots = _thinned(list(samples))
     return tuple(
         Curve(
@@ -250,6 +263,11 @@ def _drawn_well(samples: Sequence[PursuitSample], begin: int, end: int) -> bool:
         if abs(drawn_m_s - sample.velocity_m_s) > _KNOT_M_S:
             return False
     return True
+
+
+def _between(start: Position, end: Position) -> Velocity:
+    """The way from one place to the other, as a vector in metres."""
+    return Velocity(end.east_m - start.east_m, end.north_m - start.north_m, end.altitude_m - start.altitude_m)
 
 
 def _product(one: Velocity, other: Velocity) -> float:

@@ -19,6 +19,7 @@ from upwash.vehicle.body.parameters import ParameterTable
 
 _HIGHEST_M = 1_000.0
 _SLOWEST_M_S = 0.1
+_CREEPS_M_S, _NEAR_M = 0.6, 1.0  # at the end of a leg, whose way it has drawn to its end
 _SAME_TARGET_M = 0.02  # as fine as degrees in 1e-7 are
 _CONTACT_NOTICED_S = 1.7  # after touchdown
 _UP_BEFORE_REST_S = 0.5  # a take-off counts as done that long before it rests
@@ -50,7 +51,13 @@ class _Airframe(Protocol):
     ) -> tuple[Phase, ...]: ...
 
     def redirected(
-        self, start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
+        self,
+        start: Position,
+        velocity: Velocity,
+        end: Position,
+        *,
+        ground_speed_m_s: float,
+        rests_at: Position | None = None,
     ) -> tuple[MotionPart, ...]: ...
 
     def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]: ...
@@ -293,7 +300,15 @@ class CopterFlight(Multicopter):
         if velocity.speed_m_s <= _SLOWEST_M_S:
             stretches = self._airframe.waypoint_leg(here, target, ground_speed_m_s=self._speed_m_s)
         else:
-            stretches = self._airframe.redirected(here, velocity, target, ground_speed_m_s=self._speed_m_s)
+            before = self._motion.end
+            arrived = velocity.speed_m_s <= _CREEPS_M_S and distance_m(here, before) <= _NEAR_M
+            stretches = self._airframe.redirected(
+                here,
+                velocity,
+                target,
+                ground_speed_m_s=self._speed_m_s,
+                rests_at=before if arrived and distance_m(before, target) > _NEAR_M else None,
+            )
         self._motion = Motion(now_s, stretches, target)
 
     def _default_speed_m_s(self) -> float:

@@ -44,11 +44,18 @@ class Pursuit:
     drag_per_s: float
     foresight: float  # the share of the way's acceleration that it does not wait to be behind for
 
-    def chase(self, length_m: float, velocity_m_s: complex, *, cruise_m_s: float) -> Iterator[PursuitSample]:
-        """The motion from place 0, at that velocity, to rest at the length, which is the last sample."""
-        way_m, way_m_s, way_m_s2 = 0j, velocity_m_s, 0j
+    def chase(
+        self, length_m: float, velocity_m_s: complex, *, cruise_m_s: float, rests_m: complex | None = None
+    ) -> Iterator[PursuitSample]:
+        """The motion from place 0, at that velocity, to rest at the length, which is the last sample.
+
+        The way begins at the vehicle, or at rest at `rests_m`, the end of a way that the vehicle has followed.
+        """
+        way_m, way_m_s, way_m_s2 = (0j, velocity_m_s, 0j) if rests_m is None else (rests_m, 0j, 0j)
         place_m, vehicle_m_s = 0j, velocity_m_s
         learned_m_s2 = self.drag_per_s * velocity_m_s
+        if rests_m is not None:  # what braked it is left over, and lets it creep back
+            learned_m_s2 -= self.correcting_per_s * self.following_per_s * rests_m
         thrust_m_s2 = learned_m_s2
         elapsed_s, steps = 0.0, 0
         yield PursuitSample(elapsed_s, place_m, vehicle_m_s)

@@ -28,7 +28,13 @@ class Symmetric:
         return self._leg(start, end, cruise_m_s=self._cruise_m_s(start, end, ground_speed_m_s))
 
     def redirected(
-        self, start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
+        self,
+        start: Position,
+        velocity: Velocity,
+        end: Position,
+        *,
+        ground_speed_m_s: float,
+        rests_at: Position | None = None,
     ) -> tuple[Phase, ...]:
         """The motion to a new target: straight on if the way and speed allow it, else brake first."""
         speed_m_s, cruise_m_s = velocity.speed_m_s, self._cruise_m_s(start, end, ground_speed_m_s)

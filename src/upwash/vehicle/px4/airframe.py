@@ -27,6 +27,7 @@ returning = PX4
 REACTION_S, FOLLOWING_LAG_S = 0.22, 0.34  # of repositions, of setpoints in OFFBOARD
 BELIEVES_GROUND_S = 4.7  # after contact, until it counts as landed
 ALTITUDE_REACHED_M = 0.8  # NAV_MC_ALT_RAD
+LANDS_WITHIN_M = 2.0  # of home, on the way there
 spool_up_s = 3.0  # after the command to take off, until it lifts
 _ARRIVED_M, _ARRIVED_M_S = 1.0, 0.5  # near and slow enough for the next target
 _STILL_M, _STILL_M_S = 0.05, 0.02
@@ -83,8 +84,16 @@ def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
     top_m = max(start.altitude_m, _RETURN_ALTITUDE_M)
     above_start, above_home = start.at_altitude(top_m), home.at_altitude(top_m)
     steering = Steering(altitude_m=top_m)
-    up = _along(start, _UP, _vertical(start.altitude_m, lambda _: steering))
-    leg = waypoint_leg(above_start, above_home, ground_speed_m_s=_RETURN_M_S)
+    up = _along(start, _UP, _vertical(start.altitude_m, lambda _: steering, within_m=ALTITUDE_REACHED_M))
+    length_m = distance_m(above_start, above_home)
+    if length_m <= LANDS_WITHIN_M:
+        leg = waypoint_leg(above_start, above_home, ground_speed_m_s=_RETURN_M_S)
+    else:
+        leg = _along(
+            above_start,
+            heading_of(above_start, above_home),
+            _leg_samples(length_m, _RETURN_M_S, within_m=LANDS_WITHIN_M),
+        )
     here = leg[-1].end if leg else above_home
     return *up, *leg, pause(here, 0.0), *landing(here)
 
@@ -104,15 +113,21 @@ _Sample: TypeAlias = tuple[float, float, float]  # a time, the way until then, a
 
 
 @lru_cache(maxsize=512)
-def _leg_samples(length_m: float, cap_m_s: float) -> tuple[_Sample, ...]:
+def _leg_samples(length_m: float, cap_m_s: float, *, within_m: float = 0.0) -> tuple[_Sample, ...]:
+    """A leg from rest to rest, or to the place `within_m` before its end, from where it brakes evenly."""
     steering = Steering(place=Position(length_m, 0.0), cap_m_s=cap_m_s)
 
-    def rests(body: Body) -> bool:
-        return abs(length_m - body.place_m.real) <= _STILL_M and abs(body.ground_m_s.real) <= _STILL_M_S
+    def is_over(body: Body) -> bool:
+        left_m, speed_m_s = length_m - body.place_m.real, body.ground_m_s.real
+        return 0 < left_m <= within_m or (abs(left_m) <= _STILL_M and abs(speed_m_s) <= _STILL_M_S)
 
-    flown = _flown(Body(), lambda _: steering, rests, lambda body: (body.place_m.real, body.ground_m_s.real))
+    flown = _flown(
+        Body(), lambda _: steering, is_over, lambda body: (body.place_m.real, body.ground_m_s.real)
+    )
     samples = [(REACTION_S + time_s, way_m, speed_m_s) for time_s, way_m, speed_m_s in (_AT_REST, *flown)]
-    return (_AT_REST, *samples, (samples[-1][0] + STEP_S, length_m, 0.0))
+    ends_s, ends_m, speed_m_s = samples[-1]
+    last_s = 2 * (length_m - ends_m) / speed_m_s if within_m else STEP_S
+    return (_AT_REST, *samples, (ends_s + last_s, length_m, 0.0))
 
 
 @lru_cache(maxsize=64)
@@ -130,13 +145,15 @@ def _brake_samples(speed_m_s: float) -> tuple[_Sample, ...]:
     return (*samples, (time_s + STEP_S, way_m, 0.0))
 
 
-def _vertical(altitude_m: float, steering: Callable[[Body], Steering]) -> tuple[_Sample, ...]:
+def _vertical(
+    altitude_m: float, steering: Callable[[Body], Steering], *, within_m: float = _STILL_M
+) -> tuple[_Sample, ...]:
     """Samples of a climb or descent from rest to the steering's altitude, or to the ground."""
     body = Body(altitude_m=altitude_m)
     end_m = max(0.0, steering(body).altitude_m or 0.0)
 
     def there(body: Body) -> bool:
-        return abs(body.altitude_m - end_m) <= _STILL_M or (end_m == 0 and body.altitude_m <= 0)
+        return abs(body.altitude_m - end_m) <= within_m or (end_m == 0 and body.altitude_m <= 0)
 
     flown = tuple(_flown(body, steering, there, lambda body: (body.altitude_m - altitude_m, body.up_m_s)))
     return (_AT_REST, *flown[:-1], (flown[-1][0], end_m - altitude_m, 0.0)) if flown else (_AT_REST,)

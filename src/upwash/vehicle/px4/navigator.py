@@ -11,12 +11,11 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.mavlink.px4 import Mode
 from upwash.vehicle.body.copter import HOME
 from upwash.vehicle.body.parameters import ParameterTable
-from upwash.vehicle.px4.airframe import ALTITUDE_REACHED_M, REACTION_S
+from upwash.vehicle.px4.airframe import ALTITUDE_REACHED_M, LANDS_WITHIN_M, REACTION_S
 from upwash.vehicle.px4.body import CLIMB_M_S, CLIMBING_M_S2, Body, Steering, landing_sink_m_s
 
 LEAST_LIFT_M = 0.3
 LOWEST_M, _HIGHEST_M = -200.0, 1_000.0
-_LANDS_WITHIN_M = 2.0
 _TURNS_BEYOND_M = 2.0
 _SLOWEST_M_S, _FASTEST_M_S = 0.1, 30.0
 
@@ -182,7 +181,7 @@ class Navigator:
                 return self.holding(now_s)
             self._returning, self._place = _Returning.FLIES, HOME.at_altitude(self._altitude_m)
         if self._returning is _Returning.FLIES:
-            if ground_distance_m(self._body.position, HOME) > _LANDS_WITHIN_M:
+            if ground_distance_m(self._body.position, HOME) > LANDS_WITHIN_M:
                 return self.holding(now_s)
             self._returning = _Returning.LANDS
             self._tell("rtl_land_at_destination")
