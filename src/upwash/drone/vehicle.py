@@ -31,6 +31,7 @@ from upwash.support.text import printable
 
 Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]
 _LONGEST_TEXT_BYTES = 200  # four chunks of STATUSTEXT
+_SHORT_M = 1.0  # a leg whose end is not seen to be passed
 _AtPlace = type[
     schema.Armed | schema.Holding | schema.Returning | schema.Landing | schema.Landed | schema.Disarmed
 ]
@@ -66,7 +67,8 @@ class Vehicle:
         self._place: Waypoint | Position | None = None  # where it was last sent to
         self._open: AnswerAction[Any] | None = None
         self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
-        self._leg_end: Position | None = None  # of that leg
+        self._leg_start: Position | None = None  # of that leg
+        self._leg_end: Position | None = None
         self._rows = (
             Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, at_most=open_at_most)
             if open_at_most
@@ -341,12 +343,17 @@ class Vehicle:
         return True
 
     async def _set_off(self, end: Position) -> None:
-        """Set off for the end of a leg, and do not wait for the arrival."""
-        self._site.require_leg(self._limits, self._stands_at or self._autopilot.position, end)
-        self._leg_end = end
-        self._leg = begin(self._fly_leg(end))
+        """Set off for the end of a leg, once the present leg is flown, and do not wait for the arrival."""
+        before, start = self._leg, self._leg_end
+        if before is None or start is None:
+            start = self._stands_at or self._autopilot.position
+        self._site.require_leg(self._limits, start, end)
+        self._leg_start, self._leg_end = start, end
+        self._leg = begin(self._fly_leg(end, after=before))
 
-    async def _fly_leg(self, end: Position) -> None:
+    async def _fly_leg(self, end: Position, *, after: asyncio.Task[None] | None) -> None:
+        if after is not None:
+            await after
         self._stands_at = None
         self._on_a_leg = True
         try:
@@ -365,18 +372,18 @@ class Vehicle:
 
     async def _fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
         """Return True where it passes the place, or arrives there; False when one of the answers is there."""
-        leg, end, position = self._leg, self._leg_end, position_of(place)
-        assert leg is not None and end is not None  # noqa: S101 - it was set off
+        leg, start, end, position = self._leg, self._leg_start, self._leg_end, position_of(place)
+        assert leg is not None and start is not None and end is not None  # noqa: S101 - it was set off
         is_there = False
 
         async def passes() -> None:
             nonlocal is_there
             fastest_m_s = self._ground_speed_m_s or self._default_m_s
-            await passed(self._autopilot, position, end, fastest_m_s=fastest_m_s)
+            await passed(self._autopilot, position, start=start, end=end, fastest_m_s=fastest_m_s)
             is_there = True
 
         waits = [answer.demand.answered() for answer in answers]
-        if position != end:
+        if distance_m(start, end) > _SHORT_M:
             waits.append(passes())
         try:
             await first(asyncio.wait([leg]), *waits)
@@ -495,6 +502,7 @@ class VehicleHandle:
         self.set_off = vehicle._set_off
         self.head_for = vehicle._head_for
         self.fly_on = vehicle._fly_on
+        self.arrive = vehicle._rest_of_leg
         self.stop = vehicle._stop
 
     @property

@@ -57,16 +57,18 @@ class ReportingAutopilot(ABC):
 
     @property
     def position(self) -> Position:
-        """The last known position, relative to the mission's home; home until the vehicle knows its own."""
-        return self._tracker.position
+        """Where it is now, by its last report and velocity, from the mission's home; home until it knows its own."""
+        return self._tracker.present_position
 
     @property
     def earth_position(self) -> EarthPosition | None:
-        """The reported position on the Earth; None until the vehicle knows it."""
-        geo = self._telemetry.position
-        if geo is None:
+        """The same on the Earth; None until the vehicle knows it."""
+        if self._telemetry.position is None:
             return None
-        above_sea_m = self._telemetry.above_sea_m
+        here, above_sea_m = self._tracker.present_position, self._telemetry.above_sea_m
+        geo = self._frame.geo(here)
+        if above_sea_m is not None:
+            above_sea_m += here.altitude_m - self._tracker.position.altitude_m
         return EarthPosition(geo.latitude_deg, geo.longitude_deg, above_sea_m, self.vehicle.unix_s)
 
     @property

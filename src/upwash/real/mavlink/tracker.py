@@ -26,6 +26,7 @@ _NO_PLACE = (
 _STAYS_M = 1.0  # what a home that was set again may differ by
 _RESTLESS_S = 5.0  # for this time after a jump the vehicle cannot be armed
 _MANY_JUMPS = 3  # in that time: no filter settles so
+_FLIES_ON_S = 0.5  # after its last report at most
 
 
 class PositionTracker:
@@ -37,6 +38,7 @@ class PositionTracker:
         self._frame = frame
         self._ground_m: float | None = None  # below the take-off, above the sea
         self._home: Position | None = None  # the vehicle's last reported one
+        self._reported_s: float | None = None
         self._continuity = Continuity()
         self._last_jump: tuple[float, float] | None = None
         self._jumped_s: deque[float] = deque(maxlen=_MANY_JUMPS)  # by this computer's clock
@@ -54,6 +56,19 @@ class PositionTracker:
         if self._ground_m is None or telemetry.above_sea_m is None:
             return here
         return here.at_altitude(telemetry.above_sea_m - self._ground_m)
+
+    @property
+    def present_position(self) -> Position:
+        """The last known position, and on from there at the velocity of its report; after a silence not far."""
+        here, velocity = self.position, self._telemetry.velocity
+        if velocity is None or self._reported_s is None:
+            return here
+        age_s = min(self._vehicle.now_s - self._reported_s, _FLIES_ON_S)
+        return Position(
+            here.east_m + velocity.east_m_s * age_s,
+            here.north_m + velocity.north_m_s * age_s,
+            here.altitude_m + velocity.up_m_s * age_s,
+        )
 
     @property
     def home(self) -> Position | None:
@@ -101,6 +116,7 @@ class PositionTracker:
         time_s, velocity = self._vehicle.elapsed_s, self._telemetry.velocity or Velocity()
         match message.get_type():
             case "GLOBAL_POSITION_INT" if self._telemetry.position is not None:
+                self._reported_s = self._vehicle.now_s
                 here = self._frame.position(self._telemetry.position)
                 self._continuity.take_estimate(here, time_s=time_s, velocity=velocity)
                 self._look_at_jumps()

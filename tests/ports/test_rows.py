@@ -1,0 +1,159 @@
+"""Rows without stops, flown by the driver with a stand-in of either autopilot: places of photos, times and ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import pytest
+from tests.ports.memory import HOME, Bench, bench
+from tests.scenarios import scenario
+
+from upwash.config import DroneConfig, waypoints
+from upwash.core.geo import Position, Velocity
+from upwash.drone.flight import Flight, Ports
+from upwash.drone.networks import NoNetwork
+from upwash.eventlog import schema
+from upwash.eventlog.results import RunResult, read_result
+from upwash.lab.run import simulate
+from upwash.missions.survey import survey
+from upwash.ports import Photo, Program
+from upwash.rpc.service import spec_of
+from upwash.services import Detector
+from upwash.sim.camera import ModelCamera
+from upwash.sim.chance import Chance
+from upwash.sim.journal import MemoryJournal
+from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.loop import run_virtually
+from upwash.sim.runtime import ModelRuntime
+from upwash.sim.world import DroneComputer, Joining
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.px4.settings import Px4Settings
+
+Firmware = Literal["arducopter", "px4"]
+ROWS_M = [[0, 0], [80, 0], [80, 20], [0, 20], [0, 40], [80, 40]]
+DEMANDING, LAST = 7, 14  # in the middle of the second row
+ROW_ENDS = (0, 4, 5, 9, 10, 14)
+
+
+def config_of(firmware: Firmware, speed_m_s: float, *, local_s: float = 1.5) -> DroneConfig:
+    home = {"latitude_deg": HOME.latitude_deg, "longitude_deg": HOME.longitude_deg}
+    rows = {"grid": None, "waypoints_m": ROWS_M, "photos": {"every_m": 20.0}}
+    return scenario(
+        mission={"home": home, "ground_speed_m_s": speed_m_s, "action_s": 5.0, **rows},
+        event={"every": 100, "offset": DEMANDING},
+        vehicle={"profile": firmware},
+        policy={"name": "local-only"},
+        service=[{"name": "detector", "local_call_s": {"light": 1.0, "heavy": local_s}}],
+    )
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Where the vehicle truly was at a photo."""
+
+    place: Position
+    velocity: Velocity
+    heading_deg: float
+
+
+@dataclass
+class Camera:
+    """Photographs the events, and notes the true places of the vehicle; `at` happens at the photo of that number."""
+
+    sky: Bench
+    events: ModelCamera
+    at: dict[int, Callable[[Bench], object]]
+    shots: list[Shot] = field(default_factory=list)
+
+    async def take_photo(self, at: Position) -> Photo:
+        copter, now_s = self.sky.copter, self.sky.now_s
+        copter.advance(now_s)
+        self.shots.append(Shot(copter.position(now_s), copter.velocity(now_s), copter.heading_deg(now_s)))
+        if (happens := self.at.get(len(self.shots) - 1)) is not None:
+            happens(self.sky)
+        return await self.events.take_photo(at)
+
+
+@dataclass(frozen=True)
+class Flown:
+    shots: list[Shot]
+    journal: MemoryJournal
+    error: Exception | None
+
+    @property
+    def result(self) -> RunResult:
+        return read_result(self.journal.events)
+
+    def of(self, kind: type[schema.Event]) -> list[Any]:
+        return [event for event in self.journal.events.as_read() if isinstance(event, kind)]
+
+
+def fly(config: DroneConfig, **at: Callable[[Bench], object]) -> Flown:
+    """Flies the mission; `photo3=...` happens at photo 3."""
+    happens = {int(name.removeprefix("photo")): what for name, what in at.items()}
+
+    async def flown() -> Flown:
+        async with (
+            bench(vehicle_of(config)) as sky,
+            sky.program(ground_speed_m_s=config.mission.ground_speed_m_s) as autopilot,
+        ):
+            spots = waypoints(config.mission)
+            events = ModelCamera(photo_s=0.1, events=[spots[DEMANDING].position], in_flight=True)
+            camera, journal, onboard = Camera(sky, events, happens), MemoryJournal(), Switchboard({})
+            journal.begin()
+            computer = DroneComputer(
+                config.services, heat=None, joining=Joining(), noise=0.0, chance=Chance(1)
+            )
+            dialer = ModelDialer(config.name, onboard)
+            ports = Ports(
+                autopilot=autopilot,
+                networks=[NoNetwork()],
+                dialer=dialer,
+                onboard_dialer=dialer,
+                onboard_runtime=ModelRuntime({"detector": spec_of(Detector)}, computer, onboard),
+                camera=camera,
+                notifier=journal,
+                journal=journal,
+            )
+            programs = {"detector": Program("upwash.services:Detector")}
+            flight = Flight(survey, config, services={"detector": Detector}, programs=programs, ports=ports)
+            try:
+                await flight.run()
+            except Exception as error:  # noqa: BLE001 - the test looks at it
+                return Flown(camera.shots, journal, error)
+            return Flown(camera.shots, journal, None)
+
+    return run_virtually(flown())
+
+
+def vehicle_of(config: DroneConfig) -> VehicleSettings | Px4Settings:
+    if config.vehicle.profile == "px4":
+        return Px4Settings(HOME, home_altitude_m=488.0, parameters={"COM_OBL_RC_ACT": 3.0})
+    return VehicleSettings(HOME, armable_after_s=0.0)
+
+
+@pytest.mark.parametrize("speed_m_s", [4.0, 8.0])
+@pytest.mark.parametrize("firmware", ["arducopter", "px4"])
+def test_rows_are_flown_as_simulated(firmware: Firmware, speed_m_s: float) -> None:
+    config = config_of(firmware, speed_m_s)
+    flown, simulated = fly(config), simulate(config)
+    assert flown.result.completed and simulated.result.completed, flown.error
+    assert flown.result.mission_time_s == pytest.approx(simulated.result.mission_time_s, rel=0.05)
+
+    spots = waypoints(config.mission)
+    assert len(flown.shots) == len(spots)
+    for number, (shot, spot) in enumerate(zip(flown.shots, spots, strict=True)):
+        at = shot.place.east_m, shot.place.north_m
+        most_m = 1.1 if number == LAST else 0.5  # at the last one it rests, as at a stop
+        assert math.dist(at, (spot.position.east_m, spot.position.north_m)) < most_m, number
+        if number not in ROW_ENDS and number != DEMANDING + 1:
+            assert shot.velocity.speed_m_s > 0.7 * speed_m_s, number
+    (acted,) = flown.of(schema.Acted)
+    assert acted.waypoint == DEMANDING
+    (told,) = flown.of(schema.Notified)
+    assert told.at == spots[DEMANDING].position
+    stops = [event.waypoint for event in flown.of(schema.Arrived) if not event.passing]
+    assert sorted(stops) == sorted([*ROW_ENDS, DEMANDING])
