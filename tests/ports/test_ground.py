@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -63,6 +64,15 @@ def test_a_calibration_is_read(tmp_path: Path, write: Callable[[Path], None]) ->
         (ROS.replace("image_width: 1600", "image_width: -3"), "image_width"),
         (ROS.replace("0.0, 0.0, 1.0]}", "]}"), "calibration"),
         ("x" * 1_000_001, "larger"),
+        (ROS.replace("image_width: 1600", "image_width: wide"), "image_width"),
+        (ROS.replace("image_width: 1600", "image_width: .Inf"), "image_width"),
+        (ROS.replace("-0.1", "a"), "no number"),
+        (ROS.replace("-0.1", "[1]"), "no number"),
+        (ROS.replace("800.0", "1e300"), "does not fit"),
+        (ROS.replace("800.0", "1e-300"), "does not fit"),
+        ("a: " + "[" * 300_000, "more than 5,000"),
+        ('{"a":' * 150_000, "more than 5,000"),
+        ('<?xml version="1.0"?><opencv_storage>' + "<a>" * 200_000, "more than 5,000"),
     ],
 )
 def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str, why: str) -> None:
@@ -71,8 +81,18 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str, why: str) 
         read_calibration(tmp_path / "camera.yaml")
 
 
-def test_a_calibration_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot be read"):
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_calibration_may_be_text_as_windows_writes_it(encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(ROS.replace("\n", "\r\n"), encoding)
+    assert read_calibration(tmp_path / "camera.yaml").fov_deg == pytest.approx(90.0)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda _: None, os.mkfifo, Path.mkdir, lambda file: file.symlink_to("/dev/zero")]
+)
+def test_a_calibration_that_is_no_file_is_refused(make: Callable[[Path], object], tmp_path: Path) -> None:
+    make(tmp_path / "camera.yaml")
+    with pytest.raises(UsageError, match=r"camera\.yaml cannot be read: "):
         read_calibration(tmp_path / "camera.yaml")
 
 
