@@ -96,7 +96,7 @@ def test_a_calibration_that_is_no_file_is_refused(make: Callable[[Path], object]
         read_calibration(tmp_path / "camera.yaml")
 
 
-def grid(file: Path, *, hole: bool = False) -> Path:
+def grid(file: Path, *, hole: bool = False, nodata: float | None = -9999.0, crs: str = "EPSG:4326") -> Path:
     """A hill side of 1 in 10 towards the east, 400 m above the sea at home, around HOME."""
     step_deg, side = 0.0001, 100
     east_m, _ = LocalFrame(HOME).metres_per_degree()
@@ -108,15 +108,16 @@ def grid(file: Path, *, hole: bool = False) -> Path:
         HOME.longitude_deg - side / 2 * step_deg, HOME.latitude_deg + side / 2 * step_deg, step_deg, step_deg
     )
     with rasterio.open(
-        file, "w", driver="GTiff", height=side, width=side, count=1, dtype="float32", crs="EPSG:4326",
-        transform=corner, nodata=-9999.0,
+        file, "w", driver="GTiff", height=side, width=side, count=1, dtype="float32", crs=crs,
+        transform=corner, nodata=nodata,
     ) as opened:  # fmt: skip
         opened.write(heights, 1)
     return file
 
 
-def test_the_ground_is_a_plane_through_the_grid(tmp_path: Path) -> None:
-    with closing(Terrain(grid(tmp_path / "hill.tif"), HOME)) as terrain:
+@pytest.mark.parametrize("nodata", [-9999.0, None])
+def test_the_ground_is_a_plane_through_the_grid(nodata: float | None, tmp_path: Path) -> None:
+    with closing(Terrain(grid(tmp_path / "hill.tif", nodata=nodata), HOME)) as terrain:
         ground = terrain.ground(Position(100.0, 50.0, 40.0))
     assert ground.altitude_m == pytest.approx(10.0, abs=0.6)
     assert ground.slope_east == pytest.approx(0.1, abs=0.02)
@@ -141,3 +142,29 @@ def test_what_is_no_grid_or_lies_elsewhere_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"mission\.home") as refused:
         Terrain(grid(tmp_path / "hill.tif"), GeoPosition(10.0, 10.0))
     assert len(list(Path("/proc/self/fd").iterdir())) == before, f"closed, though {refused} holds it"
+
+
+LOCAL = 'LOCAL_CS["field",UNIT["metre",1]]'
+
+
+def cut(file: Path) -> None:
+    grid(file)
+    os.truncate(file, file.stat().st_size // 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "why"),
+    [
+        (os.mkfifo, "is no file"),
+        (Path.touch, "is no grid that GDAL reads"),
+        (cut, r"cannot be read at mission\.home"),
+        (lambda file: grid(file, crs=LOCAL), r"cannot be read at mission\.home"),
+    ],
+    ids=["pipe", "empty", "cut off", "not on the Earth"],
+)
+def test_a_terrain_that_cannot_be_read_is_refused(
+    make: Callable[[Path], object], why: str, tmp_path: Path
+) -> None:
+    make(tmp_path / "hill.tif")
+    with pytest.raises(UsageError, match=rf"camera\.terrain: .*hill\.tif {why}"):
+        Terrain(tmp_path / "hill.tif", HOME)

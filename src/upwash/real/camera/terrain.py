@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,9 +12,19 @@ from upwash.core.camera.georeference import Ground
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.errors import UsageError
 from upwash.support.loading import extra
+from upwash.support.text import printable, words_of
 
 _ERROR_M = 1.0  # of a grid, beside its roughness
+_LONGEST_REASON = 300  # characters
 _UNKNOWN_M = 5.0  # of level ground where the grid has none
+
+
+def _require_file(file: Path) -> None:
+    """Raise UsageError for a pipe or a device, which GDAL would wait for."""
+    with contextlib.suppress(OSError):
+        mode = file.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # some grids are folders
+            raise UsageError(f"camera.terrain: {file} is no file: check the path")
 
 
 class Terrain:
@@ -26,12 +37,15 @@ class Terrain:
         with extra("terrain"):
             import rasterio
             import rasterio.errors
+            from rasterio._err import CPLE_BaseError
             from rasterio.warp import transform
-        self._transform, self._unreadable = transform, rasterio.errors.RasterioError
+        self._transform, self._unreadable = transform, (rasterio.errors.RasterioError, CPLE_BaseError)
+        _require_file(file)
         try:
             self._grid = rasterio.open(file)
         except rasterio.errors.RasterioError as error:
-            raise UsageError(f"camera.terrain: {file} is no grid that GDAL reads: {error}") from error
+            why = printable(words_of(str(error)), _LONGEST_REASON)
+            raise UsageError(f"camera.terrain: {file} is no grid that GDAL reads: {why}") from error
         self._frame = LocalFrame(home)
         try:
             self._home_m = self._altitude_of_home(file)
@@ -42,7 +56,13 @@ class Terrain:
     def _altitude_of_home(self, file: Path) -> float:
         if self._grid.crs is None:
             raise UsageError(f"camera.terrain: {file} does not say where on the Earth it lies (its CRS)")
-        (home_m,) = self._altitudes([Position(0.0, 0.0)])
+        try:
+            (home_m,) = self._altitudes([Position(0.0, 0.0)])
+        except self._unreadable as error:
+            why = printable(words_of(str(error)), _LONGEST_REASON)
+            raise UsageError(
+                f"camera.terrain: {file} cannot be read at mission.home ({why}): copy it again, or name another"
+            ) from error
         if home_m is None:
             raise UsageError(f"camera.terrain: {file} does not reach mission.home: name a grid that does")
         return home_m
@@ -81,6 +101,8 @@ class Terrain:
 
     def _altitudes(self, places: Sequence[Position]) -> list[float | None]:
         """The altitude of each place above the sea; None where the grid has none."""
+        import numpy as np
+
         geo = [self._frame.geo(place) for place in places]
         xs, ys = self._transform(
             "EPSG:4326",
@@ -89,7 +111,7 @@ class Terrain:
             [place.latitude_deg for place in geo],
         )
         return [
-            float(sample[0]) if not sample.mask[0] and math.isfinite(sample[0]) else None
+            float(sample[0]) if not np.ma.getmaskarray(sample)[0] and math.isfinite(sample[0]) else None
             for sample in self._grid.sample(zip(xs, ys, strict=True), indexes=1, masked=True)
         ]
 
