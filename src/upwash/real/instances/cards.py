@@ -13,7 +13,7 @@ from upwash.config.runtime import NVIDIA_CARD
 _DEVICES = "/dev/nvidia"
 _NEEDED = (f"{_DEVICES}ctl", f"{_DEVICES}-uvm")
 _OPTIONAL = f"{_DEVICES}-uvm-tools"
-# By which CUDA sees that the driver is loaded, and counts processors and memory near a card.
+# Here CUDA looks whether the driver is loaded, and which processors and memory are near a card.
 _KERNEL = (
     "/sys/module/nvidia",
     "/sys/module/nvidia_uvm",
@@ -35,7 +35,7 @@ def has_card(devices: Iterable[str]) -> bool:
 
 
 def read_by_cuda(*, root: Path = Path("/")) -> list[str]:
-    """The files and folders of the kernel that CUDA reads, some of which a machine may lack."""
+    """The files and folders of the kernel that CUDA reads; a machine may lack some."""
     places = sorted(path.name for path in (root / _CARDS).glob("*"))
     return [*_KERNEL, *(f"/sys/bus/pci/devices/{place}" for place in places)]
 
