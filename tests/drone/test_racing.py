@@ -60,6 +60,9 @@ class Field(Calling):
     def record(self, event: object) -> None:
         self.told.append(event)
 
+    def wake(self) -> None:
+        self.told.append("wake")
+
     def overtake(
         self, operation: Operation, *, began_s: float, waypoint: int | None
     ) -> tuple[Remote | None, float]:

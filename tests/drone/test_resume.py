@@ -102,7 +102,7 @@ def fly(
             dialer=dialer,
             onboard_dialer=dialer,
             onboard_runtime=runtime({"detector": spec_of(Detector)}, computer, onboard),
-            camera=ModelCamera(photo_s=1.0, events=shows),
+            camera=ModelCamera(photo_s=1.0, events=shows, in_flight=config.mission.photos is not None),
             notifier=journal,
             journal=journal,
         )

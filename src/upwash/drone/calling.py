@@ -40,12 +40,15 @@ _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 
 class Invocation(Struct, frozen=True):
-    """The mission's call, encoded; if `lightened` is set, `operation` and `request` are the lighter ones."""
+    """The mission's call, encoded; if `lightened` is set, `operation` and `request` are the lighter ones.
+
+    `waypoint` is where it was made, if several calls may be open at the same time.
+    """
 
     operation: Operation
     method: Method
     request: bytes
-    waypoint: int | None = None  # for the log, of several open calls
+    waypoint: int | None = None
     lightened: Lightened | None = None
 
     def lighter(self, lightened: Lightened | None) -> Invocation:
@@ -53,7 +56,7 @@ class Invocation(Struct, frozen=True):
         if lightened is None:
             return self
         request = self.method.under(lightened.operation.key, self.request)
-        return Invocation(lightened.operation, self.method, request, self.waypoint, lightened)
+        return structs.replace(self, operation=lightened.operation, request=request, lightened=lightened)
 
 
 @dataclass(slots=True)
@@ -273,6 +276,7 @@ class Calling:
             return await self._fall_back(call, attempt)
         self._journal.record(
             schema.Hedged(
+                waypoint=call.waypoint,
                 server=decision.server,
                 check=attempt.check,
                 after_s=hedge.after_s,
@@ -381,6 +385,7 @@ class Calling:
         with contextlib.suppress(UpwashError):  # which is in the log
             await local
         self._journal.record(schema.Dropped(operation=str(operation), place=ON_DRONE))
+        self._decisions.wake()  # the drone's service is free
 
     def _keep(self, loser: asyncio.Task[Any], busy: str | None) -> None:
         """Keep the rest of an answered call, and forget those that are over."""

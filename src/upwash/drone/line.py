@@ -1,7 +1,8 @@
 """The line of calls that are open at the same time: one is computed on the drone, and one on a server.
 
     first in line   the oldest call, or the newest, as configured; a call that the mission waits for comes before all
-    its place       where it is expected to be answered soonest (core/selection): it waits until that place is free
+    its place       where it is expected to be answered soonest (core/selection): it waits until that place is free;
+                    the drone, for a call that runs once, and for all calls once deciding has failed
     decided         once its place is free, as any call is; then the next call is first
 
 A place is busy from the decision on until the call is answered, wherever it is computed in the end.
@@ -10,6 +11,7 @@ A place is busy from the decision on until the call is answered, wherever it is 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -22,9 +24,12 @@ from upwash.drone.decisions import Decisions, now_s
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """The turn of a call to be decided; `take` gets the decision. With `on_drone` only the drone is free for it."""
+    """The turn of a call to be decided; `take` gets the decision, None for the drone without one.
 
-    take: Callable[[Decision], None]
+    With `on_drone` only the drone is free for it.
+    """
+
+    take: Callable[[Decision | None], None]
     on_drone: bool = False
 
 
@@ -50,54 +55,66 @@ class CallLine:
         self._urgent: list[object] = []
         self._others: list[object] = []
         self._is_deciding = False
-        self._busy_until_s: dict[str, float] = {}  # as expected, by place
+        self._placed: dict[object, tuple[str, float]] = {}  # calls, with the place and its expected end
+        self._only_on_drone = False
 
     @contextlib.asynccontextmanager
-    async def turn(self, operation: Operation, *, urgent: bool) -> AsyncIterator[Turn]:
-        """Enter the line; the block begins when the call may be decided, and ends when it is answered."""
+    async def turn(
+        self, operation: Operation, *, urgent: bool, on_drone: bool = False
+    ) -> AsyncIterator[Turn]:
+        """Enter the line; the block begins when the call may be decided, and ends when it is answered.
+
+        With `on_drone` the call runs nowhere else.
+        """
         call, line = object(), self._urgent if urgent else self._others
         line.append(call)
         try:
-            while not (free := self._free_place(call, operation)):
+            while not (free := self._free_place(call, operation, on_drone=on_drone)):
                 await self._decisions.told()
         finally:
             line.remove(call)
             self._decisions.wake()  # another is first now
-        place, self._is_deciding = "", True
+        self._is_deciding = True
 
-        def take(decision: Decision) -> None:
-            nonlocal place
-            place = self._occupy(operation, decision)
+        def take(decision: Decision | None) -> None:
+            self._placed[call] = self._place(operation, decision)
             self._go_on()
 
         try:
             yield Turn(take, on_drone=free == "drone")
         finally:
-            if place:
-                del self._busy_until_s[place]
-                self._decisions.wake()
-            else:
-                self._go_on()
+            if self._placed.pop(call, None) is None:
+                self._is_deciding = False
+            self._decisions.wake()
 
-    def _free_place(self, call: object, operation: Operation) -> Place:
+    def keep_on_drone(self) -> None:
+        """From now on have every call run on the drone."""
+        self._only_on_drone = True
+        self._decisions.wake()
+
+    def _free_place(self, call: object, operation: Operation, *, on_drone: bool) -> Place:
         first = self._urgent[0] if self._urgent else self._others[self._first]
         if self._is_deciding or call is not first:
             return ""
+        if on_drone or self._only_on_drone:
+            places = {place for place, _ in self._placed.values()}
+            return "" if ON_DRONE in places or self._is_computing(operation.service) else "drone"
         return self._decisions.free_place(operation, self._busy(operation))
 
     def _go_on(self) -> None:
         self._is_deciding = False
         self._decisions.wake()
 
-    def _occupy(self, operation: Operation, decision: Decision) -> str:
+    def _place(self, operation: Operation, decision: Decision | None) -> tuple[str, float]:
+        if decision is None:
+            return ON_DRONE, math.inf
         estimates = self._decisions.selection.estimates
         server = decision.server if isinstance(decision, Remote) else None
         takes_s = estimates.local_s(operation) if server is None else estimates.remote_s(server, operation)
-        self._busy_until_s[name_of(server)] = now_s() + (takes_s or 0.0)
-        return name_of(server)
+        return name_of(server), now_s() + (takes_s or 0.0)
 
     def _busy(self, operation: Operation) -> dict[str, float]:
-        busy = dict(self._busy_until_s)
+        busy = dict(self._placed.values())
         if ON_DRONE not in busy and self._is_computing(operation.service):
             local_s = self._decisions.selection.estimates.local_s(operation)
             busy[ON_DRONE] = now_s() + (local_s or 0.0)

@@ -127,21 +127,29 @@ class Offloading:
         Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
         when the drone's own service fails too.
         """
-        if not self._failed and not method.once:
+        asked, asked_s, fails = (
+            Invocation(operation, method, request, waypoint=waypoint),
+            now_s(),
+            self._failed,
+        )
+        while not fails and not method.once:
             try:
-                asked, asked_s = Invocation(operation, method, request, waypoint), now_s()
-                in_line = (
-                    self._line.turn(operation, urgent=urgent)
-                    if self._line
-                    else contextlib.nullcontext(AT_ONCE)
-                )
-                async with in_line as turn:
-                    return await self._invoke(asked, turn, asked_s=asked_s)
+                async with self._turn(asked, urgent=urgent) as turn:
+                    if not self._failed:
+                        return await self._invoke(asked, turn, asked_s=asked_s)
             except Exception as error:
                 if isinstance(error, UpwashError) and not isinstance(error, TransitionError):
                     raise
                 self._fail(error)
-        return await self._invoke_alone(operation, method, request)
+            fails = True
+        async with self._turn(asked, urgent=urgent) as turn:
+            turn.take(None)
+            return await self._invoke_alone(asked, began_s=asked_s if self._line else now_s())
+
+    def _turn(self, asked: Invocation, *, urgent: bool) -> contextlib.AbstractAsyncContextManager[Turn]:
+        if self._line is None:
+            return contextlib.nullcontext(AT_ONCE)
+        return self._line.turn(asked.operation, urgent=urgent, on_drone=asked.method.once)
 
     async def _run(self) -> NoReturn:
         try:
@@ -198,17 +206,18 @@ class Offloading:
         )
         return answer.reply
 
-    async def _invoke_alone(self, operation: Operation, method: Method, request: bytes) -> Any:
+    async def _invoke_alone(self, asked: Invocation, *, began_s: float) -> Any:
         """Run a call on the drone and decide nothing: where deciding has failed, or the method runs once."""
-        began_s = now_s()
-        queued_s = await self._calling.queue(operation.service)
-        reply = await self._calling.onboard(Invocation(operation, method, request))
+        await self._calling.queue(asked.operation.service)
+        queued_s = now_s() - began_s
+        reply = await self._calling.onboard(asked)
         delay_s = now_s() - began_s
         self._journal.record(
             schema.Call(
-                operation=str(operation),
+                waypoint=asked.waypoint,
+                operation=str(asked.operation),
                 place=ON_DRONE,
-                decision="it runs once, and on the drone" if method.once else "offloading has failed",
+                decision="it runs once, and on the drone" if asked.method.once else "offloading has failed",
                 at_s=began_s,
                 delay_s=delay_s,
                 waited_s=0.0,
@@ -232,6 +241,8 @@ class Offloading:
         if self._failed:
             return
         self._failed = True
+        if self._line is not None:
+            self._line.keep_on_drone()
         if self._background is not None:
             self._background.cancel()
         defect: BaseException = error

@@ -302,6 +302,7 @@ class AnswerAction(Generic[T]):
         self.waypoint = index_of(self.place)
         self.is_away = False  # whether the drone has left the waypoint
         self.is_over = False
+        self._is_noted = False
 
     def settle(self) -> None:
         """Waits for the answer; if it has a demand, flies to its waypoint, acts, and comes back here."""
@@ -330,7 +331,8 @@ class AnswerAction(Generic[T]):
     def demands(self) -> bool:
         """Whether the answer, which is there, has a demand; logs one."""
         holds = self.demand.holds()
-        if holds:
+        if holds and not self._is_noted:
+            self._is_noted = True
             self.demand.note()
         return holds
 

@@ -30,6 +30,7 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     left: set[int] = set()
     owed = OpenDemands()
     here: int | None = None
+    back_at: int | None = None  # the waypoint to which it flies back
     whereabouts = CallPlaces()
     completed = False
     for event in events:
@@ -43,14 +44,17 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
             case schema.MissionStarted():
                 _require_same_drone(event, config, len(plan))
                 here = None
-            case schema.SetOff(back=True):
-                here = None  # its calls are still to be made, or over
+            case schema.SetOff(back=True, waypoint=waypoint):
+                here, back_at = None, waypoint  # its calls are still to be made, or over
             case schema.SetOff(waypoint=int(index)) if here is not None and index != here:
                 left.add(here)
                 here = None
             case schema.Arrived(waypoint=int(index), east_m=east_m, north_m=north_m):
                 _require_same_place(index, east_m, north_m, plan.get(index))
-                here, results[index] = index, 0
+                here = index
+                if index != back_at or index not in results:
+                    results[index] = 0
+                back_at = None
             case schema.Call() if (waypoint := whereabouts.of_call) is not None and waypoint in results:
                 results[waypoint] += 1
     if completed:

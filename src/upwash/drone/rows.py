@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -25,25 +26,40 @@ from upwash.support.background import first
 
 _LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
 _FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s for 4
+_BESIDE_M = 2.0  # by wind and GPS
+_LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
+
+
+def lies_on(spot: Position, start: Position, end: Position) -> bool:
+    """Whether a leg from the start to the end passes the spot."""
+    length_m, from_start_m = distance_m(start, end), distance_m(start, spot)
+    if length_m == 0:
+        return from_start_m <= _BESIDE_M
+    along_m = ahead_m(spot, start, start=start, end=end)
+    beside_m = math.sqrt(max(0.0, from_start_m**2 - along_m**2))
+    return beside_m <= _BESIDE_M and -_BESIDE_M <= along_m <= length_m + _BESIDE_M
+
+
+def ahead_m(spot: Position, here: Position, *, start: Position, end: Position) -> float:
+    """How far ahead the spot is from here, along the way from the start to the end; negative if it was passed."""
+    return (
+        (end.east_m - start.east_m) * (spot.east_m - here.east_m)
+        + (end.north_m - start.north_m) * (spot.north_m - here.north_m)
+        + (end.altitude_m - start.altitude_m) * (spot.altitude_m - here.altitude_m)
+    ) / distance_m(start, end)
+
+
+def late_m(speed_m_s: float) -> float:
+    """How far behind a spot may lie that a vehicle with this speed need not fly back to."""
+    return max(_LATE_M, _LATE_S * speed_m_s)
 
 
 async def passed(
     autopilot: Autopilot, spot: Position, *, start: Position, end: Position, fastest_m_s: float
 ) -> None:
     """Return when the vehicle, on its way from `start` to `end`, passes the spot; at `fastest_m_s` at most."""
-    length_m = distance_m(start, end)
-    east, north, up = (
-        (end.east_m - start.east_m) / length_m,
-        (end.north_m - start.north_m) / length_m,
-        (end.altitude_m - start.altitude_m) / length_m,
-    )
     while True:
-        here = autopilot.position
-        left_m = (
-            east * (spot.east_m - here.east_m)
-            + north * (spot.north_m - here.north_m)
-            + up * (spot.altitude_m - here.altitude_m)
-        )
+        left_m = ahead_m(spot, autopilot.position, start=start, end=end)
         if left_m <= 0:
             return
         velocity = autopilot.telemetry.velocity
@@ -65,6 +81,12 @@ class LegVerbs(Protocol):
 
     async def set_off(self, end: Position) -> None:
         """Set off for the end of a leg, from rest at the end of the leg that is flown, if one is."""
+
+    def passes(self, place: Place) -> bool:
+        """Whether the leg that is flown passes the place, or has just passed it."""
+
+    def rests(self) -> bool:
+        """Whether no leg is flown, as it is over."""
 
     def head_for(self, place: Place) -> None:
         """Note that the place is the next one on the leg."""
@@ -105,15 +127,15 @@ class Rows:
         if self._acts:
             self._vehicle.fly(place)
             return
-        row_end = place.row_end if isinstance(place, Waypoint) else None
-        if self._end is None or self._end not in (position_of(place), row_end):
+        if self._end is not None and not self._vehicle.passes(place):
             self.stop()
-            self._set_off(position_of(place))
+        if self._end is None:
+            self._set_off(self._row_end_from_here(place) or position_of(place))
         self._thread.post(lambda: self._vehicle.head_for(place))
         while not self._thread.call(self._vehicle.fly_on(place, self._open)):
             if demanding := self._taken():
                 self._detour(demanding, place)
-        if self._end == position_of(place):
+        if self._end == position_of(place) or self._vehicle.rests():
             self._end = None
             self._set_off_for_next(place)
             if self._end is None:
@@ -161,13 +183,19 @@ class Rows:
         self._end = end
 
     def _set_off_for_next(self, place: Place) -> None:
-        """Set off for the row's end at its first spot, and from there for the next waypoint of the plan."""
-        if not isinstance(place, Waypoint):
-            return
-        if place.row_end is not None and place.row_end != place.position:
-            self._set_off(place.row_end)
-        elif (following := self._following.get(place)) is not None:
-            self._set_off(following.position)
+        """Set off along the row for its last spots, or for the next waypoint of the plan."""
+        following = self._following.get(place) if isinstance(place, Waypoint) else None
+        if following is not None:
+            self._set_off(self._row_end_from_here(following) or following.position)
+
+    def _row_end_from_here(self, place: Place) -> Position | None:
+        """The end of the place's row, if the drone is on that row, and passes the place on its way there."""
+        last = self._vehicle.place()
+        if not (isinstance(place, Waypoint) and isinstance(last, Waypoint) and place.row_end is not None):
+            return None
+        is_on_row = last.row_end == place.row_end and lies_on(place.position, last.position, place.row_end)
+        passes = lies_on(place.position, self._vehicle.position(), place.row_end)
+        return place.row_end if is_on_row and passes else None
 
     def _taken(self, waited_s: float = 0.0) -> list[AnswerAction[Any]]:
         """The open answers that are there and have a demand; the others that are there are taken."""
@@ -186,14 +214,15 @@ class Rows:
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
         last = self._meet(demanding)
-        if position_of(target) != end and not (isinstance(last, Waypoint) and last.row_end == end):
+        spot = position_of(target)
+        if spot != end and not (last is not None and lies_on(spot, position_of(last), end)):
             self._vehicle.fly(left)
         self._set_off(end)
         self._thread.post(lambda: self._vehicle.head_for(target))
 
     def _meet(self, demanding: list[AnswerAction[Any]]) -> Place | None:
         """Act on the answers and on those that come meanwhile; return where the last was."""
-        self._acts = True
+        acted, self._acts = self._acts, True
         try:
             while demanding:
                 here = self._vehicle.position()
@@ -202,7 +231,7 @@ class Rows:
                 answer.come_back(0.0)
                 demanding = self._taken()
         finally:
-            self._acts = False
+            self._acts = acted
         return answer.place
 
     def _take_next(self) -> bool:

@@ -20,7 +20,7 @@ from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.coming_down import ComingDown
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
-from upwash.drone.rows import Rows, passed
+from upwash.drone.rows import Rows, ahead_m, late_m, lies_on, passed
 from upwash.drone.site import Site, require_altitude
 from upwash.errors import AutopilotError, UsageError
 from upwash.eventlog import schema
@@ -165,6 +165,8 @@ class Vehicle:
         if self._rows is not None and unless is None:
             self._rows.goto(place)
             return True
+        if self._rows is not None:
+            self._rows.stop()
         if self._open is None or unless is not None:
             return self._fly(place, unless=unless)
         with self._settling(self._open) as answer:
@@ -362,6 +364,16 @@ class Vehicle:
             self._on_a_leg = False
         self._stands_at = end
 
+    def _passes(self, place: Waypoint | Position) -> bool:
+        """Whether the leg that is flown passes the place, or has just passed it."""
+        start, end, spot = self._leg_start, self._leg_end, position_of(place)
+        if start is None or end is None or not lies_on(spot, start, end):
+            return False
+        if end in (spot, start):
+            return True
+        left_m = ahead_m(spot, self._autopilot.position, start=start, end=end)
+        return left_m >= -late_m(self._ground_speed_m_s or self._default_m_s)
+
     def _head_for(self, place: Waypoint | Position) -> None:
         """Note that the place is the next one on the leg."""
         self._place, position = place, position_of(place)
@@ -500,6 +512,7 @@ class VehicleHandle:
         self.fly = vehicle._fly
         self.settle_for_call = vehicle._settle_for_call
         self.set_off = vehicle._set_off
+        self.passes = vehicle._passes
         self.head_for = vehicle._head_for
         self.fly_on = vehicle._fly_on
         self.arrive = vehicle._rest_of_leg
@@ -509,6 +522,10 @@ class VehicleHandle:
     def flies_rows(self) -> bool:
         """Whether it flies rows without stopping, with several answers open."""
         return self._vehicle._rows is not None
+
+    def rests(self) -> bool:
+        """Whether no leg is flown, as it is over."""
+        return self._vehicle._leg is None
 
     def place(self) -> Waypoint | Position | None:
         """Where it was last sent to."""

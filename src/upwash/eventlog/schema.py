@@ -907,9 +907,13 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
         return server_of(self.place)
 
 
-class Hedged(Event, frozen=True, kw_only=True):
-    """The drone's own service joins a remote call after `after_s`; the server may answer until `deadline_s`."""
+class Hedged(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The drone's own service joins a remote call after `after_s`; the server may answer until `deadline_s`.
 
+    `waypoint` is that of the call, if several calls may be open at the same time.
+    """
+
+    waypoint: Index | None = None
     server: Text
     check: Count = 0
     after_s: Number

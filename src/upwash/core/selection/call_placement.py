@@ -43,6 +43,10 @@ class CallPlacement:
         remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
         if server is None or local_s is None or remote_s is None or not self._answers(server, operation):
             return "either" if is_drone_free else ""
+        if not isinstance(
+            self._policy.decide(self._call(server, operation, local_s, remote_s, now_s)), Remote
+        ):
+            return "either" if is_drone_free else ""
         remote_end_s = max(now_s, busy_until_s.get(server.name, now_s)) + remote_s
         local_end_s = max(now_s, busy_until_s.get(ON_DRONE, now_s)) + local_s
         if remote_end_s < local_end_s:
@@ -76,18 +80,24 @@ class CallPlacement:
             return Local(f"{server.name} has no free slot", inputs), []
         decision = self._on_trial(server, operation, local_s, now_s)
         if decision is None:
-            is_first = self._estimates.is_first_call(server.name, operation)
-            call = CallInputs(
-                server=server.name,
-                state=server.state,
-                local_s=local_s,
-                remote_s=remote_s,
-                check_expected_s=inputs.check_s or 0.0,
-                check_elapsed_s=inputs.check_elapsed_s or 0.0,
-                is_first=is_first,
-            )
-            decision = self._policy.decide(call)
+            decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
         return replace(decision, inputs=inputs), []
+
+    def _call(
+        self, server: Server, operation: Operation, local_s: float, remote_s: float, now_s: float
+    ) -> CallInputs:
+        return CallInputs(
+            server=server.name,
+            state=server.state,
+            local_s=local_s,
+            remote_s=remote_s,
+            check_expected_s=self._check_s(server) or 0.0,
+            check_elapsed_s=now_s - server.checked_since_s,
+            is_first=self._estimates.is_first_call(server.name, operation),
+        )
+
+    def _check_s(self, server: Server) -> float | None:
+        return self._estimates.check_s(server.name, running=server.state is State.CHECK_R)
 
     def _inputs(self, operation: Operation, now_s: float) -> Inputs:
         server, local_s = self._radios.in_use, self._estimates.local_s(operation)
@@ -99,7 +109,7 @@ class CallPlacement:
             server.state,
             server.check,
             remote_s=self._estimates.remote_s(server.name, operation),
-            check_s=self._estimates.check_s(server.name, running=server.state is State.CHECK_R),
+            check_s=self._check_s(server),
             check_elapsed_s=now_s - server.checked_since_s,
         )
 

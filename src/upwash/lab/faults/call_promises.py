@@ -23,11 +23,12 @@ from upwash.lab.faults.history import (
     History,
     calls_of,
     deadline_of,
+    flies_rows,
     may_be_cut_short,
     position_jumps,
     service_of,
 )
-from upwash.lab.faults.mission import ActionReport, demands_something
+from upwash.lab.faults.mission import ActionReport, demands_something, is_waited_for
 from upwash.lab.observer import Observation
 from upwash.support.text import counted
 
@@ -55,7 +56,8 @@ def bounded_calls(history: History) -> Iterator[Breach]:
             yield from _allowed_too_much(decided, policy.gain_wait, patient=patient)
         yield from _hedged_too_late(call)
         service = service_of(ended)
-        if call.queued_s > (most_s := before_s.get(service, 0.0)) + SLACK_S:
+        most_s = math.inf if flies_rows(history.config) else before_s.get(service, 0.0)  # in line with others
+        if call.queued_s > most_s + SLACK_S:
             yield ended, f"waited {call.queued_s:.3f} s for a service that needed {most_s:.3f} s"
         if computed.get(service) and call.computed:
             before_s[service] = took_s = computed[service].popleft().took_s
@@ -116,11 +118,17 @@ def one_answer(history: History) -> Iterator[Breach]:
     """One result a call, its own; a server's within the deadline."""
     for call in calls_of(history.run.events):
         yield from _unbelievable(call)
-    told = _told(history)
+    told, known = _told(history), set[int]()
     for number, (event, heard) in enumerate(told):
-        if heard.asked != number:
+        if flies_rows(history.config):
+            if heard.asked in known:
+                yield event, f"this is about call {heard.asked}, whose answer was there before"
+            known.add(heard.asked)
+        elif heard.asked != number:
             yield event, f"this is about call {heard.asked}, but number {number} was to come"
-        elif not heard.raised and heard != _expected(history.config, heard.asked):
+        if heard.raised:
+            continue
+        if heard != _expected(history.config, heard.asked):
             yield event, f"call {heard.asked} was answered by {heard.answer}, which is another call's answer"
     if not _is_probing(history.config):
         return
@@ -130,7 +138,9 @@ def one_answer(history: History) -> Iterator[Breach]:
 
 
 def _answers_open(history: History) -> int:
-    """How many answers a mission that ended early may have missed: the last one, or none."""
+    """How many answers a mission that ended early may have missed: the last one, or none; on rows, all open ones."""
+    if flies_rows(history.config):
+        return 0 if history.run.result.completed else len(history.run.result.calls)
     last = next(
         (
             event
@@ -167,7 +177,7 @@ def _unbelievable(call: FlownCall) -> Iterator[Breach]:
 def truthful_errors(history: History) -> Iterator[Breach]:
     """The service's own exception for the calls that raise it, and no other; each was raised on the drone."""
     if _is_probing(history.config):
-        yield from _raised_afar(history.run.events)
+        yield from _raised_afar(history)
     for event, heard in _told(history):
         wanted = _expected(history.config, heard.asked)
         if heard.raised != wanted.raised:
@@ -179,13 +189,16 @@ def truthful_errors(history: History) -> Iterator[Breach]:
         yield None, f"the mission met an error: {history.run.failure}"
 
 
-def _raised_afar(events: Iterable[Event]) -> Iterator[Breach]:
+def _raised_afar(history: History) -> Iterator[Breach]:
     """Exceptions that a server reported and the mission received."""
-    server: str | None = None  # that answered the last call
-    for event in events:
+    on_rows = flies_rows(history.config)
+    servers: dict[int | None, str | None] = {}  # that answered the last call, or that of a waypoint on rows
+    for event in history.run.events:
         if isinstance(event, schema.Call):
-            server = event.server
-        elif _is_heard(event) and server is not None and _heard(event).raised:
+            servers[event.waypoint if on_rows else None] = event.server
+        elif not _is_heard(event):
+            continue
+        elif (server := servers.get(_heard(event).asked if on_rows else None)) and _heard(event).raised:
             why = f"the mission heard what {server} said was raised; the drone's own service was not asked"
             yield event, why
 
@@ -218,21 +231,23 @@ _MOST_CRASHES = 12  # that a flight is tested with
 
 
 def answers(history: History) -> Iterator[Breach]:
-    """Judge by what a `look_later` mission told its user; other missions never fly on before an answer."""
-    if not history.config.mission.program.endswith(":look_later"):
+    """Judge by what the missions told their users that fly on before answers."""
+    program, on_rows = history.config.mission.program, flies_rows(history.config)
+    if not program.endswith((":look_later", "_on_the_move")):
         return
     places = [waypoint.position for waypoint in waypoints(history.config.mission)]
     yield from _done_twice(history.run.events)
     if not position_jumps(history.config):
         yield from _done_elsewhere(history.run.events, places)
-        yield from _flown_back_too_far(history.run.events, places)
+        if not on_rows:
+            yield from _flown_back_too_far(history.run.events, places)
     yield from _lost_in_a_crash(history)
     for event in history.run.events:
         if isinstance(event, schema.StayOrGo) and event.goes and event.waypoint == len(places) - 1:
             yield event, "it flew on from the last waypoint"
     if history.run.result.completed:
         done = sorted(action.done for _, action in _done(history.run.events))
-        wanted = [number for number in range(len(places)) if demands_something(number)]
+        wanted = [number for number in range(len(places)) if demands_something(program, number)]
         if done != wanted:
             yield None, f"actions {wanted} were demanded, and {done} done"
 
@@ -280,11 +295,20 @@ def _lost_in_a_crash(history: History) -> Iterator[Breach]:
             event, (schema.CallStarted, schema.SetOff, schema.AnswerTaken, schema.Notified, schema.Acted)
         )
     ]
+    program = history.config.mission.program
+    spots = range(len(waypoints(history.config.mission)))
+    waited_for = {number for number in spots if is_waited_for(program, number)}
     for number in moments[:: max(1, len(moments) // _MOST_CRASHES)]:
         kept = events[:number]
         acted = {event.waypoint for event in kept if isinstance(event, schema.Acted)}
         settled = {
             event.waypoint for event in kept if isinstance(event, schema.AnswerTaken) and not event.demanded
         }
-        for waypoint in waypoints_done(kept, history.config) - acted - settled:
+        done = waypoints_done(kept, history.config)
+        for waypoint in done - acted - settled - waited_for:
             yield events[number], f"killed before this, waypoint {waypoint} would not be visited again"
+        if flies_rows(history.config) and len(history.config.services) == 1:  # of two, one may be due there
+            for again in acted | settled:
+                if again not in done:
+                    why = f"killed before this, waypoint {again} would be visited again for nothing"
+                    yield events[number], why

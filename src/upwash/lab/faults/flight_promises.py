@@ -14,6 +14,7 @@ from upwash.lab.faults.history import (
     History,
     calls_of,
     deadline_of,
+    flies_rows,
     may_be_cut_short,
 )
 from upwash.lab.observer import Observation
@@ -30,6 +31,8 @@ def autonomy(history: History) -> Iterator[Breach]:
             yield event, f"offloading ended for the rest of the flight: {event.why}"
     arrivals = (event.waypoint for event in events if isinstance(event, schema.Arrived))
     arrived = list(dict.fromkeys(arrivals))  # it may come back to one
+    if flies_rows(history.config):
+        arrived = [waypoint for waypoint in arrived if waypoint is not None]  # from a detour, or off the row
     planned = [waypoint.index for waypoint in waypoints(history.config.mission)]
     if arrived != planned[: len(arrived)]:
         yield None, f"arrived at waypoints {arrived} instead of {planned}"
@@ -43,6 +46,8 @@ def autonomy(history: History) -> Iterator[Breach]:
         made, wanted = (
             [(call.waypoint, call.operation) for call in flown.result.calls] for flown in (run, history.alone)
         )
+        if flies_rows(history.config):
+            made, wanted = sorted(made, key=str), sorted(wanted, key=str)
         if made != wanted:
             yield (
                 None,
@@ -57,7 +62,7 @@ def no_harm(history: History) -> Iterator[Breach]:
     before answers are not judged: their losses depend on when answers come.
     """
     yield from _hedged_too_much(history)
-    if history.config.policy.stay_or_go != "stay":
+    if history.config.policy.stay_or_go != "stay" or flies_rows(history.config):
         return
     if history.alone is None or history.run.failure or history.alone.failure:
         return

@@ -93,22 +93,27 @@ def deadline_of(decided: schema.Decided) -> float:
 
 def calls_of(events: Sequence[Event]) -> Iterator[FlownCall]:
     """The calls of an event log, in order."""
-    decisions: list[schema.Decided] = []
-    hedged: schema.Hedged | None = None
+    decisions: dict[int | None, list[schema.Decided]] = {}  # by waypoint, of several open calls
+    hedged: dict[int | None, schema.Hedged] = {}
     for event in events:
         if isinstance(event, schema.Decided):
-            decisions.append(event)
+            decisions.setdefault(event.waypoint, []).append(event)
         elif isinstance(event, schema.Hedged):
-            hedged = event
+            hedged[event.waypoint] = event
         elif isinstance(event, schema.Call):
-            yield FlownCall(tuple(decisions), event, hedged)
-            decisions, hedged = [], None
+            call = event.waypoint
+            yield FlownCall(tuple(decisions.pop(call, ())), event, hedged.pop(call, None))
 
 
 def may_be_cut_short(history: History) -> bool:
     """Whether the autopilot fails in this world, so that the mission may end early, in its safe action."""
     faults = (fault for fault in history.config.faults if fault.target == "autopilot")
     return any(not _is_overcome(fault, history) for fault in faults)
+
+
+def flies_rows(config: DroneConfig) -> bool:
+    """Whether the drone flies rows without stopping, with several answers open."""
+    return config.mission.photos is not None
 
 
 def position_jumps(config: DroneConfig) -> bool:

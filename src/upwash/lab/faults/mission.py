@@ -13,8 +13,9 @@ from typing import Any, Literal
 
 import msgspec
 
-from upwash.core.geo import Waypoint
+from upwash.core.geo import Position, Waypoint
 from upwash.drone.api import Drone
+from upwash.drone.pending import Pending
 from upwash.rpc.service import service
 
 Mode = Literal["light", "heavy"]
@@ -93,16 +94,65 @@ def look_later(drone: Drone, mode: Mode) -> None:
     for number, waypoint in enumerate(drone.plan):
         drone.autopilot.goto(waypoint)
         drone.camera.take_photo()
-        visit = _Visit(drone, waypoint, number)
+        visit = _Visit(drone, waypoint, number, look_later.__name__)
         pending = drone.start(spotter.look, number, mode)
         drone.stay_or_go(pending, visit.act, demands=visit.demands, failed=visit.fail)
     drone.end_flight()
     drone.autopilot.disarm()
 
 
-def demands_something(number: int) -> bool:
+def look_on_the_move(drone: Drone, mode: Mode) -> None:
+    """Starts a call at each waypoint of its rows; hovers, waits for a call or leaves the row at some."""
+    _look_on_the_move(drone, mode, gauge=None, program=look_on_the_move.__name__)
+
+
+def look_and_read_on_the_move(drone: Drone, mode: Mode) -> None:
+    """The same with both services in turn."""
+    _look_on_the_move(drone, mode, gauge=drone.service(Gauge), program=look_and_read_on_the_move.__name__)
+
+
+def _look_on_the_move(drone: Drone, mode: Mode, *, gauge: Gauge | None, program: str) -> None:
+    spotter = drone.service(Spotter)
+
+    def ask(number: int) -> object:
+        return gauge.read(number) if gauge is not None and number % 2 else spotter.look(number, mode)
+
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    for number, waypoint in enumerate(drone.plan):
+        drone.autopilot.goto(waypoint)
+        if number % 7 == 5:
+            drone.autopilot.hover(1.0)
+        drone.camera.take_photo()
+        if is_waited_for(program, number):
+            _tell(drone, waypoint, number, ask)
+            continue
+        visit = _Visit(drone, waypoint, number, program)
+        pending: Pending[Any] = (
+            drone.start(gauge.read, number)
+            if gauge is not None and number % 2
+            else drone.start(spotter.look, number, mode)
+        )
+        drone.stay_or_go(pending, visit.act, demands=visit.demands, failed=visit.fail)
+        if number % 11 == 8:
+            drone.autopilot.goto(Position(5.0, 5.0, drone.altitude_m))
+    drone.end_flight()
+    drone.autopilot.disarm()
+
+
+def is_waited_for(program: str, number: int) -> bool:
+    """Whether the mission waits for the call at once."""
+    return not program.endswith(("look_later", "_on_the_move")) or (
+        program.endswith("_on_the_move") and number % 7 == 6
+    )
+
+
+def demands_something(program: str, number: int) -> bool:
     """Whether the answer demands an action at its waypoint, or the call raises."""
-    return number % 3 == 0 or number % 5 == 2
+    if is_waited_for(program, number):
+        return False
+    often = program.endswith("look_later")
+    return (number % 3 == 0 if often else number % 6 == 4) or bool(expected(program, "light", number).raised)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,17 +162,18 @@ class _Visit:
     drone: Drone
     waypoint: Waypoint
     number: int
+    program: str
 
-    def demands(self, sighting: Sighting) -> bool:
+    def demands(self, answer: object) -> bool:
         """Tells the user at once, wherever the drone is."""
-        self._tell(CallReport(asked=self.number, answer=msgspec.to_builtins(sighting)))
-        return demands_something(self.number)
+        self._tell(CallReport(asked=self.number, answer=msgspec.to_builtins(answer)))
+        return demands_something(self.program, self.number)
 
-    def act(self, _: Sighting) -> None:
+    def act(self, _: object) -> None:
         self.drone.user.notify(ActionReport(done=self.number), at=self.drone.autopilot.position)
 
     def fail(self, error: Exception) -> None:
-        if not isinstance(error, Blurred):
+        if not isinstance(error, (Blurred, ValueError)):
             raise error
         self._tell(CallReport(asked=self.number, raised=repr(error)))
         self.drone.user.notify(ActionReport(done=self.number), at=self.drone.autopilot.position)
@@ -133,7 +184,7 @@ class _Visit:
 
 def expected(program: str, mode: Mode, number: int) -> CallReport:
     """What a mission of this module must hear when it asks about the number."""
-    both = program.endswith(":look_and_read")
+    both = "look_and_read" in program
     ask: Callable[[], object] = (
         (lambda: Gauge().read(number)) if both and number % 2 else (lambda: Spotter().look(number, mode))
     )

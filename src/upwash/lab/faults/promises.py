@@ -23,6 +23,7 @@ from upwash.lab.faults.flight_promises import (
     vehicle_first,
 )
 from upwash.lab.faults.history import Breach, History
+from upwash.lab.faults.row_promises import on_the_move
 from upwash.lab.faults.selection_promises import in_range, one_selection, recovered, respect
 from upwash.lab.faults.server_promises import admission, replaced, turns, unswayed
 
@@ -51,6 +52,7 @@ class Promise(IntEnum):
     ARRIVALS = 20
     WHO_ACTED = 21
     REPLACED = 22
+    ON_THE_MOVE = 23
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -88,6 +90,7 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.ARRIVALS: arrived_truly,
     Promise.WHO_ACTED: named_truly,
     Promise.REPLACED: replaced,
+    Promise.ON_THE_MOVE: on_the_move,
 }
 
 

@@ -295,6 +295,43 @@ def _with_radios(document: Document, chance: random.Random) -> Document:
     return {**document, "network": {"radios": 2}} if chance.random() < 1 / 3 else document
 
 
+def _with_rows(document: Document, chance: random.Random) -> Document:
+    """The drones fly rows without stopping, with several answers open."""
+    mission, both = document["mission"], len(document["service"]) > 1
+    programs = (
+        ("look_and_read_on_the_move", "look_and_read") if both else ("look_on_the_move", "look_later", "look")
+    )
+    program = chance.choices(programs, (5, 2) if both else (5, 3, 2))[0]
+    photos = {
+        "every_m": chance.choice((15.0, 20.0, 33.0)),
+        "first": chance.choice(("oldest", "newest")),
+        "at_most": chance.choice((1, 2, 3, 5, 100)),
+    }
+    return {
+        **document,
+        "mission": {
+            **mission,
+            "program": f"{probing.__name__}:{program}",
+            "waypoints_m": _rows(chance),
+            "photos": photos,
+        },
+        "policy": {**document["policy"], "stay_or_go": chance.choice(("stay", "go", "learn"))},
+    }
+
+
+def _rows(chance: random.Random) -> list[list[float]]:
+    """The starts and ends of one to three rows, side by side or anywhere."""
+    count = chance.choice((1, 2, 2, 3))
+    if chance.random() < 0.5:
+        length_m, apart_m = _number(chance, 10.0, 120.0), chance.choice((10.0, 20.0, 40.0))
+        return [
+            [length_m if (number + end) % 2 else 0.0, apart_m * number]
+            for number in range(count)
+            for end in (0, 1)
+        ]
+    return [[round(chance.uniform(0, 120), 1), round(chance.uniform(0, 120), 1)] for _ in range(2 * count)]
+
+
 _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Document]], ...] = (
     # the stream of a feature, the share of worlds without it unless it draws that itself, and what it changes
     ("peers", 0.5, _with_peers),
@@ -304,6 +341,7 @@ _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Do
     ("hedges", 0.93, _with_eager_hedges),
     ("pending", 0.6, _with_pending_calls),
     ("radios", None, _with_radios),
+    ("rows", 0.8, _with_rows),
 )
 
 
@@ -317,9 +355,12 @@ def _places(chance: random.Random) -> list[list[float]]:
 
 def _companion(document: Document, chance: random.Random, number: int) -> Document:
     """Another drone with its own mission and seed, among the same servers."""
+    places = _places(chance)
+    if "photos" in document["mission"]:
+        places = _rows(_stream("rows of a companion", document["seed"] * 10 + number))
     mission = {
         **document["mission"],
-        "waypoints_m": _places(chance),
+        "waypoints_m": places,
         "ground_speed_m_s": _number(chance, 3.0, 15.0),
     }
     return {

@@ -1,0 +1,162 @@
+"""Promises about rows that a drone flies without stopping: 23."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from upwash.config import waypoints
+from upwash.core.geo import distance_m
+from upwash.core.operation import ON_DRONE
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.lab.faults.history import (
+    ROUNDING_S,
+    Breach,
+    FlownCall,
+    History,
+    calls_of,
+    flies_rows,
+    position_jumps,
+)
+
+_AT_SPOT_M = 1.0
+_LATE_S = 0.5  # of flight, after which a spot that was missed is flown back to
+
+
+def on_the_move(history: History) -> Iterator[Breach]:
+    """Photos at their spots, few enough open, one call at a place, in line, nothing open on the way home."""
+    if not flies_rows(history.config):
+        return
+    if not position_jumps(history.config):
+        yield from _photos_elsewhere(history)
+    yield from _too_many_open(history)
+    yield from _two_at_a_place(history)
+    yield from _out_of_line(history)
+    yield from _home_too_early(history.run.events)
+    yield from _left_unsaid(history)
+
+
+def _photos_elsewhere(history: History) -> Iterator[Breach]:
+    """Each photo is of the waypoint that the drone has just reached, and each waypoint has one."""
+    config = history.config
+    spots = {waypoint.index: waypoint for waypoint in waypoints(config.mission)}
+    late_m = max(_AT_SPOT_M, _LATE_S * config.mission.ground_speed_m_s) + 0.1
+    here: int | None = None
+    photos = set[int]()
+    for event in history.run.events:
+        if isinstance(event, schema.Arrived):
+            here = event.waypoint
+        elif isinstance(event, schema.PhotoTaken) and here is not None:
+            photos.add(here)
+            if (off_m := distance_m(event.position, spots[here].position)) > late_m:
+                yield event, f"the photo of waypoint {here} was taken {off_m:.1f} m from there"
+    if history.run.result.completed and len(photos) < len(spots):
+        yield None, f"waypoints {sorted(spots.keys() - photos)} have no photo"
+
+
+def _too_many_open(history: History) -> Iterator[Breach]:
+    photos = history.config.mission.photos
+    assert photos is not None  # noqa: S101 - it flies rows
+    open_ones = 0
+    for event in history.run.events:
+        if isinstance(event, schema.CallStarted):
+            open_ones += 1
+            if open_ones > photos.at_most:
+                yield event, f"{open_ones} photos are open, and at most {photos.at_most} may be"
+        elif isinstance(event, schema.AnswerTaken):
+            open_ones -= 1
+
+
+def _two_at_a_place(history: History) -> Iterator[Breach]:
+    """From the decision for a place until the answer, no other call is decided for it."""
+    until_s: dict[str, float] = {}
+    for call in sorted(calls_of(history.run.events), key=_decided_s):
+        if not call.decisions:
+            continue
+        placed = next(decided for decided in call.decisions if decided.decision != "wait")
+        place = placed.server or ON_DRONE
+        if placed.t < until_s.get(place, 0.0) - ROUNDING_S:
+            yield (
+                placed,
+                f"this was decided for {place}, which had an earlier call until {until_s[place]:.3f} s",
+            )
+        until_s[place] = max(until_s.get(place, 0.0), call.ended.t)
+
+
+def _decided_s(call: FlownCall) -> float:
+    placed = [decided.t for decided in call.decisions if decided.decision != "wait"]
+    return min(placed, default=call.ended.t)
+
+
+def _out_of_line(history: History) -> Iterator[Breach]:
+    """The oldest, or the newest, of the started calls is decided first; one that is waited for before all."""
+    photos = history.config.mission.photos
+    assert photos is not None  # noqa: S101 - it flies rows
+    urgent = _waits_for(history.run.events)
+    in_line: dict[int | None, float] = {}  # when each was started
+    for event in history.run.events:
+        if isinstance(event, schema.CallStarted):
+            in_line[event.waypoint] = event.t
+        elif isinstance(event, schema.Decided) and event.waypoint in in_line:
+            began_s = in_line.pop(event.waypoint)
+            others_s = [at_s for at_s in in_line.values() if at_s < event.t - ROUNDING_S]
+            if any(at_s < began_s if photos.first == "oldest" else at_s > began_s for at_s in others_s):
+                yield (
+                    event,
+                    f"waypoint {event.waypoint} was not the {photos.first} in line: {list(in_line)}",
+                )
+            for waypoint, from_s, to_s in urgent:
+                if from_s + ROUNDING_S < event.t < to_s - ROUNDING_S:
+                    yield (
+                        event,
+                        f"the mission waited for the call of waypoint {waypoint}, and this was decided",
+                    )
+        elif isinstance(event, schema.AnswerTaken):
+            in_line.pop(event.waypoint, None)
+
+
+def _waits_for(events: Sequence[Event]) -> list[tuple[int | None, float, float]]:
+    """For each call that the mission waited for, its waypoint, and when it was asked and decided."""
+    started = {event.waypoint for event in events if isinstance(event, schema.CallStarted)}
+    return [
+        (call.ended.waypoint, call.ended.at_s, call.decisions[0].t)
+        for call in calls_of(events)
+        if call.ended.waypoint not in started and call.decisions
+    ]
+
+
+def _home_too_early(events: Sequence[Event]) -> Iterator[Breach]:
+    """By the mission, that is: the safe end of a flight waits for nothing."""
+    open_ones = dict[int | None, str]()
+    for event in events:
+        match event:
+            case schema.CallStarted(waypoint=waypoint):
+                open_ones[waypoint] = "answer"
+            case schema.AnswerTaken(waypoint=waypoint, demanded=demanded):
+                open_ones.pop(waypoint, None)
+                if demanded:
+                    open_ones[waypoint] = "demand"
+            case schema.Acted(waypoint=waypoint):
+                open_ones.pop(waypoint, None)
+            case schema.SafeEnd() | schema.Stopping() | schema.ControlChanged(owner="pilot"):
+                return
+            case schema.Returning() | schema.Landing() if open_ones:
+                yield event, f"it set off for home with these open: {open_ones}"
+
+
+def _left_unsaid(history: History) -> Iterator[Breach]:
+    """The result of a flight that ended early names each waypoint whose answer or action is due."""
+    if history.run.result.completed:
+        return
+    due = set[int | None]()
+    for event in history.run.events:
+        match event:
+            case schema.CallStarted(waypoint=waypoint):
+                due.add(waypoint)
+            case schema.AnswerTaken(waypoint=waypoint, demanded=False):
+                due.discard(waypoint)
+            case schema.Acted(waypoint=waypoint):
+                due.discard(waypoint)
+    result = history.run.result
+    if unsaid := due - {*result.not_acted_on, *result.failed_calls, *result.not_looked_at}:
+        yield None, f"the result says nothing of what is due at waypoints {sorted(map(str, unsaid))}"

@@ -1,0 +1,220 @@
+"""What a mission may do on a row that it flies without stopping, on virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import pytest
+from tests.drone.test_pending import in_the_air, of
+from tests.drone.test_resume import Part, fly, scenario
+
+from upwash import Drone, Position, Waypoint
+from upwash.core.geo import ground_distance_m
+from upwash.eventlog import schema
+from upwash.services import Detector
+
+# Two rows of 100 m, 20 m apart, a photo each 20 m at 4 m/s: 12 spots, from 0 to 5 and from 6 to 11. A call on the
+# drone takes 3 or 10 s, a photo 1 s.
+ROWS = [[0, 0], [100, 0], [100, 20], [0, 20]]
+
+
+def rows(**photos: Any) -> Any:
+    return scenario(waypoints_m=ROWS, photos={"every_m": 20.0, **photos})
+
+
+def flown(program: Callable[[Drone, Detector], None], **photos: Any) -> list[Any]:
+    part = fly(rows(**photos), mission=in_the_air(program))
+    assert part.error is None, part.error
+    return part.events
+
+
+def offs_m(events: list[Any], drone_plan: dict[int, Position]) -> list[float]:
+    """How far from the last spot that was reached each photo was taken."""
+    here: int | None = None
+    found = []
+    for event in events:
+        if isinstance(event, schema.Arrived):
+            here = event.waypoint
+        elif isinstance(event, schema.PhotoTaken) and here is not None:
+            found.append(ground_distance_m(event.position, drone_plan[here]))
+    return found
+
+
+PLAN = {
+    **{index: Position(20.0 * index, 0.0, 20.0) for index in range(6)},
+    **{6 + index: Position(100.0 - 20.0 * index, 20.0, 20.0) for index in range(6)},
+}
+
+
+def each_photo(drone: Drone, do: Callable[[Waypoint, bytes], object]) -> None:
+    for waypoint in drone.plan:
+        drone.autopilot.goto(waypoint)
+        do(waypoint, drone.camera.take_photo())
+
+
+def test_a_spot_that_was_passed_during_a_call_is_flown_back_to() -> None:
+    """A call of 10 s flies the drone 40 m on."""
+
+    def program(drone: Drone, detector: Detector) -> None:
+        each_photo(drone, lambda _, photo: detector.process_photo(photo, mode="heavy"))
+
+    events = flown(program)
+    assert len(of(events, schema.Call)) == 12
+    assert max(offs_m(events, PLAN)) < 2.0
+
+
+def test_rows_that_end_at_one_place_are_two_rows() -> None:
+    config = scenario(waypoints_m=[[0, 0], [100, 0], [100, 60], [100, 0]], photos={"every_m": 20.0})
+    part = fly(config)
+    assert part.error is None
+    plan = {6 + index: Position(100.0, 60.0 - 20.0 * index, 20.0) for index in range(4)}
+    assert max(offs_m(part.events, {**PLAN, **plan})) < 1.0
+
+
+def test_the_mission_does_else_what_it_likes_on_a_row() -> None:
+    """Each is done at rest, and each spot after it has its photo."""
+    verbs: dict[int, Callable[[Drone], object]] = {
+        1: lambda drone: drone.autopilot.hover(2.0),
+        3: lambda drone: drone.autopilot.turn_to(90.0),
+        7: lambda drone: drone.autopilot.goto(Position(50.0, 50.0, 20.0)),
+        9: lambda drone: drone.autopilot.hold(),
+    }
+    stood: dict[int, float] = {}
+
+    def program(drone: Drone, detector: Detector) -> None:
+        def at_spot(waypoint: Waypoint, photo: bytes) -> None:
+            drone.stay_or_go(drone.start(detector.process_photo, photo, mode="heavy"), lambda _: None)
+            if waypoint.index in verbs:
+                verbs[waypoint.index](drone)
+                velocity = drone.autopilot.telemetry.velocity
+                stood[waypoint.index] = velocity.speed_m_s if velocity else 0.0
+
+        each_photo(drone, at_spot)
+
+    events = flown(program)
+    assert stood == pytest.approx(dict.fromkeys(verbs, 0.0))
+    assert max(offs_m(events, PLAN)) < 1.0
+    assert len(of(events, schema.AnswerTaken)) == 12
+
+
+def test_an_action_may_fly_photograph_and_call() -> None:
+    heard: list[object] = []
+
+    def program(drone: Drone, detector: Detector) -> None:
+        def act(waypoint: Waypoint, _: object) -> None:
+            drone.autopilot.goto(Position(waypoint.position.east_m, 10.0, 20.0))
+            photo = drone.camera.take_photo()
+            heard.append(detector.process_photo(photo, mode="light"))
+            heard.append(drone.start(detector.process_photo, photo, mode="light").result())
+
+        def at_spot(waypoint: Waypoint, photo: bytes) -> None:
+            pending = drone.start(detector.process_photo, photo, mode="light")
+            drone.stay_or_go(pending, partial(act, waypoint), demands=lambda _: waypoint.index in (2, 3, 8))
+
+        each_photo(drone, at_spot)
+
+    events = flown(program)
+    assert len(heard) == 6
+    assert sorted(event.waypoint for event in of(events, schema.Acted)) == [2, 3, 8]
+    assert sorted(event.waypoint for event in of(events, schema.Demanded)) == [2, 3, 8], "each is logged once"
+    assert [
+        event.waypoint for event in of(events, schema.Arrived) if event.passing or event.waypoint in (0, 5)
+    ]
+
+
+def test_an_action_may_leave_an_answer_open() -> None:
+    """With two open answers it must wait for one in its own action."""
+    acted: list[str] = []
+
+    def program(drone: Drone, detector: Detector) -> None:
+        def later(waypoint: Waypoint, _: object) -> None:
+            acted.append(f"again {waypoint.index}")
+
+        def act(waypoint: Waypoint, _: object) -> None:
+            acted.append(f"{waypoint.index}")
+            again = drone.start(detector.process_photo, b"photo", mode="light")
+            drone.stay_or_go(again, partial(later, waypoint), demands=lambda _: True)
+            drone.autopilot.goto(Position(waypoint.position.east_m, 10.0, 20.0))
+
+        def at_spot(waypoint: Waypoint, photo: bytes) -> None:
+            pending = drone.start(detector.process_photo, photo, mode="light")
+            drone.stay_or_go(pending, partial(act, waypoint), demands=lambda _: waypoint.index in (2, 3, 8))
+
+        each_photo(drone, at_spot)
+
+    flown(program, at_most=2)
+    assert sorted(acted) == ["2", "3", "8", "again 2", "again 3", "again 8"]
+
+
+def test_without_failed_the_exception_of_a_call_comes_at_its_place() -> None:
+    raised: list[tuple[float, float]] = []
+
+    def program(drone: Drone, detector: Detector) -> None:
+        for waypoint in drone.plan:
+            try:
+                drone.autopilot.goto(waypoint)
+            except ValueError:
+                raised.append((drone.autopilot.position.east_m, drone.autopilot.position.north_m))
+                drone.autopilot.goto(waypoint)
+            photo = drone.camera.take_photo()
+            pending = drone.start(detector.process_photo, photo, mode="light")
+            drone.stay_or_go(pending, _raise, demands=partial(_is_of_spot_2, waypoint.index))
+
+    events = flown(program)
+    assert raised == [(40.0, 0.0)]
+    assert max(offs_m(events, PLAN)) < 1.0
+
+
+def _raise(_: object) -> None:
+    raise ValueError("it cannot be done")
+
+
+def _is_of_spot_2(index: int, _: object) -> bool:
+    return index == 2
+
+
+def test_with_unless_a_leg_begins_at_rest() -> None:
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.autopilot.goto(drone.plan[0])
+        pending = drone.start(detector.process_photo, drone.camera.take_photo(), mode="light")
+        assert not drone.autopilot.goto(drone.plan[5], unless=pending.demands(lambda _: True))
+        assert drone.autopilot.position.east_m < 40.0
+        drone.autopilot.goto(drone.plan[1])
+        assert ground_distance_m(drone.autopilot.position, PLAN[1]) < 0.1
+
+    flown(program)
+
+
+@pytest.mark.parametrize("killed_at_s", [14.0, 21.0, 26.0, 27.5, 30.0, 33.0, 41.0, 48.0, 60.0, 75.0])
+def test_killed_on_a_row_it_takes_again_the_photos_without_an_answer(killed_at_s: float) -> None:
+    """Answers are 10 s late, and those of spots 2 and 8 have a demand."""
+    shows = [PLAN[2], PLAN[8]]
+    first = fly(rows(), killed_at_s=killed_at_s, shows=shows)
+    taken = {event.waypoint for event in of(first.events, schema.AnswerTaken) if not event.demanded}
+    acted = {event.waypoint for event in of(first.events, schema.Acted)}
+    assert "mission_completed" not in first.names()
+    both = fly(rows(), after=first, shows=shows)
+    assert both.error is None
+    again = after_resumption(both, first)
+    photos = [event.waypoint for event in again if isinstance(event, schema.CallStarted)]
+    assert photos == sorted(set(range(12)) - taken - acted), "exactly the photos without a finished answer"
+    assert sorted({event.waypoint for event in of(both.events, schema.Acted)}) == [2, 8]
+    assert max(offs_m(again, PLAN)) < 1.0
+    assert both.result.undone == []
+
+
+def after_resumption(both: Part, first: Part) -> list[Any]:
+    return both.events[len(first.events) :]
+
+
+def test_a_resumed_row_with_gaps_is_flown_without_stops() -> None:
+    """The newest photos were computed first."""
+    first = fly(rows(first="newest"), killed_at_s=47.0)
+    both = fly(rows(first="newest"), after=first)
+    assert both.error is None
+    again = after_resumption(both, first)
+    photos = [event.waypoint for event in of(again, schema.CallStarted)]
+    assert photos[:3] == [2, 4, 5], "0, 1 and 3 have their answers"
+    assert [event.waypoint for event in of(again, schema.Arrived) if event.passing][:1] == [4]
