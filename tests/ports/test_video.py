@@ -232,12 +232,23 @@ async def test_a_stream_that_breaks_is_opened_again(stream: Stream, monkeypatch:
             await camera.take_photo(HERE)
 
 
-@pytest.mark.parametrize("source", [97, "/nowhere/video.avi", "http://127.0.0.1:9/none"])
+@pytest.mark.parametrize(
+    ("source", "remedy"),
+    [
+        (97, "see that it is connected"),
+        ("/nowhere/video.avi", "there is no such file: check the path"),
+        ("/nowhere/" + "x" * 300, "there is no such file"),
+        (__file__, "it is no whole film that FFmpeg reads: copy it again"),
+        ("http://127.0.0.1:9/none", "see that it is connected"),
+    ],
+)
 async def test_a_camera_that_is_not_there_is_an_error_in_bounded_time(
-    source: int | str, monkeypatch: pytest.MonkeyPatch
+    source: int | str, remedy: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.5)
-    with pytest.raises(CameraError, match=rf"camera {source}: no frame within 0.5 s: it does not open"):
+    with pytest.raises(
+        CameraError, match=rf"camera {source}: no frame within 0.5 s: it does not open.*; {remedy}"
+    ):
         await VideoCamera.open(source)
 
 

@@ -86,8 +86,7 @@ class VideoCamera:
         except TimeoutError:
             raise CameraError(
                 self._name,
-                f"no frame within {timeout_s:g} s: {self._trouble}; see that it is connected, and that no other "
-                "program uses it",
+                f"no frame within {timeout_s:g} s: {self._trouble}; {_remedy(self._source)}",
             ) from None
         finally:
             self._requests.remove(request)
@@ -174,6 +173,19 @@ class _Capture:
 
     def close(self) -> None:
         self._capture.release()
+
+
+def _remedy(source: int | str) -> str:
+    """What to do about a source that shows nothing."""
+    if isinstance(source, int) or is_pipeline(source) or "://" in source or source.startswith("/dev/"):
+        return "see that it is connected, and that no other program uses it"
+    try:
+        is_there = Path(source).exists()
+    except OSError:  # too long for a path
+        is_there = False
+    if is_there:
+        return "it is no whole film that FFmpeg reads: copy it again, or name another"
+    return "there is no such file: check the path"
 
 
 def _has_gstreamer() -> bool:
