@@ -82,6 +82,11 @@ def test_a_silence_allows_for_the_way_flown_meanwhile_and_no_more() -> None:
     assert flown(flown(Continuity(), [0.0]), [600.0], begin_s=15.0, velocity=FLYING).doubt_m == 600
 
 
+def test_a_vehicle_that_comes_to_rest_in_a_silence_may_have_flown_as_before_it() -> None:
+    assert flown(flown(Continuity(), [0.0], velocity=FLYING), [60.0], begin_s=10.0).doubt_m == 0
+    assert flown(flown(Continuity(), [0.0], velocity=FLYING), [80.0], begin_s=10.0).doubt_m == 80
+
+
 def test_an_estimate_that_jumps_to_a_receiver_that_never_jumped_is_believed() -> None:
     continuity = flown(Continuity(), [0.0])
     continuity.take_receiver(Position(20.0, 0.0), time_s=0.0, velocity=STILL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,9 +16,11 @@ from upwash.config import DroneConfig, waypoints
 from upwash.core.geo import Position, Velocity
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork
+from upwash.errors import AutopilotLost, AutopilotOverruled
 from upwash.eventlog import schema
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.run import simulate
+from upwash.mavlink.px4 import Mode
 from upwash.missions.survey import survey
 from upwash.ports import Photo, Program
 from upwash.rpc.service import spec_of
@@ -29,13 +32,15 @@ from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import ModelRuntime
 from upwash.sim.world import DroneComputer, Joining
-from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.px4.inputs import Sticks
 from upwash.vehicle.px4.settings import Px4Settings
 
 Firmware = Literal["arducopter", "px4"]
 ROWS_M = [[0, 0], [80, 0], [80, 20], [0, 20], [0, 40], [80, 40]]
 DEMANDING, LAST = 7, 14  # in the middle of the second row
 ROW_ENDS = (0, 4, 5, 9, 10, 14)
+HEARD_S = 0.2  # after its change, a mode is reported
 
 
 def config_of(firmware: Firmware, speed_m_s: float, *, local_s: float = 1.5) -> DroneConfig:
@@ -79,6 +84,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Flown:
+    sky: Bench
     shots: list[Shot]
     journal: MemoryJournal
     error: Exception | None
@@ -123,8 +129,8 @@ def fly(config: DroneConfig, **at: Callable[[Bench], object]) -> Flown:
             try:
                 await flight.run()
             except Exception as error:  # noqa: BLE001 - the test looks at it
-                return Flown(camera.shots, journal, error)
-            return Flown(camera.shots, journal, None)
+                return Flown(sky, camera.shots, journal, error)
+            return Flown(sky, camera.shots, journal, None)
 
     return run_virtually(flown())
 
@@ -157,3 +163,63 @@ def test_rows_are_flown_as_simulated(firmware: Firmware, speed_m_s: float) -> No
     assert told.at == spots[DEMANDING].position
     stops = [event.waypoint for event in flown.of(schema.Arrived) if not event.passing]
     assert sorted(stops) == sorted([*ROW_ENDS, DEMANDING])
+
+
+def later(after_s: float, what: Callable[[Bench], object]) -> Callable[[Bench], object]:
+    return lambda sky: asyncio.get_running_loop().call_later(after_s, what, sky)
+
+
+def pilot_lands(sky: Bench) -> None:
+    if isinstance(sky.copter.settings, Px4Settings):
+        sky.copter.move_sticks(sky.now_s, Sticks())
+        sky.copter.set_mode(Mode.LAND)
+    else:
+        sky.copter.change_mode(sky.now_s, CopterMode.LAND)
+
+
+def silent_for(silent_s: float) -> Callable[[Bench], None]:
+    def falls_silent(sky: Bench) -> None:
+        sky.cut = True
+        later(silent_s, speaks)(sky)
+
+    def speaks(sky: Bench) -> None:
+        sky.cut = False
+
+    return falls_silent
+
+
+@pytest.mark.parametrize("firmware", ["arducopter", "px4"])
+def test_a_pilot_takes_it_on_a_row_with_answers_open(firmware: Firmware) -> None:
+    taken_s = []
+
+    def takes(sky: Bench) -> None:
+        pilot_lands(sky)
+        taken_s.append(sky.now_s + HEARD_S)
+
+    flown = fly(config_of(firmware, 4.0, local_s=60.0), photo6=later(1.0, takes))
+    assert isinstance(flown.error, AutopilotOverruled), flown.error
+    assert "the pilot has the vehicle" in str(flown.error)
+    assert flown.sky.commands(*taken_s) == []
+    assert flown.sky.setpoints(*taken_s) == 0
+    assert flown.result.not_looked_at == [*range(7)]
+    assert flown.result.undone == [*range(7, 15)]
+
+
+@pytest.mark.parametrize("firmware", ["arducopter", "px4"])
+def test_a_link_that_stays_silent_on_a_row_ends_the_flight(firmware: Firmware) -> None:
+    flown = fly(config_of(firmware, 4.0, local_s=60.0), photo6=silent_for(math.inf))
+    assert isinstance(flown.error, AutopilotLost), flown.error
+    assert [event.action for event in flown.of(schema.SafeEnd)] == ["return"]
+    answered = [event.waypoint for event in flown.of(schema.AnswerTaken)]
+    assert answered == [0, 1], "those that were there before the link counted as lost"
+    assert flown.result.not_looked_at == [*range(2, 7)]
+
+
+@pytest.mark.parametrize("silent_s", [4.0, 8.0])
+def test_spots_that_were_passed_in_a_silence_are_flown_back_to(silent_s: float) -> None:
+    config = config_of("arducopter", 8.0)
+    flown = fly(config, photo6=silent_for(silent_s))
+    assert flown.result.completed, flown.error
+    for number, (shot, spot) in enumerate(zip(flown.shots, waypoints(config.mission), strict=True)):
+        at = shot.place.east_m, shot.place.north_m
+        assert math.dist(at, (spot.position.east_m, spot.position.north_m)) < 1.0, number

@@ -369,10 +369,7 @@ class Vehicle:
         start, end, spot = self._leg_start, self._leg_end, position_of(place)
         if start is None or end is None or not lies_on(spot, start, end):
             return False
-        if end in (spot, start):
-            return True
-        left_m = ahead_m(spot, self._autopilot.position, start=start, end=end)
-        return left_m >= -late_m(self._ground_speed_m_s or self._default_m_s)
+        return not self._is_beyond(spot, start=start, end=end)
 
     def _head_for(self, place: Waypoint | Position) -> None:
         """Note that the place is the next one on the leg."""
@@ -383,14 +380,17 @@ class Vehicle:
         self._tell(LegBegun(position, self._ground_speed_m_s))
 
     async def _fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
-        """Return True where it passes the place, or arrives there; False when one of the answers is there."""
+        """Return True where it passes the place, or arrives there; False when one of the answers is there.
+
+        If it finds itself far beyond the place, it comes back.
+        """
         leg, start, end, position = self._leg, self._leg_start, self._leg_end, position_of(place)
         assert leg is not None and start is not None and end is not None  # noqa: S101 - it was set off
+        fastest_m_s = self._ground_speed_m_s or self._default_m_s
         is_there = False
 
         async def passes() -> None:
             nonlocal is_there
-            fastest_m_s = self._ground_speed_m_s or self._default_m_s
             await passed(self._autopilot, position, start=start, end=end, fastest_m_s=fastest_m_s)
             is_there = True
 
@@ -405,6 +405,9 @@ class Vehicle:
         if leg.done():
             await self._rest_of_leg()
             is_there = True
+        if is_there and self._is_beyond(position, start=start, end=end):
+            await self._come_back(place, end)
+            return True
         if is_there:
             self._tell(LegEnded())
             self._journal.record(
@@ -416,6 +419,20 @@ class Vehicle:
                 )
             )
         return is_there
+
+    def _is_beyond(self, spot: Position, *, start: Position, end: Position) -> bool:
+        """Whether the vehicle is far beyond a spot of the leg, as after a silence of its link."""
+        if end in (spot, start):
+            return False
+        left_m = ahead_m(spot, self._autopilot.position, start=start, end=end)
+        return left_m < -late_m(self._ground_speed_m_s or self._default_m_s)
+
+    async def _come_back(self, spot: Waypoint | Position, end: Position) -> None:
+        """Brake, fly to a spot that was passed unseen, and set off again."""
+        if self._leg is not None:
+            await self._stop_short_of(end)
+        await self._goto(position_of(spot), waypoint=index_of(spot))
+        await self._set_off(end)
 
     async def _stop(self) -> None:
         if self._leg_end is not None:

@@ -3,7 +3,7 @@
 A position filter that accepts a wrong satellite fix moves the reported place at once, and may report no fault
 afterwards. The vehicle itself does not jump. Laws:
 
-1. A report that lies farther from the one before it than speed and time allow is a jump.
+1. A report that lies farther from the one before it than time and the greater of both speeds allow is a jump.
 2. A jump is undone by jumps that lead back, or by a receiver that agrees with the new place. The receiver's reports
    must have come without a gap and without a jump since before the estimate jumped.
 3. While a jump is not undone, the vehicle's place is unknown.
@@ -32,6 +32,7 @@ class Track:
         self.jumps: deque[tuple[float, float]] = deque(maxlen=_JUMPS_KEPT)  # when, and how far
         self.unbroken_s = math.inf  # since when its reports have come without a gap
         self._time_s = -math.inf
+        self._speed_m_s = 0.0
         self._off_east_m = self._off_north_m = 0.0
 
     @property
@@ -42,13 +43,14 @@ class Track:
     def take(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
         """Add a position at `time_s`, and the velocity that the vehicle reports with it."""
         before, passed_s = self.place, time_s - self._time_s
-        self.place, self._time_s = place, time_s
+        fastest_m_s = max(self._speed_m_s, velocity.ground_m_s) + _FASTER_M_S
+        self.place, self._time_s, self._speed_m_s = place, time_s, velocity.ground_m_s
         if not 0 <= passed_s <= _GAP_S:
             self.unbroken_s = time_s
         if before is None or passed_s < 0:  # a clock that goes back: nothing is known of the time between
             return
         moved_m = ground_distance_m(before, place)
-        if moved_m <= _NOISE_M + (velocity.ground_m_s + _FASTER_M_S) * passed_s:
+        if moved_m <= _NOISE_M + fastest_m_s * passed_s:
             return
         self.jumps.append((time_s, moved_m))
         flown_s = passed_s if passed_s <= _GAP_S else 0.0  # in a gap it may have flown anywhere
