@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from pathlib import Path
@@ -29,6 +30,12 @@ OLD_DRIVER = (
     "driver version is insufficient for CUDA runtime version ; GPU=-1 ; expr=cudaSetDevice(info_.device_id);"
 )
 
+# Of a card that is too old, when a network is run.
+NO_KERNEL = (
+    "[ONNXRuntimeError] : 1 : FAIL : Non-zero status code returned while running Conv node. Name:'conv0' Status "
+    "Message: CUDA error cudaErrorNoKernelImageForDevice:no kernel image is available for execution on the device"
+)
+
 
 class Session:
     """A session as onnxruntime makes one where CUDA is installed in part."""
@@ -36,15 +43,26 @@ class Session:
     printed = ""
     raised = ""
     broken = False
+    fails_on: tuple[str, ...] = ()
 
     def __init__(self, model: str, _: object, *, providers: list[str], enable_fallback: bool) -> None:
         assert not enable_fallback  # it would print why, and raise nothing
         if self.broken or (self.raised and "CUDAExecutionProvider" in providers):
             raise RuntimeError(self.raised or "no protobuf")
         os.write(2, self.printed.encode())
+        self.provider = providers[0] if self.fails_on else "CPUExecutionProvider"
 
     def get_providers(self) -> list[str]:
-        return ["CPUExecutionProvider"]
+        return [self.provider]
+
+    def get_inputs(self) -> list[onnxruntime.NodeArg]:
+        return []
+
+    get_outputs = get_inputs
+
+    def run(self, *_: object) -> None:
+        if self.provider in self.fails_on:
+            raise RuntimeError(NO_KERNEL)
 
 
 @pytest.fixture
@@ -77,15 +95,28 @@ def test_a_library_that_is_missing_is_in_the_message_and_still_printed(
 def test_a_card_that_nobody_asked_for_and_that_fails_is_told_and_the_processor_computes(
     session: type[Session], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    session.raised = OLD_DRIVER
+    session.printed = MISSING_LIBRARY
+    found = open_session(Path("model.onnx"), threads=1, provider="auto")
+    assert found.get_providers() == ["CPUExecutionProvider"]
+    line, again = capfd.readouterr().err.split("\n", 1)
+    assert line.startswith('warning: provider = "cuda" cannot be used here: Failed to load library /opt/')
+    assert line.endswith("; the detector computes on the processor")
+    assert again == MISSING_LIBRARY, "of the session on the processor alone"
+
+
+def test_a_card_that_runs_no_network_is_refused_before_the_first_photo(session: type[Session]) -> None:
+    session.fails_on = ("CUDAExecutionProvider",)
+    assert "no kernel image is available for execution on the device; install what it names" in refusal()
     assert open_session(Path("model.onnx"), threads=1, provider="auto").get_providers() == [
         "CPUExecutionProvider"
     ]
-    (line,) = capfd.readouterr().err.splitlines()
-    assert line.startswith(
-        'warning: provider = "cuda" cannot be used here: CUDA failure 35: CUDA driver version'
-    )
-    assert line.endswith("; the detector computes on the processor")
+
+
+def test_a_network_that_runs_nowhere_is_not_the_cards_fault(session: type[Session]) -> None:
+    session.fails_on = ("CUDAExecutionProvider", "CPUExecutionProvider")
+    assert open_session(Path("model.onnx"), threads=1, provider="cuda").get_providers() == [
+        "CUDAExecutionProvider"
+    ]
 
 
 def test_without_a_library_for_cards_nothing_is_said(
@@ -107,6 +138,17 @@ def test_libraries_beside_onnxruntime_are_loaded_before_it_looks_for_them(
     monkeypatch.setattr(onnxruntime, "preload_dlls", load)
     assert "CUDA failure 35" in refusal()
     assert capfd.readouterr().out == ""
+
+
+def test_a_sandbox_in_which_memory_has_files_hides_no_reason(
+    session: type[Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: str) -> int:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(os, "memfd_create", refuse)
+    session.printed = MISSING_LIBRARY
+    assert "libcublasLt.so.13: cannot open shared object file" in refusal()
 
 
 def test_an_error_of_cuda_is_in_the_message_with_its_number(session: type[Session]) -> None:

@@ -5,6 +5,7 @@ NVIDIA's libraries may be packages beside onnxruntime, where no linker searches:
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -12,9 +13,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Literal
 
 from upwash.errors import ModelError, UsageError
+from upwash.services.heads import MOST_VALUES
 from upwash.support.text import words_of
 
 if TYPE_CHECKING:
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
 Provider = Literal["auto", "cpu", "cuda"]
 
 _PROCESSOR, _CARD = "CPUExecutionProvider", "CUDAExecutionProvider"
+_KINDS = {"tensor(float16)": "float16", "tensor(int64)": "int64"}
+_SIDE_PX = 320  # of a picture where the network takes any
 _STDERR = 2
 _MOST_PRINTED_BYTES = 2**16
 _LONGEST_REASON = 1000  # characters
@@ -51,7 +56,7 @@ def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntim
                 'provider = "cuda" is not in the onnxruntime that is installed; for cuda: '
                 "`pip uninstall onnxruntime`, then `pip install 'upwash[detector-gpu]'`"
             )
-        return _session_on_card(model, threads)
+        return _session_on_card(model, threads, repeats=provider == "cuda")
     except UsageError as error:
         if provider == "cuda":
             raise
@@ -65,12 +70,12 @@ def is_on_card(session: onnxruntime.InferenceSession) -> bool:
     return _CARD in session.get_providers()
 
 
-def _session_on_card(model: Path, threads: int) -> onnxruntime.InferenceSession:
+def _session_on_card(model: Path, threads: int, *, repeats: bool) -> onnxruntime.InferenceSession:
     import onnxruntime
 
     with redirect_stdout(StringIO()):  # onnxruntime says below what it still misses
         onnxruntime.preload_dlls()
-    with _printed_errors() as printed:  # onnxruntime does not raise if a library is missing
+    with _printed_errors(repeats=repeats) as printed:  # onnxruntime does not raise if a library is missing
         try:
             session = _session(model, threads, _CARD)
         except ModelError as error:
@@ -78,7 +83,37 @@ def _session_on_card(model: Path, threads: int) -> onnxruntime.InferenceSession:
             raise _unusable(str(error.__cause__)) from error
     if not is_on_card(session):
         raise _unusable(printed())
+    try:
+        _run_once(session)
+    except Exception as error:  # onnxruntime's exceptions have no common base
+        if _can_run(_session(model, threads, _PROCESSOR)):
+            raise _unusable(str(error)) from error
     return session
+
+
+def _can_run(session: onnxruntime.InferenceSession) -> bool:
+    try:
+        _run_once(session)
+    except Exception:  # noqa: BLE001 - as above
+        return False
+    return True
+
+
+def _run_once(session: onnxruntime.InferenceSession) -> None:
+    """Runs the network on a grey picture: a card that is too old or too small fails only there."""
+    import numpy as np
+
+    shapes = [node.shape for node in (*session.get_inputs(), *session.get_outputs())]
+    if any(math.prod(side for side in shape if isinstance(side, int)) > MOST_VALUES for shape in shapes):
+        return  # it will be refused
+    given = {}
+    for node in session.get_inputs():
+        free = (1, *[_SIDE_PX] * len(node.shape))  # for what the network leaves open
+        shape = [
+            side if isinstance(side, int) else any_ for side, any_ in zip(node.shape, free, strict=False)
+        ]
+        given[node.name] = np.ones(shape, _KINDS.get(node.type, "float32"))
+    session.run(None, given)
 
 
 def _session(model: Path, threads: int, provider: str) -> onnxruntime.InferenceSession:
@@ -102,18 +137,18 @@ def _unusable(why: str) -> UsageError:
 
 
 @contextmanager
-def _printed_errors() -> Iterator[Callable[[], str]]:
-    """Capture what this process writes to standard error in the block, and write it there afterwards."""
+def _printed_errors(*, repeats: bool) -> Iterator[Callable[[], str]]:
+    """Capture what this process writes to standard error in the block; `repeats` writes it there afterwards."""
     sys.stderr.flush()
-    ours, kept = os.dup(_STDERR), os.memfd_create("stderr")
-    os.dup2(kept, _STDERR)
-    text = b""
-    try:
-        yield lambda: text.decode(errors="replace")
-    finally:
-        sys.stderr.flush()
-        os.dup2(ours, _STDERR)
-        text = os.pread(kept, _MOST_PRINTED_BYTES, 0)
-        os.close(kept)
-        os.close(ours)
-        os.write(_STDERR, text)
+    ours, text = os.dup(_STDERR), b""
+    with TemporaryFile() as kept:  # a sandbox has no memfd_create
+        os.dup2(kept.fileno(), _STDERR)
+        try:
+            yield lambda: text.decode(errors="replace")
+        finally:
+            sys.stderr.flush()
+            os.dup2(ours, _STDERR)
+            text = os.pread(kept.fileno(), _MOST_PRINTED_BYTES, 0)
+            os.close(ours)
+            if repeats:
+                os.write(_STDERR, text)
