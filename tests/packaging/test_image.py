@@ -104,6 +104,16 @@ def test_what_cannot_be_packaged_is_named(services: Path, tmp_path: Path) -> Non
         copy_program(f"{services}:Workbench", tmp_path, beside=[tmp_path / "models"])
 
 
+def test_a_model_in_onnx_is_packed_with_its_numbers(tmp_path: Path) -> None:
+    model, numbers = tmp_path / "model.onnx", tmp_path / "model.onnx.data"
+    for content in ("1", "2"):
+        model.write_text("a graph")
+        numbers.write_text(content)
+        copied = tmp_path / "root" / copy_setting(model, tmp_path / "root").relative_to("/")
+        assert copied.read_text() == "a graph"
+        assert copied.with_name("model.onnx.data").read_text() == content
+
+
 def refused(folder: Path) -> str:
     with pytest.raises(UsageError) as refusal:
         copy_setting(folder, folder.parent / "root")

@@ -490,3 +490,11 @@ def test_files_are_found_wherever_they_stand_in_settings(tmp_path: Path) -> None
         "missing": "/no/such/file",
     }
     assert files_in(settings) == [model, tmp_path]
+
+
+@pytest.mark.parametrize("ending", [".data", "_data"])
+def test_a_model_in_onnx_is_shown_with_its_numbers(ending: str, tmp_path: Path) -> None:
+    files = [tmp_path / "model.onnx", tmp_path / f"model.onnx{ending}"]
+    for file in (*files, tmp_path / "model.onnx.key", tmp_path / "other.data"):
+        file.touch()
+    assert files_in({"model": {"onnx": str(files[0])}}) == files

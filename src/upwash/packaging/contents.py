@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from upwash.errors import UsageError
+from upwash.support.input_files import with_data
 from upwash.support.loading import extra
 from upwash.support.text import printable
 
@@ -59,11 +60,16 @@ def copy_program(program: str, root: Path, *, beside: Collection[Path] = ()) -> 
 
 
 def copy_setting(file: Path, root: Path) -> Path:
-    """Copies a file or folder that a setting names; returns its path in the image, the same for the same contents."""
+    """Copies a file or folder that a setting names, and the file's data beside it.
+
+    Returns its path in the image, the same for the same contents.
+    """
     require_packable(file)
-    target = Path(SETTINGS, _hash(file), file.name)
-    _copy(file, root / target)
-    return Path("/") / target
+    files = with_data(file)
+    folder = Path(SETTINGS, _hash(*files))
+    for copied in files:
+        _copy(copied, root / folder / copied.name)
+    return Path("/") / folder / file.name
 
 
 def copy_word(word: str, root: Path) -> str:
@@ -167,12 +173,13 @@ def _without_marker(required: Requirement) -> str:
     return str(required).partition(";")[0].strip()
 
 
-def _hash(path: Path) -> str:
+def _hash(*paths: Path) -> str:
     """Tells two files of one name apart."""
     found = hashlib.sha256()
-    for file in filter(Path.is_file, sorted(path.rglob("*")) if path.is_dir() else [path]):
-        with file.open("rb") as content:
-            hashlib.file_digest(content, lambda: found)
+    for path in paths:
+        for file in filter(Path.is_file, sorted(path.rglob("*")) if path.is_dir() else [path]):
+            with file.open("rb") as content:
+                hashlib.file_digest(content, lambda: found)
     return found.hexdigest()[:12]
 
 

@@ -65,6 +65,14 @@ def read_named_file(file: Path, *, most_bytes: int) -> bytes:
         raise ConfigError(str(file), "", problem) from None
 
 
+def with_data(file: Path) -> list[Path]:
+    """The file, and the file beside it that has the numbers of an ONNX model, as PyTorch's tools write it."""
+    if file.suffix != ".onnx":
+        return [file]
+    beside = (file.with_name(file.name + ending) for ending in (".data", "_data"))
+    return [file, *(data for data in beside if data.is_file())]
+
+
 def why_unreadable(error: OSError | ValueError) -> str:
     """The message of a failed `read_file`, without the name of the file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)

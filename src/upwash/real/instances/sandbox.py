@@ -24,6 +24,7 @@ from upwash.errors import UsageError
 from upwash.ports import Program
 from upwash.real.instances.cards import has_card, read_by_cuda
 from upwash.real.instances.syscalls import call_filter
+from upwash.support.input_files import with_data
 from upwash.support.loading import module_command
 
 _PROBE_S = 10.0
@@ -220,10 +221,10 @@ def code_of(program: str) -> list[Path]:
 
 
 def files_in(settings: object) -> list[Path]:
-    """The existing files and folders whose absolute paths stand in a program's settings."""
+    """The existing files and folders whose absolute paths stand in a program's settings, with their data."""
     match settings:
         case str() if settings.startswith("/") and Path(settings).exists():
-            return [Path(settings)]
+            return with_data(Path(settings))
         case Mapping():
             return [file for value in settings.values() for file in files_in(value)]
         case list() | tuple():
