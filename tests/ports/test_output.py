@@ -103,6 +103,14 @@ def test_a_crash_is_explained_by_the_last_words_also_where_they_were_left_out(
     assert "bytes left out" in caplog.messages[-1]
 
 
+def test_a_warning_of_a_service_is_a_warning_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    Output("s").add(b"warning: no card\nno warning: fine\n")
+    assert caplog.record_tuples == [
+        ("upwash.instance", logging.WARNING, "s: warning: no card"),
+        ("upwash.instance", logging.INFO, "s: no warning: fine"),
+    ]
+
+
 def test_no_control_character_of_a_service_reaches_the_log(caplog: pytest.LogCaptureFixture) -> None:
     output = Output("s", now_s=Clock())
     output.add("\x1b[2J\x1b]0;title\x07done\x85\u2028forged line\u202e\n".encode())

@@ -21,6 +21,7 @@ _LOGGED_BYTES_S = 2048.0  # a log may be kept for months
 _LOGGED_AT_ONCE_BYTES = 2**16  # a traceback, or all that a library says of its start
 _LINE_COSTS_BYTES = 100  # what a log adds to each line
 _CHUNK_BYTES = 2**16
+_WARNING = b"warning: "
 _READ_BYTES_S = 2.0**25  # faster than any service prints that does its work too
 _READ_AT_ONCE_BYTES = 2**28  # read in a fraction of a second
 
@@ -86,7 +87,8 @@ class Output:
         if not self._logged.take(len(words) + _LINE_COSTS_BYTES, now_s=self._now_s()):
             return False
         self._tell_left_out()
-        _log.info("%s: %s", self._name, _words(words))
+        level = logging.WARNING if words.startswith(_WARNING) else logging.INFO
+        _log.log(level, "%s: %s", self._name, _words(words))
         return True
 
     def _tell_left_out(self) -> None:
