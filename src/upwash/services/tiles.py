@@ -2,7 +2,7 @@
 
 A view is a tile or the whole photo. Boxes of two views are one object where the views agree on what both show:
 the parts of the boxes there cover each other. So a tile's border may cut an object of any size, and no object has
-two boxes of one view. Each side of the object's box is from the view that shows the side best.
+two boxes of one view. Each side of the object's box is from the best box that is not cut there.
 
 The whole photo is coarse. A small box of it, which some tile shows whole, is one object with a tile's box that covers
 about half of it, or lies in it.
@@ -101,8 +101,13 @@ def merged(sightings: Iterable[Sighting], photo: View) -> list[Sighting]:
             into += out
             for number in out:
                 groups[number] = into
-    best = [sorted(group) for number, group in enumerate(groups) if number == min(group)]
-    return [_one_of([ranked[number] for number in group], photo) for group in best[:MOST_CANDIDATES]]
+    firsts = [group for number, group in enumerate(groups) if number == min(group)]
+    return [
+        _one_of(
+            [ranked[number] for number in sorted(group, key=lambda number: (coarse[number], number))], photo
+        )
+        for group in firsts[:MOST_CANDIDATES]
+    ]
 
 
 def _area(low: Floats, high: Floats) -> Floats:
@@ -113,18 +118,19 @@ def _area(low: Floats, high: Floats) -> Floats:
 
 
 def _one_of(group: Sequence[Sighting], photo: View) -> Sighting:
-    """The best sighting, with each side from the view that shows it best: well inside, then in most detail."""
+    """The best score, and each side from the first view of those that show it farthest from a border of theirs."""
 
-    def how_well(sighting: Sighting, side: int) -> tuple[float, float]:
-        view, width_px = sighting.view, sighting.view.right_px - sighting.view.left_px
-        height_px = view.bottom_px - view.top_px
-        inside = abs(_corners(sighting.box)[side] - view[side]) / (height_px if side % 2 else width_px)
-        return 1.0 if view[side] == photo[side] else min(1.0, inside / _BORDER), -width_px * height_px
+    def how_well(sighting: Sighting, side: int) -> float:
+        view = sighting.view
+        length_px = view[side % 2 + 2] - view[side % 2]
+        inside = abs(_corners(sighting.box)[side] - view[side]) / length_px
+        return 1.0 if view[side] == photo[side] else min(1.0, inside / _BORDER)
 
     left, top, right, bottom = (
         _corners(max(group, key=lambda sighting: how_well(sighting, side)).box)[side] for side in range(4)
     )
-    return group[0]._replace(box=Box(left_px=left, top_px=top, width_px=right - left, height_px=bottom - top))
+    box = Box(left_px=left, top_px=top, width_px=right - left, height_px=bottom - top)
+    return max(group, key=lambda sighting: sighting.score)._replace(box=box)
 
 
 def _corners(box: Box) -> tuple[float, float, float, float]:
