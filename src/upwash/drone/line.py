@@ -109,7 +109,7 @@ class CallLine:
         if decision is None:
             return ON_DRONE, math.inf
         estimates = self._decisions.selection.estimates
-        server = decision.server if isinstance(decision, Remote) else None
+        server = decision.server if isinstance(decision, Remote) and not decision.raced else None
         takes_s = estimates.local_s(operation) if server is None else estimates.remote_s(server, operation)
         return name_of(server), now_s() + (takes_s or 0.0)
 

@@ -59,6 +59,8 @@ def bounded_calls(history: History) -> Iterator[Breach]:
         most_s = math.inf if flies_rows(history.config) else before_s.get(service, 0.0)  # in line with others
         if call.queued_s > most_s + SLACK_S:
             yield ended, f"waited {call.queued_s:.3f} s for a service that needed {most_s:.3f} s"
+        if flies_rows(history.config) and not ended.onboard_s:
+            continue  # it was in line for the drone's service until a server answered it
         if computed.get(service) and call.computed:
             before_s[service] = took_s = computed[service].popleft().took_s
             if ended.onboard_s > took_s + SLACK_S:
@@ -227,6 +229,7 @@ def _expected(config: DroneConfig, number: int) -> probing.CallReport:
 
 
 _AT_PLACE_M = 1.0  # within which a vehicle counts as arrived
+_BRAKED_M = 1.5  # from a place at which a vehicle that braked beside it counts as arrived at once
 _MOST_CRASHES = 12  # that a flight is tested with
 
 
@@ -238,7 +241,8 @@ def answers(history: History) -> Iterator[Breach]:
     places = [waypoint.position for waypoint in waypoints(history.config.mission)]
     yield from _done_twice(history.run.events)
     if not position_jumps(history.config):
-        yield from _done_elsewhere(history.run.events, places)
+        near_m = _BRAKED_M if on_rows else _AT_PLACE_M
+        yield from _done_elsewhere(history.run.events, places, near_m)
         if not on_rows:
             yield from _flown_back_too_far(history.run.events, places)
     yield from _lost_in_a_crash(history)
@@ -252,9 +256,9 @@ def answers(history: History) -> Iterator[Breach]:
             yield None, f"actions {wanted} were demanded, and {done} done"
 
 
-def _done_elsewhere(events: Sequence[Event], places: Sequence[Position]) -> Iterator[Breach]:
+def _done_elsewhere(events: Sequence[Event], places: Sequence[Position], near_m: float) -> Iterator[Breach]:
     for event, action in _done(events):
-        if ground_distance_m(event.at, places[action.done]) > _AT_PLACE_M:
+        if ground_distance_m(event.at, places[action.done]) > near_m:
             yield event, f"action {action.done} was done beside its waypoint"
 
 

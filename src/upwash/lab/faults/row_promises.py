@@ -74,7 +74,7 @@ def _two_at_a_place(history: History) -> Iterator[Breach]:
         if not call.decisions:
             continue
         placed = next(decided for decided in call.decisions if decided.decision != "wait")
-        place = placed.server or ON_DRONE
+        place = ON_DRONE if placed.raced else placed.server or ON_DRONE
         if placed.t < until_s.get(place, 0.0) - ROUNDING_S:
             yield (
                 placed,

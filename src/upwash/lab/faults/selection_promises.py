@@ -12,7 +12,7 @@ from upwash.core.knowledge.servers import SELECTED, TRANSITIONS, State, Trigger
 from upwash.core.selection.recovery import REST_S
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, Breach, History, position_jumps
+from upwash.lab.faults.history import ANSWER_S, ROUNDING_S, Breach, History, flies_rows, position_jumps
 from upwash.lab.observer import Observation
 from upwash.rpc.protocol import AVAILABILITY, DENY, HEALTH_CHECK, LEAVE
 
@@ -170,8 +170,23 @@ def recovered(history: History) -> Iterator[Breach]:
     """A server that failed costs no time again until it has answered a call; once well it is back within bounds."""
     if history.config.policy.probing is None:
         return
-    yield from _trusted_too_soon(history.run.events)
+    events = history.run.events
+    yield from _trusted_too_soon(_answers_first(events) if flies_rows(history.config) else events)
     yield from _left_unused(history)
+
+
+def _answers_first(events: Iterable[Event]) -> list[Event]:
+    """The events, with each call before what was decided in the same moment, as its place was free."""
+    ordered = list[Event]()
+    for event in events:
+        place = len(ordered)
+        if isinstance(event, schema.Call):
+            while (
+                place and isinstance(ordered[place - 1], schema.Decided) and ordered[place - 1].t == event.t
+            ):
+                place -= 1
+        ordered.insert(place, event)
+    return ordered
 
 
 def _trusted_too_soon(events: Iterable[Event]) -> Iterator[Breach]:
