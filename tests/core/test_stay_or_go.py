@@ -20,7 +20,7 @@ def outlook(delay_s: float, *, leg: Leg = LEG, photo_s: float = 1.0, go_s: float
 def learnt(demands: int, answers: int) -> StayRule:
     rule = StayRule("learn")
     for number in range(answers):
-        rule.answered(demanded=number < demands)
+        rule.answered(1.0, demanded=number < demands)
     return rule
 
 
@@ -74,7 +74,7 @@ def test_it_goes_only_if_that_gains(delay_s: float, goes: bool, why: str) -> Non
 def test_what_was_long_ago_is_forgotten() -> None:
     rule = learnt(40, 40)
     for _ in range(40):
-        rule.answered(demanded=False)
+        rule.answered(1.0, demanded=False)
     assert rule.chance == pytest.approx(1 / 44)
 
 

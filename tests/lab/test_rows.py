@@ -97,3 +97,29 @@ def test_too_many_photos_without_an_answer_stop_the_drone() -> None:
 def test_a_slow_photo_is_refused_with_the_speed_that_it_allows() -> None:
     with pytest.raises(Exception, match=r"at most 10 m/s: fly slower, or make photos.every_m larger"):
         survey(**{"camera__photo_s": 2.0, "mission__ground_speed_m_s": 12.0})
+
+
+def test_where_most_answers_demand_something_it_stops_if_it_may_learn() -> None:
+    often = {"event": {"probability": 0.5}, "seed": 1}
+    on, learnt = (survey(**often, policy__stay_or_go=manner).mission_time_s for manner in ("go", "learn"))
+    assert learnt < 0.95 * on
+    rarely = {"event": {"probability": 0.05}, "seed": 1}
+    on, learnt = (survey(**rarely, policy__stay_or_go=manner).mission_time_s for manner in ("go", "learn"))
+    assert learnt < 1.01 * on
+
+
+def test_the_expected_times_are_those_of_a_drone_that_flies_on() -> None:
+    run = survey(event__every=1000, event__offset=999)
+    (foreseen,) = of(run, schema.Foreseen)
+    reached_s = [event.t for event in of(run, schema.Arrived)]
+    assert foreseen.reached_s == pytest.approx(reached_s, abs=1.0)
+    assert foreseen.as_asked_s == pytest.approx(run.mission_time_s, rel=0.02)
+
+
+def test_the_bound_flies_the_rows_without_waits_and_ways_back() -> None:
+    run = survey()
+    assert run.bound is not None
+    demands, action_s = 12, 5.0
+    rows_s = 11 * (200 / 4 + 4 / 1.02) + 10 * (20 / 4 + 4 / 1.02) + 26
+    assert run.bound.free_s == pytest.approx(rows_s + demands * action_s, abs=2.0)
+    assert run.bound.free_s < run.mission_time_s

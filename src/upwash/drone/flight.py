@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.config import DroneConfig, ending, geofence, server_areas
+from upwash.config import DroneConfig, ending, geofence, pace_in_numbers, server_areas, told_pace
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
 from upwash.core.planning.order import Order
@@ -28,6 +28,7 @@ from upwash.drone.pending import AnswerActions, Calls
 from upwash.drone.photographer import Photographer
 from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of
 from upwash.drone.reserve import ReserveWatch
+from upwash.drone.rows import RowRules
 from upwash.drone.site import Site
 from upwash.drone.vehicle import Vehicle, VehicleHandle
 from upwash.errors import (
@@ -120,7 +121,7 @@ class Flight:
         self._onboard = _onboard_services(config, programs, ports)
         selection = make_selection(config, specs, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
-        photos = config.mission.photos
+        self._stay_rule = StayRule(config.policy.stay_or_go)
         self._offloading = _offloading(config, selection, ports, self._onboard)
         self._vehicle = Vehicle(
             ports.autopilot,
@@ -135,8 +136,7 @@ class Flight:
                 home=planned_home(config.mission),
             ),
             tell=self._offloading.tell,
-            default_m_s=config.mission.ground_speed_m_s,
-            open_at_most=photos.at_most if photos else None,
+            rows=_row_rules(config, self._stay_rule),
         )
         self._handle = VehicleHandle(self._vehicle)
         self._ends: ComingDown | None = None  # how the flight is ended safely, while it is
@@ -146,7 +146,7 @@ class Flight:
             self._offloading.invoke,
             ports.journal,
             waypoint=lambda: self._vehicle.waypoint,
-            several=photos is not None,
+            several=config.mission.photos is not None,
         )
 
     async def run(self) -> None:
@@ -422,11 +422,25 @@ class Flight:
             answers=AnswerActions(
                 self._handle,
                 self._calls,
-                rule=StayRule(self._config.policy.stay_or_go),
+                rule=self._stay_rule,
                 outlook=self._offloading.outlook,
             ),
             action_s=self._config.mission.action_s,
         )
+
+
+def _row_rules(config: DroneConfig, rule: StayRule) -> RowRules | None:
+    photos = config.mission.photos
+    if photos is None:
+        return None
+    pace = told_pace(config.vehicle) or pace_in_numbers(config.vehicle)
+    return RowRules(
+        photos.at_most,
+        rule,
+        config.mission.ground_speed_m_s,
+        pace.acceleration_m_s2,
+        config.camera.photo_s,
+    )
 
 
 def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], ports: Ports) -> OnboardServices:

@@ -54,6 +54,7 @@ class Pending(Generic[T]):
         self._waypoint = waypoint
         self._task: asyncio.Task[Any] | None = None  # the loop makes it before the mission's next verb
         self._is_taken = False
+        self.took_s = 0.0  # until it was over
 
     def done(self) -> bool:
         """Whether the call has ended, with an answer or without; for any thread."""
@@ -184,8 +185,14 @@ class Calls:
 
         def on_loop() -> None:
             self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
+            begun_s = asyncio.get_running_loop().time()
+
+            def note_end(call: asyncio.Task[Any]) -> None:
+                started.took_s = asyncio.get_running_loop().time() - begun_s
+                _take_note(call)
+
             started._task = begin(self._run(operation, method, request, after, waypoint))
-            started._task.add_done_callback(_take_note)
+            started._task.add_done_callback(note_end)
 
         if self._several and self._under_way is not None:
             self._others = [call for call in self._others if not call.done()] + [self._under_way]
@@ -351,7 +358,7 @@ class AnswerAction(Generic[T]):
         """Take the answer, and act if it has a demand."""
         self.is_over = True
         demanded = self.demand.holds()
-        self._rule.answered(demanded=demanded)
+        self._rule.answered(self.pending.took_s, demanded=demanded)
         self.pending._take(waited_s, demanded=demanded)
         if not demanded:
             return

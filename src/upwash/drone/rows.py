@@ -1,12 +1,14 @@
 """Rows that the drone flies without stopping, while answers to earlier photos are open; in the mission's thread.
 
-a spot       the first of a row is flown to, and the drone rests there; the others are passed, on one leg to the
-             row's end
-an answer    without a demand it is taken, while the drone flies on
-a demand     the drone brakes, flies back and acts; demands that are there by then are one detour, the nearest
-             first. Then it flies on from where it began to brake, or along its row if it acted there
-too many     with too many open answers the drone brakes and waits
-the end      before any other verb the drone arrives at the row's end, and every answer is in
+    a row        one leg from its first spot to its end, on which the other spots are passed; from there the drone
+                 sets off for the next waypoint of the plan, while the mission looks at the photo
+    an answer    without a demand it is taken, while the drone flies on
+    a demand     the drone brakes, flies back and acts; demands that are there by then are one detour, the nearest
+                 first. Then it flies on from where it began to brake, or along its row if it acted there
+    the rule     where demands are so frequent that flying on would lose time, and `policy.stay_or_go` is "learn", the
+                 drone rests at the next spot and waits for its answer, as on a mission that stops
+    too many     with too many open answers the drone brakes and waits
+    other verbs  the drone brakes, and comes back to the last spot; before most of them every answer is in
 """
 
 from __future__ import annotations
@@ -15,15 +17,20 @@ import asyncio
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
+from msgspec.structs import asdict
+
 from upwash.core.geo import Position, Waypoint, distance_m
+from upwash.core.planning.stay_or_go import RowOutlook, StayRule
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Place, position_of
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 from upwash.support.background import first
 
+_IN_TIME = 2  # open answers, at most, of a drone whose answers come before the next photos
 _LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
 _FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s for 4
 _BESIDE_M = 2.0  # by wind and GPS
@@ -101,6 +108,17 @@ class LegVerbs(Protocol):
         """Brake and end the leg, or fly it to its end if that is nearer."""
 
 
+@dataclass(frozen=True, slots=True)
+class RowRules:
+    """When a drone stops on its rows: with `at_most` open answers, and where the rule finds that this saves time."""
+
+    at_most: int
+    stay_or_go: StayRule
+    ground_speed_m_s: float
+    acceleration_m_s2: float
+    photo_s: float
+
+
 class Rows:
     """Flies a plan of rows, and meets the demands of answers meanwhile."""
 
@@ -111,15 +129,16 @@ class Rows:
         journal: Journal,
         *,
         plan: Sequence[Waypoint],
-        at_most: int,
+        rules: RowRules,
     ) -> None:
         self._vehicle = vehicle
         self._thread = thread
         self._journal = journal
         self._following = dict(itertools.pairwise(plan))
-        self._at_most = at_most
+        self._rules = rules
         self._open: list[AnswerAction[Any]] = []
         self._end: Position | None = None  # of the leg that is flown
+        self._stays = False  # at rest, until its answer is there
         self._acts = False
 
     def goto(self, place: Place) -> None:
@@ -130,25 +149,31 @@ class Rows:
         if self._end is not None and not self._vehicle.passes(place):
             self.stop()
         if self._end is None:
-            self._set_off(self._row_end_from_here(place) or position_of(place))
+            row_end = None if self._stays else self._row_end_from_here(place)
+            self._set_off(row_end or position_of(place))
         self._thread.post(lambda: self._vehicle.head_for(place))
         while not self._thread.call(self._vehicle.fly_on(place, self._open)):
             if demanding := self._taken():
                 self._detour(demanding, place)
         if self._end == position_of(place) or self._vehicle.rests():
             self._end = None
-            self._set_off_for_next(place)
+            self._stays = isinstance(place, Waypoint) and self._rests_at(place)
+            if not self._stays:
+                self._set_off_for_next(place)
             if self._end is None:
                 self._thread.call(self._vehicle.arrive())
 
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
         self._open.append(answer)
-        if len(self._open) >= self._at_most:
+        if self._stays:
+            while self._open:
+                self._take_next()
+        if len(self._open) >= self._rules.at_most:
             waiting = len(self._open)
-            self._thread.post(lambda: self._journal.record(schema.PhotosWait(waiting=waiting)))
+            self._note(schema.PhotosWait(waiting=waiting))
             self.stop()
-            while len(self._open) >= self._at_most:
+            while len(self._open) >= self._rules.at_most:
                 self._take_next()
 
     def stop(self) -> None:
@@ -197,6 +222,28 @@ class Rows:
         passes = lies_on(place.position, self._vehicle.position(), place.row_end)
         return place.row_end if is_on_row and passes else None
 
+    def _rests_at(self, spot: Waypoint) -> bool:
+        """Whether the drone waits at this spot, where it rests, for the answer."""
+        rules, rule = self._rules, self._rules.stay_or_go
+        if rule.manner != "learn" or rule.answer_s is None or spot not in self._following:
+            return False
+        if len(self._open) > _IN_TIME:  # late answers share detours, which cost less
+            return False
+        verdict = rule.decide(
+            RowOutlook(
+                rules.ground_speed_m_s,
+                rules.acceleration_m_s2,
+                rule.answer_s,
+                rules.photo_s,
+                rests_anyway=spot.position == spot.row_end,
+            )
+        )
+        self._note(schema.StayOrGo(waypoint=spot.index, **asdict(verdict)))
+        return not verdict.goes
+
+    def _note(self, event: schema.Event) -> None:
+        self._thread.post(lambda: self._journal.record(event))
+
     def _taken(self, waited_s: float = 0.0) -> list[AnswerAction[Any]]:
         """The open answers that are there and have a demand; the others that are there are taken."""
         demanding = []
@@ -228,7 +275,10 @@ class Rows:
                 here = self._vehicle.position()
                 answer = min(demanding, key=lambda answer: answer.away_m(here))
                 self._open.remove(answer)
-                answer.come_back(0.0)
+                if self._stays and answer.place is self._vehicle.place():
+                    answer.finish(0.0)
+                else:
+                    answer.come_back(0.0)
                 demanding = self._taken()
         finally:
             self._acts = acted

@@ -20,7 +20,7 @@ from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.coming_down import ComingDown
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
-from upwash.drone.rows import Rows, ahead_m, late_m, lies_on, passed
+from upwash.drone.rows import RowRules, Rows, ahead_m, late_m, lies_on, passed
 from upwash.drone.site import Site, require_altitude
 from upwash.errors import AutopilotError, UsageError
 from upwash.eventlog import schema
@@ -48,8 +48,7 @@ class Vehicle:
         *,
         site: Site,
         tell: Callable[[SelectionEvent], None],
-        default_m_s: float = 0.0,
-        open_at_most: int | None = None,
+        rows: RowRules | None = None,
     ) -> None:
         self._autopilot = autopilot
         self._thread = thread
@@ -57,7 +56,7 @@ class Vehicle:
         self._site = site
         self._limits = VehicleLimits()  # as they were read before arming
         self._tell = tell
-        self._default_m_s = default_m_s
+        self._default_m_s = rows.ground_speed_m_s if rows else 0.0
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._coming_down: ComingDown | None = None
@@ -70,9 +69,7 @@ class Vehicle:
         self._leg_start: Position | None = None  # of that leg
         self._leg_end: Position | None = None
         self._rows = (
-            Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, at_most=open_at_most)
-            if open_at_most
-            else None
+            Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, rules=rows) if rows else None
         )
 
     @property

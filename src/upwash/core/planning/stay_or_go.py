@@ -5,6 +5,8 @@ demand. A demand costs it braking and the way back. Going pays if on average it 
 
     (1 - p) * saved_s > p * lost_s, p: the chance that an answer has a demand
 
+On a row (drone/rows.py) the drone goes, without a stop at the next spots, by the same law.
+
 Laws:
 - the drone stays at the last waypoint, and at every waypoint without a known successor;
 - the chance is learnt from the last answers alone: (demands + 1) / (answers + 4), a quarter before the first;
@@ -14,6 +16,7 @@ Laws:
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 from typing import Literal, TypeAlias
 
 from msgspec import Struct
@@ -50,6 +53,36 @@ class Outlook(Struct, frozen=True):
         return max(self.go_s, photographed_s) + self.leg.duration_s - self.photo_s - self.stay_s
 
 
+class RowOutlook(Struct, frozen=True):
+    """The next spot of a row: the answer to its photo takes `answer_s`, and a photo `photo_s`.
+
+    A drone that rests there loses its speed, if it does not rest at that spot anyway.
+    """
+
+    ground_speed_m_s: float
+    acceleration_m_s2: float
+    answer_s: float
+    photo_s: float
+    rests_anyway: bool = False
+
+    @property
+    def saved_s(self) -> float:
+        """The seconds that flying on saves if the answer has no demand."""
+        return self.photo_s + self.answer_s + (0.0 if self.rests_anyway else self._ramp_s)
+
+    @property
+    def lost_s(self) -> float:
+        """The seconds that flying on costs if the answer has a demand, by which the drone brakes and flies back."""
+        answered_s = self.photo_s + self.answer_s
+        way_m = self.ground_speed_m_s * (answered_s + self._ramp_s / 2)
+        back_s = Leg(way_m, self.ground_speed_m_s, self.acceleration_m_s2).duration_s
+        return answered_s + 1.5 * self._ramp_s + back_s - self.saved_s
+
+    @property
+    def _ramp_s(self) -> float:
+        return self.ground_speed_m_s / self.acceleration_m_s2
+
+
 class StayVerdict(Struct, frozen=True):
     """Whether the drone goes, why, and the chance of a demand; `saved_s` and `lost_s` are None if not computed."""
 
@@ -66,17 +99,24 @@ class StayRule:
     def __init__(self, manner: Manner) -> None:
         self.manner = manner
         self._demands: deque[bool] = deque(maxlen=_WINDOW)
+        self._took_s: deque[float] = deque(maxlen=_WINDOW)
 
     @property
     def chance(self) -> float:
         """The chance of a demand, from 0 to 1, by the last 40 answers."""
         return (sum(self._demands) + _DEMANDS) / (len(self._demands) + _ANSWERS)
 
-    def answered(self, *, demanded: bool) -> None:
-        """Add an answer, and whether it had a demand."""
-        self._demands.append(demanded)
+    @property
+    def answer_s(self) -> float | None:
+        """The median of the last 40 delays of answers; None before the first."""
+        return median(self._took_s) if self._took_s else None
 
-    def decide(self, outlook: Outlook | None) -> StayVerdict:
+    def answered(self, took_s: float, *, demanded: bool) -> None:
+        """Add an answer, its delay, and whether it had a demand."""
+        self._demands.append(demanded)
+        self._took_s.append(took_s)
+
+    def decide(self, outlook: Outlook | RowOutlook | None) -> StayVerdict:
         """Decide whether the drone goes; `outlook` is None if no next waypoint is known."""
         if self.manner == "stay":
             return StayVerdict(False, "it always stays", self.chance)
