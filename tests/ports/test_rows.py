@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pytest
-from tests.ports.memory import HOME, Bench, bench
+from tests.ports.memory import HOME, Bench, bench, driven
+from tests.ports.steps import take_off
 from tests.scenarios import scenario
 
 from upwash.config import DroneConfig, waypoints
@@ -31,8 +32,11 @@ from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import ModelRuntime
+from upwash.sim.vehicle import Manner
 from upwash.sim.world import DroneComputer, Joining
+from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.px4 import airframe as px4
 from upwash.vehicle.px4.inputs import Sticks
 from upwash.vehicle.px4.settings import Px4Settings
 
@@ -163,6 +167,28 @@ def test_rows_are_flown_as_simulated(firmware: Firmware, speed_m_s: float) -> No
     assert told.at == spots[DEMANDING].position
     stops = [event.waypoint for event in flown.of(schema.Arrived) if not event.passing]
     assert sorted(stops) == sorted([*ROW_ENDS, DEMANDING])
+
+
+@pytest.mark.parametrize("speed_m_s", [4.0, 8.0])
+@pytest.mark.parametrize(("firmware", "manner"), [("arducopter", arducopter), ("px4", px4)])
+def test_a_hold_in_flight_is_as_simulated(firmware: Firmware, manner: Manner, speed_m_s: float) -> None:
+    async def held() -> tuple[float, float]:
+        async with driven(vehicle_of(config_of(firmware, speed_m_s)), ground_speed_m_s=speed_m_s) as (
+            sky,
+            autopilot,
+        ):
+            await take_off(autopilot)
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(20.0):
+                    await autopilot.goto(Position(500.0, 0.0, 5.0))
+            begun_s, begun_m = sky.now_s, autopilot.position.east_m
+            await autopilot.hold()
+            return sky.now_s - begun_s, autopilot.position.east_m - begun_m
+
+    took_s, way_m = run_virtually(held())
+    phases = manner.hold(Position(0.0, 0.0, 5.0), Velocity(speed_m_s))
+    assert took_s == pytest.approx(manner.arrival_s(phases), rel=0.1)
+    assert way_m == pytest.approx(max(phase.end.east_m for phase in phases), rel=0.35)
 
 
 def later(after_s: float, what: Callable[[Bench], object]) -> Callable[[Bench], object]:

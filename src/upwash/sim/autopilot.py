@@ -362,7 +362,7 @@ class ModelAutopilot:
         return stretched(from_here, planned_s / real_s) if planned_s > 0 and real_s > 0 else from_here
 
     def _braking(self) -> tuple[Phase, ...]:
-        return self._manner.brake(self.position, self._vehicle.velocity)
+        return self._manner.hold(self.position, self._vehicle.velocity)
 
     async def _move(
         self,

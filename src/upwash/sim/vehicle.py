@@ -46,6 +46,9 @@ class Manner(Protocol):
     def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
         """The phases of braking, from the velocity to rest."""
 
+    def hold(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+        """The phases of a hold by the program, from the velocity to rest."""
+
     def arrival_s(self, phases: tuple[Phase, ...]) -> float:
         """Seconds from the start of the phases until the vehicle counts as arrived."""
 
@@ -367,6 +370,10 @@ class Plain:
     def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
         """The phases of braking straight ahead, with the same acceleration."""
         return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
+
+    def hold(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+        """The same."""
+        return self.brake(start, velocity)
 
     def arrival_s(self, phases: tuple[Phase, ...]) -> float:
         """Seconds until the vehicle rests."""

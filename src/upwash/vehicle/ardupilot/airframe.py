@@ -45,6 +45,7 @@ _GUIDED = Pursuit(
     drag_per_s=0.22,
     foresight=0.96,
 )
+_STOPS_M_S2 = 1.83  # by which the driver of an ArduCopter aims where to stop
 _ARRIVED_M, _ARRIVED_M_S = 1.0, 0.5  # near and slow enough for the next target
 _FINEST_M = 1e-6  # legs that differ by less are flown alike
 
@@ -134,6 +135,12 @@ def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
     return _BRAKING.phases(start, direction_of(velocity), speed_m_s) if speed_m_s > 0 else ()
 
 
+def hold(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+    """The motion of a hold by upwash's driver: to a target ahead where the vehicle can stop; empty at rest."""
+    speed_m_s = velocity.speed_m_s
+    return along(start, direction_of(velocity), _held(speed_m_s)) if speed_m_s > 0 else ()
+
+
 def arrival_s(phases: tuple[Phase, ...]) -> float:
     """The second at which the vehicle counts as arrived: within 1 m of the end and below 0.5 m/s."""
     return settled_s(phases, within_m=_ARRIVED_M, below_m_s=_ARRIVED_M_S)
@@ -206,7 +213,18 @@ def _way_from_above(
 @lru_cache(maxsize=4096)
 def _chased(length_m: float, cruise_m_s: float) -> tuple[tuple[float, float, float, float], ...]:
     """A leg from rest in parts: length, speeds at both ends (below 0 on the way back) and seconds of each."""
-    knots = _thinned(_turning(list(_GUIDED.chase(length_m, 0j, cruise_m_s=cruise_m_s))))
+    return _parts(_GUIDED.chase(length_m, 0j, cruise_m_s=cruise_m_s))
+
+
+@lru_cache(maxsize=256)
+def _held(speed_m_s: float) -> tuple[tuple[float, float, float, float], ...]:
+    """The same of a hold at that speed."""
+    length_m = _REACTION_S * speed_m_s + speed_m_s**2 / (2 * _STOPS_M_S2)
+    return _parts(_GUIDED.chase(length_m, complex(speed_m_s), cruise_m_s=speed_m_s))
+
+
+def _parts(samples: Iterator[PursuitSample]) -> tuple[tuple[float, float, float, float], ...]:
+    knots = _thinned(_turning(list(samples)))
     return tuple(
         (
             after.place_m.real - before.place_m.real,

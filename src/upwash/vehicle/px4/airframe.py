@@ -60,6 +60,9 @@ def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
     return _along(start, heading_of(start, ahead), _brake_samples(speed_m_s))
 
 
+hold = brake
+
+
 def arrival_s(phases: tuple[Phase, ...]) -> float:
     """The second at which the vehicle first counts as arrived: within 1 m of the end, below 0.5 m/s, having flown."""
     elapsed_s, flew = 0.0, False
