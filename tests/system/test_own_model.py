@@ -60,9 +60,9 @@ def export_model(file: Path) -> None:
 
 def write_film(file: Path) -> None:
     film = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), 10, (640, 480))
-    frame = np.full((480, 640, 3), 70, np.uint8)
-    cv2.circle(frame, LAMP, 24, (255, 255, 255), -1)
-    for _ in range(20):
+    for brightness in range(60, 80):
+        frame = np.full((480, 640, 3), brightness, np.uint8)
+        cv2.circle(frame, LAMP, 24, (255, 255, 255), -1)
         film.write(frame)
     film.release()
 
@@ -78,6 +78,7 @@ def test_a_model_and_a_film_give_findings_with_ten_lines_and_no_code(tmp_path: P
         for command in commands.replace("udpout:127.0.0.1:14550", connection).splitlines():
             done = upwash(*shlex.split(command)[1:], folder=tmp_path)
             assert done.returncode == 0, done.stdout + done.stderr
+            assert "warning" not in done.stdout, done.stdout
     with (tmp_path / "findings.csv").open(newline="") as file:
         found = list(csv.DictReader(file))
     assert [row["label"] for row in found] == ["lamp"] * len(found)
