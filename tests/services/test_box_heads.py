@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 from pathlib import Path
@@ -368,10 +369,11 @@ def test_metadata_that_does_not_fit_is_refused(
         Detector(model=export(tmp_path, V8.T[np.newaxis].astype(np.float32), metadata=metadata))
 
 
-def test_names_are_read_as_python_writes_them() -> None:
+def test_names_are_read_as_python_and_json_write_them() -> None:
     names = ["person", "farmer's car", 'a "boat"', "Löwe, alt", "back\\slash"]
     assert parse_names(str(dict(enumerate(names)))) == names
     assert parse_names(str(names)) == names
+    assert parse_names(json.dumps(dict(enumerate(names)))) == parse_names(json.dumps(names)) == names
     assert parse_names("{1: 'b', 0: 'a',}") == ["a", "b"]
 
 

@@ -36,7 +36,7 @@ _MOST_NAMES_LETTERS = 2_000_000
 _FARTHEST_PX = 1e6
 _LARGEST_SHARE = 2.0  # of the picture: a larger number is one of pixels
 _STRIDES = (8, 16, 32)
-_NAME = re.compile(r"""\s*(?:(\d{1,6})\s*:\s*)?('(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*")\s*(,|$)""")
+_NAME = re.compile(r"""\s*(?:["']?(\d{1,6})["']?\s*:\s*)?('(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*")\s*(,|$)""")
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +263,7 @@ def by(shape: Iterable[object]) -> str:
 
 
 def parse_names(text: str) -> list[str]:
-    """The names of classes, as {0: 'person', 1: "cat"} or ['person', "cat"]; raises ValueError."""
+    """The names of classes, as {0: 'person', 1: "cat"}, ['person', "cat"] or in JSON; raises ValueError."""
     text = text.strip()
     if len(text) > _MOST_NAMES_LETTERS or text[:1] + text[-1:] not in ("{}", "[]"):
         raise ValueError("no list of names")
