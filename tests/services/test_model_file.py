@@ -70,7 +70,7 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "pipe": (os.mkfifo, "it is no file: check the path"),
     "circle": (lambda file: file.symlink_to(file), r"cannot be read \(Too many levels of symbolic links"),
     "empty": (written(b""), "it is empty: copy, download or export it again"),
-    "pointer": (written(POINTER), "it is a pointer of Git LFS .*: fetch that with `git lfs pull`"),
+    "pointer": (written(POINTER), "it is a pointer of Git LFS .*: fetch the file with `git lfs pull`"),
     "PyTorch": (archive, r"it is a zip archive, as PyTorch's \.pt files are: export the model to ONNX"),
     "old PyTorch": (written(pickle.dumps([1], 2)), r"it is a pickle, as .*: export the model to ONNX"),
     "web page": (written(b"<!DOCTYPE html>"), "it is a web page or other XML: download the model itself"),

@@ -11,7 +11,7 @@ from upwash.errors import ModelError
 _KINDS = (
     (
         rb"version https://git-lfs",
-        "a pointer of Git LFS and not the file itself: fetch that with `git lfs pull`",
+        "a pointer of Git LFS and not the file itself: fetch the file with `git lfs pull`",
     ),
     (rb"PK\x03\x04", "a zip archive, as PyTorch's .pt files are: export the model to ONNX"),
     (rb"\x80[\x02-\x05]", "a pickle, as PyTorch's old .pt files are: export the model to ONNX"),
@@ -32,7 +32,7 @@ _BEFORE_REASONS = re.compile(
 
 
 def kind_of(start: bytes) -> str:
-    """What a file is that starts so, and what to do about it; empty for what may be a model."""
+    """What a file with that start is, and what to do about it; empty for a file that may be a model."""
     return next((kind for pattern, kind in _KINDS if re.match(pattern, start)), "")
 
 
