@@ -48,6 +48,15 @@ def elsewhere(where: str) -> bytes:
     return content
 
 
+def larger_than_memory(file: Path) -> None:
+    large = onnx.ModelProto.FromString(elsewhere("large.bin"))
+    large.graph.initializer[0].dims[:] = [2 * 10**12]
+    large.graph.node[0].CopyFrom(helper.make_node("ReduceSum", ["numbers"], ["boxes"]))
+    onnx.save(large, file)
+    (file.parent / "large.bin").touch()
+    os.truncate(file.parent / "large.bin", 8 * 10**12)
+
+
 def archive(file: Path) -> None:
     with zipfile.ZipFile(file, "w") as zipped:
         zipped.writestr("archive/data.pkl", pickle.dumps([1]))
@@ -78,6 +87,7 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "sparse": (sparse, "it is no ONNX model, or damaged"),
     "opset": (written(model(opset=99).SerializeToString()), LOAD + r"\(ONNX Runtime .*: update onnxruntime"),
     "version": (written(model(ir=99).SerializeToString()), LOAD + r"\(Unsupported .*: update onnxruntime"),
+    "large": (larger_than_memory, LOAD + r"\(.*it needs more memory than there is"),
     "no data": (written(elsewhere("numbers.bin")), LOAD + r"\(External data path .* does not exist"),
     "other data": (written(elsewhere("../../numbers.bin")), LOAD + r"\(External data path .* not exist|escapes"),
 }  # fmt: skip

@@ -46,7 +46,8 @@ def explained(error: ModelError) -> ModelError:
 
 def reason_in(text: str) -> str:
     """What onnxruntime says, without the places in its source."""
-    return _BEFORE_REASONS.sub("", text[:_MOST_LETTERS])
+    reason = _BEFORE_REASONS.sub("", text[:_MOST_LETTERS])
+    return reason.replace("std::bad_alloc", "it needs more memory than there is")
 
 
 def _defect_of(file: Path) -> str:
