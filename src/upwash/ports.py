@@ -99,7 +99,7 @@ class Autopilot(Protocol):
 
     @property
     def position(self) -> Position:
-        """The last known position, relative to the mission's home."""
+        """Where the vehicle is by its last report, relative to the mission's home."""
 
     @property
     def earth_position(self) -> EarthPosition | None:
