@@ -48,6 +48,14 @@ def elsewhere(where: str) -> bytes:
     return content
 
 
+def with_an_operator_of_tensorrt() -> bytes:
+    changed = model()
+    changed.graph.node[0].op_type, changed.graph.node[0].domain = "EfficientNMS_TRT", "TRT"
+    changed.opset_import.append(helper.make_opsetid("TRT", 1))
+    content: bytes = changed.SerializeToString()
+    return content
+
+
 def larger_than_memory(file: Path) -> None:
     large = onnx.ModelProto.FromString(elsewhere("large.bin"))
     large.graph.initializer[0].dims[:] = [2 * 10**12]
@@ -87,6 +95,7 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "sparse": (sparse, "it is no ONNX model, or damaged"),
     "opset": (written(model(opset=99).SerializeToString()), LOAD + r"\(ONNX Runtime .*: update onnxruntime"),
     "version": (written(model(ir=99).SerializeToString()), LOAD + r"\(Unsupported .*: update onnxruntime"),
+    "operator": (written(with_an_operator_of_tensorrt()), LOAD + ".*EfficientNMS_TRT.*: export it for onnxruntime"),
     "large": (larger_than_memory, LOAD + r"\(.*it needs more memory than there is"),
     "no data": (written(elsewhere("numbers.bin")), LOAD + r"\(External data path .* does not exist"),
     "other data": (written(elsewhere("../../numbers.bin")), LOAD + r"\(External data path .* not exist|escapes"),

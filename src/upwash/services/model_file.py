@@ -41,6 +41,8 @@ def explained(error: ModelError) -> ModelError:
     problem = _defect_of(error.file) or reason_in(error.problem)
     if re.search(r"\bopset versions\b|\bIR version\b", problem):
         problem += ": update onnxruntime, or export the model with an older opset"
+    if re.search("not a registered function|No opset import for domain", problem):
+        problem += ": export it for onnxruntime, without operators of TensorRT or other engines"
     return ModelError(error.file, error.where, problem)
 
 
