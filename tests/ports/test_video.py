@@ -19,7 +19,7 @@ from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 from upwash.real.camera import video
-from upwash.real.camera.video import VideoCamera
+from upwash.real.camera.video import VideoCamera, read_frames
 
 HERE = Position(0, 0, 10)
 FRAMES_PER_S = 20
@@ -275,3 +275,17 @@ def test_a_video_file_starts_over_at_its_end(tmp_path: Path, monkeypatch: pytest
     seen = asyncio.run(frames())
     assert set(seen) <= {1, 2, 3, 4, 5}
     assert any(later < earlier for earlier, later in itertools.pairwise(seen))
+
+
+def test_the_first_frames_of_a_film_are_photos_to_measure_with(tmp_path: Path) -> None:
+    writer = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 50, (64, 48))
+    for brightness in (0, 100, 200):
+        writer.write(np.full((48, 64, 3), brightness, np.uint8))
+    writer.release()
+    frames = read_frames(tmp_path / "film.avi", most=2)
+    assert list(frames) == ["frame 1", "frame 2"]
+    shown = [cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE) for jpeg in frames.values()]
+    assert [round(float(frame.mean()), -1) for frame in shown if frame is not None] == [0, 100]
+    assert len(read_frames(tmp_path / "film.avi", most=9)) == 3
+    with pytest.raises(CameraError, match="it is no whole film that FFmpeg reads: copy it again"):
+        read_frames(Path(__file__), most=1)

@@ -73,7 +73,7 @@ def test_a_model_and_a_film_give_findings_with_ten_lines_and_no_code(tmp_path: P
     (tmp_path / "drone.toml").write_text(configuration)
     export_model(tmp_path / "best.onnx")
     write_film(tmp_path / "film.mp4")
-    (commands,) = re.findall(r'```sh title="terminal 2"\n(.*?)```', PAGE, re.DOTALL)
+    commands = "".join(re.findall(r'```sh title="terminal 2"\n(.*?)```', PAGE, re.DOTALL))
     with stand_in(tmp_path, "--speedup", "10") as connection:
         for command in commands.replace("udpout:127.0.0.1:14550", connection).splitlines():
             done = upwash(*shlex.split(command)[1:], folder=tmp_path)

@@ -29,6 +29,7 @@ from upwash.missions.bundled import LoadedService, load_service_alone, load_serv
 from upwash.profiling.profiler import CallSample, OnboardProfile, Watch, calls_to_make, samples, values_of
 from upwash.profiling.report import call_table, chosen_setting, fastest, server_table, service_table
 from upwash.real.camera.camera import read_photos
+from upwash.real.camera.video import read_frames
 from upwash.rpc.service import spec_of
 from upwash.support.output_files import write_file
 from upwash.support.tables import show_table
@@ -42,7 +43,7 @@ _LONGEST_LINE = 120  # characters
 
 ARGUMENTS = {
     "service": "a service of the configuration, a bundled one, or path/to/file.py:Class",
-    "--photos DIR": option("JPEG files to call it with, in turn", required=True),
+    "--photos PATH": option("a folder of photos, or a film, to call it with, in turn", required=True),
     "--config FILE": "the drone's configuration",
     "--server ADDRESS": "measure it there: a name or an address of the configuration",
     "--calls N": option("calls of each operation (default: 20)", default=20),
@@ -62,7 +63,8 @@ def run(options: argparse.Namespace) -> bool:
     config = _read(options.config) if options.config else None
     start_timeout_s = config.start_timeout_s if config else START_TIMEOUT_S
     service, program = _service(options.service, config)
-    found = samples(spec_of(service.cls), read_photos(options.photos, most=options.calls + 1))
+    read = read_frames if options.photos.is_file() else read_photos
+    found = samples(spec_of(service.cls), read(options.photos, most=options.calls + 1))
 
     def here(service: LoadedService) -> OnboardProfile:
         def measure(watch: Watch) -> Coroutine[Any, Any, OnboardProfile]:

@@ -175,6 +175,20 @@ class _Capture:
         self._capture.release()
 
 
+def read_frames(film: Path, most: int) -> dict[str, bytes]:
+    """The first `most` frames of a film as JPEGs, by number; raises CameraError if there is none."""
+    with extra("detector"):
+        _silence_opencv()
+    frames: dict[str, bytes] = {}
+    with contextlib.closing(_Capture(str(film))) as capture:
+        while len(frames) < most and capture.next():
+            if (jpeg := capture.jpeg()) is not None:
+                frames[f"frame {len(frames) + 1}"] = jpeg
+    if not frames:
+        raise CameraError(str(film), f"it shows nothing; {_remedy(str(film))}")
+    return frames
+
+
 def _remedy(source: int | str) -> str:
     """What to do about a source that shows nothing."""
     if isinstance(source, int) or is_pipeline(source) or "://" in source or source.startswith("/dev/"):
