@@ -36,6 +36,7 @@ ARGUMENTS = {
     **FOLDER,
     "--runtime FILE": "a table [runtime] for both daemons, such as containers",
     **policy_instead_of("the demonstration's"),
+    "--moving": "take the photos in flight, along rows without stops",
     "--stay-or-go": option(_STAY_OR_GO, choices=("stay", "go", "learn")),
     **CALLS,
     **LIVE,
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> bool:
         raise UsageError("--calls prints the calls of one drone: leave it out, or give --drones 1")
     with extra("detector"):
         from upwash.cli.demonstration import fly_demonstration, read_demonstration
-    config = read_demonstration(policy=options.policy, stay_or_go=options.stay_or_go)
+    config = read_demonstration(policy=options.policy, stay_or_go=options.stay_or_go, moving=options.moving)
     folder = options.folder or new_run_folder()
     runtime = read_named_text(options.runtime, most_bytes=_MOST_RUNTIME_BYTES) if options.runtime else ""
     if options.drones == 1:

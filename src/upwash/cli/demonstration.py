@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from upwash.cli.fly import fly_with_progress
-from upwash.config import DroneConfig, read_drone_config, told_in_numbers
+from upwash.config import DroneConfig, MissionConfig, PhotosConfig, read_drone_config, told_in_numbers
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
@@ -29,18 +29,31 @@ from upwash.support.sentences import say
 from upwash.support.text import counted
 
 _CONFIGURATION = Path(__file__).with_suffix(".toml")
+_SPACING_M = 20.0  # of its waypoints
 _RUNTIME = "[runtime]\nsandbox_as_root = true\n"  # people may try the demonstration as root
 
 
-def read_demonstration(*, policy: str | None = None, stay_or_go: str | None = None) -> DroneConfig:
-    """The demonstration's configuration, perhaps with another policy or `stay_or_go`.
+def read_demonstration(
+    *, policy: str | None = None, stay_or_go: str | None = None, moving: bool = False
+) -> DroneConfig:
+    """The demonstration's configuration, perhaps with another policy or `stay_or_go`, or `moving` along rows.
 
     `filled_in` adds what exists only while a flight runs.
     """
     config = read_drone_config(_CONFIGURATION)
     others = {"name": policy, "stay_or_go": stay_or_go}
     changes = {key: value for key, value in others.items() if value is not None}
+    if moving:
+        config = replace(config, mission=_in_rows(config.mission))
     return replace(config, policy=replace(config.policy, **changes))
+
+
+def _in_rows(mission: MissionConfig) -> MissionConfig:
+    """The same photos, from two rows."""
+    places = mission.waypoints_m or ()
+    half = len(places) // 2
+    ends = (places[0], places[half - 1], places[half], places[-1])
+    return replace(mission, waypoints_m=ends, photos=PhotosConfig(every_m=_SPACING_M))
 
 
 def filled_in(config: DroneConfig, folder: Path, *, vehicle: str, servers: Mapping[str, str]) -> DroneConfig:

@@ -30,6 +30,7 @@ from upwash.config.drone import (
     HomeConfig,
     MissionConfig,
     NetworkConfig,
+    PhotosConfig,
     PolicyConfig,
     ProbeConfig,
     SafeEnd,

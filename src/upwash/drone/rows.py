@@ -33,6 +33,7 @@ from upwash.support.background import first
 _IN_TIME = 2  # open answers, at most, of a drone whose answers come before the next photos
 _LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
 _FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s for 4
+_THERE_M = 1.0  # from a photo's place, at rest
 _BESIDE_M = 2.0  # by wind and GPS
 _LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
 
@@ -275,7 +276,7 @@ class Rows:
                 here = self._vehicle.position()
                 answer = min(demanding, key=lambda answer: answer.away_m(here))
                 self._open.remove(answer)
-                if self._stays and answer.place is self._vehicle.place():
+                if answer.away_m(here) < _THERE_M:
                     answer.finish(0.0)
                 else:
                     answer.come_back(0.0)
