@@ -143,7 +143,7 @@ def _look_on_the_move(drone: Drone, mode: Mode, *, gauge: Gauge | None, program:
 def is_waited_for(program: str, number: int) -> bool:
     """Whether the mission waits for the call at once."""
     return not program.endswith(("look_later", "_on_the_move")) or (
-        program.endswith("_on_the_move") and number % 7 == 6
+        program.endswith("_on_the_move") and number % 4 == 3
     )
 
 

@@ -1,0 +1,83 @@
+"""Defects planted in what flies rows, and in the line of its calls: `planted.py` lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from msgspec.structs import replace
+from tests.sim.planting import plant, planted
+
+from upwash.config import DroneConfig
+from upwash.core.operation import Operation
+from upwash.drone import rows
+from upwash.drone.line import CallLine
+from upwash.drone.pending import AnswerAction
+from upwash.drone.rows import Rows
+from upwash.drone.vehicle import Vehicle
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.lab.faults import call_promises
+
+
+@planted("on a row an action is done where the drone is", AnswerAction, "come_back")
+def acts_on_the_row(come_back: Any, self: AnswerAction[Any], waited_s: float) -> None:
+    if self._vehicle.flies_rows:
+        self.finish(waited_s)
+    else:
+        come_back(self, waited_s)
+
+
+@planted("of several demands on a row one is met", Rows, "_meet")
+def meets_one(meet: Any, self: Rows, demanding: list[AnswerAction[Any]]) -> Any:
+    for answer in demanding[1:]:
+        self._open.remove(answer)
+    return meet(self, demanding[:1])
+
+
+@planted("an answer is taken twice on a row", Rows, "_taken")
+def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0) -> Any:
+    before = [answer for answer in self._open if answer.pending.done()]
+    demanding = taken(self, waited_s)
+    for answer in before:
+        answer.demand._holds = None
+        answer.demand.holds()
+    return demanding
+
+
+plant("a spot that was passed during a call is not flown back to", Vehicle, "_passes", lambda *_: True)
+plant("after a detour the drone flies to the row's end from anywhere", rows, "lies_on", lambda *_: True)
+plant(
+    "the number of open photos has no bound",
+    Rows,
+    "leave_open",
+    lambda self, answer: self._open.append(answer),
+)
+plant("the line knows no busy place", CallLine, "_busy", lambda *_: {})
+
+
+@planted("the line is left from its other end", CallLine, "__init__")
+def other_end(init: Any, self: CallLine, *parts: Any, **more: Any) -> None:
+    init(self, *parts, **more)
+    self._first = -1 - self._first
+
+
+@planted("a call that the mission waits for joins the line", CallLine, "turn")
+def nothing_is_urgent(turn: Any, self: CallLine, operation: Operation, **more: Any) -> Any:
+    return turn(self, operation, **(more | {"urgent": False}))
+
+
+@planted("the drone sets off for home with open answers", Rows, "settle")
+def leaves_answers_open(settle: Any, self: Rows, *, comes_back: bool = True) -> None:
+    if comes_back:
+        settle(self)
+    else:
+        self.stop()
+
+
+@planted("a photo whose demand was met is taken again", call_promises, "waypoints_done")
+def taken_again(done: Any, events: Iterable[Event], config: DroneConfig) -> Any:
+    forgetful = (
+        replace(event, back=False) if isinstance(event, schema.SetOff) else event for event in events
+    )
+    return done(forgetful, config)
