@@ -74,6 +74,7 @@ def fly(
     mission: Callable[[Drone], None] = survey,
     autopilot: type[ModelAutopilot] = ModelAutopilot,
     runtime: type[ModelRuntime] = ModelRuntime,
+    camera: type[ModelCamera] = ModelCamera,
     shows: Sequence[Position] = (),
 ) -> Part:
     """Flies from the beginning, or on from where an earlier part was killed, until it ends or is killed.
@@ -102,7 +103,7 @@ def fly(
             dialer=dialer,
             onboard_dialer=dialer,
             onboard_runtime=runtime({"detector": spec_of(Detector)}, computer, onboard),
-            camera=ModelCamera(photo_s=1.0, events=shows, in_flight=config.mission.photos is not None),
+            camera=camera(photo_s=1.0, events=shows, in_flight=config.mission.photos is not None),
             notifier=journal,
             journal=journal,
         )

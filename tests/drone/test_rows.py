@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from functools import partial
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from tests.drone.test_pending import in_the_air, of
@@ -12,8 +14,13 @@ from tests.drone.test_resume import Part, fly, scenario
 
 from upwash import Drone, Position, Waypoint
 from upwash.core.geo import ground_distance_m
+from upwash.drone.decisions import Decisions
+from upwash.errors import CameraError
 from upwash.eventlog import schema
+from upwash.ports import Photo
+from upwash.rpc.service import Method
 from upwash.services import Detector
+from upwash.sim.camera import ModelCamera
 
 # Two rows of 100 m, 20 m apart, a photo each 20 m at 4 m/s: 12 spots, from 0 to 5 and from 6 to 11. A call on the
 # drone takes 3 or 10 s, a photo 1 s.
@@ -48,7 +55,7 @@ PLAN = {
 }
 
 
-def each_photo(drone: Drone, do: Callable[[Waypoint, bytes], object]) -> None:
+def photograph_each(drone: Drone, do: Callable[[Waypoint, bytes], object]) -> None:
     for waypoint in drone.plan:
         drone.autopilot.goto(waypoint)
         do(waypoint, drone.camera.take_photo())
@@ -58,7 +65,7 @@ def test_a_spot_that_was_passed_during_a_call_is_flown_back_to() -> None:
     """A call of 10 s flies the drone 40 m on."""
 
     def program(drone: Drone, detector: Detector) -> None:
-        each_photo(drone, lambda _, photo: detector.process_photo(photo, mode="heavy"))
+        photograph_each(drone, lambda _, photo: detector.process_photo(photo, mode="heavy"))
 
     events = flown(program)
     assert len(of(events, schema.Call)) == 12
@@ -91,7 +98,7 @@ def test_the_mission_does_else_what_it_likes_on_a_row() -> None:
                 velocity = drone.autopilot.telemetry.velocity
                 stood[waypoint.index] = velocity.speed_m_s if velocity else 0.0
 
-        each_photo(drone, at_spot)
+        photograph_each(drone, at_spot)
 
     events = flown(program)
     assert stood == pytest.approx(dict.fromkeys(verbs, 0.0))
@@ -113,7 +120,7 @@ def test_an_action_may_fly_photograph_and_call() -> None:
             pending = drone.start(detector.process_photo, photo, mode="light")
             drone.stay_or_go(pending, partial(act, waypoint), demands=lambda _: waypoint.index in (2, 3, 8))
 
-        each_photo(drone, at_spot)
+        photograph_each(drone, at_spot)
 
     events = flown(program)
     assert len(heard) == 6
@@ -142,7 +149,7 @@ def test_an_action_may_leave_an_answer_open() -> None:
             pending = drone.start(detector.process_photo, photo, mode="light")
             drone.stay_or_go(pending, partial(act, waypoint), demands=lambda _: waypoint.index in (2, 3, 8))
 
-        each_photo(drone, at_spot)
+        photograph_each(drone, at_spot)
 
     flown(program, at_most=2)
     assert sorted(acted) == ["2", "3", "8", "again 2", "again 3", "again 8"]
@@ -218,3 +225,46 @@ def test_a_resumed_row_with_gaps_is_flown_without_stops() -> None:
     photos = [event.waypoint for event in of(again, schema.CallStarted)]
     assert photos[:3] == [2, 4, 5], "0, 1 and 3 have their answers"
     assert [event.waypoint for event in of(again, schema.Arrived) if event.passing][:1] == [4]
+
+
+def test_a_photo_that_fails_leaves_the_others() -> None:
+    """The bundled survey tries twice, and flies on."""
+
+    class Fails(ModelCamera):
+        async def take_photo(self, at: Position) -> Photo:
+            if 55.0 < at.east_m < 65.0 and at.north_m < 10.0:
+                raise CameraError("camera", "no frame")
+            return await super().take_photo(at)
+
+    part = fly(rows(), camera=Fails)
+    assert part.error is None
+    assert {event.waypoint for event in of(part.events, schema.CallStarted)} == set(range(12)) - {3}
+    assert max(offs_m(part.events, PLAN)) < 1.0
+
+
+def test_a_defect_of_offloading_holds_up_no_call_in_line() -> None:
+    """The third decision raises, with calls in line."""
+    decide, count = Decisions.decide, itertools.count()
+
+    def fails(self: Decisions, *call: Any, **more: Any) -> Any:
+        if next(count) == 2:
+            raise KeyError("a defect")
+        return decide(self, *call, **more)
+
+    with patch.object(Decisions, "decide", fails):
+        part = fly(rows())
+    assert part.error is None
+    assert len(of(part.events, schema.OffloadingFailed)) == 1
+    calls = of(part.events, schema.Call)
+    assert [call.waypoint for call in calls] == list(range(12)), "each once, the oldest first"
+    ends = [call.t for call in calls]
+    assert min(later - sooner for sooner, later in itertools.pairwise(ends)) >= 10.0, "one at a time"
+
+
+def test_a_call_that_runs_once_computes_beside_no_other() -> None:
+    def program(drone: Drone, detector: Detector) -> None:
+        photograph_each(drone, lambda _, photo: drone.start(detector.process_photo, photo, mode="heavy"))
+
+    with patch.object(Method, "once", property(lambda _: True)):
+        ends = [call.t for call in of(flown(program), schema.Call)]
+    assert min(later - sooner for sooner, later in itertools.pairwise(ends)) >= 10.0
