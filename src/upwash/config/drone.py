@@ -65,7 +65,7 @@ class PhotosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     first: Literal["oldest", "newest"] = "oldest"
     """Which of the photos without an answer is computed next."""
     at_most: values.PhotoCount = 100
-    """The number of photos without an answer at which the drone stops and waits."""
+    """With this number of photos without an answer the drone stops and waits."""
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

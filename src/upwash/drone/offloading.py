@@ -38,7 +38,7 @@ T = TypeVar("T")
 class Offloading:
     """Makes one drone's calls, and selects, checks and leaves servers for them.
 
-    Calls are made one at a time. If it is said which one of several is `first`, they may be open at the same time.
+    Calls are made one at a time. With `first`, the order of waiting calls, several may be open at the same time.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Offloading:
     ) -> Any:
         """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
 
-        Of several open calls, the log has the `waypoint` of each; one that is `urgent` comes before the others.
+        Of several open calls, the log has the `waypoint` of each; an `urgent` call comes before the others.
         Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
         when the drone's own service fails too.
         """

@@ -165,7 +165,7 @@ class Calls:
         self._several = several
         self._under_way: Pending[Any] | None = None  # the last one, of several
         self._dropped: Pending[Any] | None = None
-        self._others: list[Pending[Any]] = []  # of several, some of which are over
+        self._others: list[Pending[Any]] = []  # of several; some are over
 
     def call(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""

@@ -88,13 +88,13 @@ class LegVerbs(Protocol):
         """Fly to a place, from rest to rest."""
 
     async def set_off(self, end: Position) -> None:
-        """Set off for the end of a leg, from rest at the end of the leg that is flown, if one is."""
+        """Set off for the end of a leg; a leg that is flown is first flown to its end."""
 
     def passes(self, place: Place) -> bool:
         """Whether the leg that is flown passes the place, or has just passed it."""
 
     def rests(self) -> bool:
-        """Whether no leg is flown, as it is over."""
+        """Whether the last leg is over."""
 
     def head_for(self, place: Place) -> None:
         """Note that the place is the next one on the leg."""

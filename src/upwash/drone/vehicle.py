@@ -219,7 +219,7 @@ class Vehicle:
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
     def _settle(self) -> None:
-        """Wait for the open answers, if there are any, and do what they demand."""
+        """Wait for all open answers, and do what they demand."""
         if self._rows is not None:
             self._rows.settle()
         elif self._open is not None:
@@ -538,7 +538,7 @@ class VehicleHandle:
         return self._vehicle._rows is not None
 
     def rests(self) -> bool:
-        """Whether no leg is flown, as it is over."""
+        """Whether the last leg is over."""
         return self._vehicle._leg is None
 
     def place(self) -> Waypoint | Position | None:

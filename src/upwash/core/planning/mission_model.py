@@ -35,8 +35,8 @@ class ExpectedCall(Struct, frozen=True):
     """A coming call, `gap_s` after the end of the call before; the first, after now.
 
     `in_range_s` has for each server in range at the call the part of `gap_s`, up to the call, that it is in range.
-    `position` is where the call is made; None: where the drone is. If the gap `hides` the call before, it counts from
-    where that one was made: the drone flies on meanwhile.
+    `position` is where the call is made; None: where the drone is. If the gap `hides` the call before, the gap
+    counts from the begin of that call: the drone flies on meanwhile.
     """
 
     operation: Operation

@@ -56,7 +56,7 @@ class Outlook(Struct, frozen=True):
 class RowOutlook(Struct, frozen=True):
     """The next spot of a row: the answer to its photo takes `answer_s`, and a photo `photo_s`.
 
-    A drone that rests there loses its speed, if it does not rest at that spot anyway.
+    A drone that rests there loses its speed, unless it `rests_anyway`, as at a row's end.
     """
 
     ground_speed_m_s: float
@@ -72,7 +72,7 @@ class RowOutlook(Struct, frozen=True):
 
     @property
     def lost_s(self) -> float:
-        """The seconds that flying on costs if the answer has a demand, by which the drone brakes and flies back."""
+        """The seconds that flying on costs if the answer has a demand: the drone brakes and flies back."""
         answered_s = self.photo_s + self.answer_s
         way_m = self.ground_speed_m_s * (answered_s + self._ramp_s / 2)
         back_s = Leg(way_m, self.ground_speed_m_s, self.acceleration_m_s2).duration_s
