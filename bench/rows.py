@@ -1,7 +1,8 @@
 """What flying rows without stopping gains, in minutes: `python -m bench.rows`.
 
 The field of scenarios/on-the-move.toml, with 3 % noise on calls and 2 % on legs. An answer demands 5 s at its place
-with some probability. The second table maps the same field at 75 % overlap, 1,485 photos without a demand. Each figure is the mean of missions with the same seeds.
+with some probability. The second table maps the same field at 75 % overlap, 1,485 photos without a demand.
+Each figure is the mean of missions with the same seeds.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
 """Rows that the drone flies without stopping, while answers to earlier photos are open; in the mission's thread.
 
-a row        one leg from its first spot to its end, on which the other spots are passed; from there the drone
-             sets off for the next waypoint of the plan, while the mission looks at the photo
-an answer    without a demand it is taken, while the drone flies on
-a demand     the drone brakes, flies back and acts; demands that are there by then are one detour, the nearest
-             first. Then it flies on from where it began to brake, or along its row if it acted there
-the rule     where demands are so frequent that flying on would lose time, and `policy.stay_or_go` is "learn", the
-             drone rests at the next spot and waits for its answer, as on a mission that stops
-too many     with too many open answers the drone brakes and waits
-other verbs  the drone brakes, and comes back to the last spot; before most of them every answer is in
+    a row        One leg from its first spot to its end. The drone passes the other spots.
+    its end      The drone sets off for the next waypoint of the plan, while the mission looks at the photo.
+    an answer    Without a demand it is taken, while the drone flies on.
+    a demand     The drone brakes, flies back and acts. Demands that are there by then are one detour, the nearest
+                 first. Then the drone flies on from where it began to brake, or along the row of its last action.
+    too many     With too many open answers the drone brakes and waits.
+    other verbs  The drone brakes, and comes back to the last spot. Before most verbs every answer is in.
+
+With `policy.stay_or_go = "learn"` the drone rests at the next spot and waits for the answer, where frequent demands
+make that faster.
 """
 
 from __future__ import annotations
