@@ -31,6 +31,7 @@ QUICK = {  # what each prints, among others
     "sharing": r"adjacent fields, 4 servers.*\n.*bound\n +1( +[\d.]+ / [\d.]+ / [\d.]+){4} +[\d.]+\n",
     "simulate": r"- servers, all near\n( +[\d.]+)+\n",
     "stay_or_go": r" 50 % +[\d.]+( +-?[\d.]+ ± [\d.]+ %){2} +[\d.]+ / [\d.]+\n",
+    "tiles": r"\| auto \| 49 (\| \d+ ms ){3}\| [\d.]+ \| [\d.]+ (PASS|MISS) \|",
     "vehicle": r"\| total \| [\d.]+ \| [\d.]+ \|",
 }
 BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}
