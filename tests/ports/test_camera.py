@@ -93,12 +93,16 @@ def test_no_more_photos_are_read_than_are_wanted(tmp_path: Path) -> None:
     assert list(read_photos(fill(tmp_path, "c.jpg", "a.jpg", "b.jpg"), most=2)) == ["a.jpg", "b.jpg"]
 
 
-async def test_a_photo_takes_its_time(tmp_path: Path) -> None:
-    camera = FolderCamera(fill(tmp_path, "photo.jpg"), photo_s=0.05)
+@pytest.mark.parametrize("in_flight", [False, True])
+async def test_a_photo_takes_its_time_and_its_shutter_opens_at_once_in_flight(
+    tmp_path: Path, *, in_flight: bool
+) -> None:
+    camera = FolderCamera(fill(tmp_path, "photo.jpg"), photo_s=0.05, in_flight=in_flight)
     clock = asyncio.get_running_loop().time
     start_s = clock()
-    await camera.take_photo(HERE)
+    photo = await camera.take_photo(HERE)
     assert clock() - start_s >= 0.05
+    assert (photo.captured_s - start_s < 0.05) == in_flight
 
 
 async def test_a_cancelled_shot_is_not_skipped(tmp_path: Path) -> None:

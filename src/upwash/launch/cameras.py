@@ -78,10 +78,10 @@ def _source(module: ModuleType) -> str:
         return ""
 
 
-def camera_without_device(config: CameraConfig) -> Camera | None:
+def camera_without_device(config: CameraConfig, *, in_flight: bool = False) -> Camera | None:
     """The configured camera, or None for a device, which is not opened; raises UsageError."""
     if config.folder is not None:
-        return FolderCamera(config.folder, photo_s=config.photo_s, lens=_lens(config))
+        return FolderCamera(config.folder, photo_s=config.photo_s, lens=_lens(config), in_flight=in_flight)
     if config.park_seed is not None:
         return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
     if config.device is None:
@@ -104,9 +104,14 @@ def _lens(config: CameraConfig) -> Lens | None:
     )
 
 
-async def opened_camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Camera:
-    """The configured camera, until the stack is closed; raises UsageError, or CameraError for a silent device."""
-    camera = camera_without_device(config)
+async def opened_camera(
+    config: CameraConfig, stack: contextlib.AsyncExitStack, *, in_flight: bool = False
+) -> Camera:
+    """The configured camera, until the stack is closed; raises UsageError, or CameraError for a silent device.
+
+    `in_flight` is whether photos are taken without a stop.
+    """
+    camera = camera_without_device(config, in_flight=in_flight)
     if camera is None:
         assert config.device is not None  # noqa: S101
         camera = stack.enter_context(

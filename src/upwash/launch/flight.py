@@ -83,7 +83,10 @@ async def fly(
         watchers += await _metrics(config, stack)
         handover = _handover(config, log if resumes else None)
         watchers += () if handover is None else (handover.follow,)
-        camera = await opened_camera(config.camera, stack) if needs_camera(config) else NoCamera()
+        camera: Camera = NoCamera()
+        if needs_camera(config):
+            in_flight = config.mission.photos is not None
+            camera = await opened_camera(config.camera, stack, in_flight=in_flight)
         journal = stack.enter_context(
             contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes, unwritten=unwritten))
         )

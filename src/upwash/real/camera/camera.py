@@ -29,17 +29,22 @@ _OTHER_SUFFIXES = frozenset({".tif", ".tiff", ".dng", ".heic", ".webp", ".bmp", 
 class FolderCamera:
     """A Camera whose photos are the files of a folder, in name order, again and again; each takes `photo_s`.
 
-    A PNG becomes a JPEG. The folder is listed once, at the start. Raises UsageError for a folder that is missing or
-    has no photo, and for a PNG without OpenCV.
+    The shutter opens when the photo is there, or `in_flight` at once. A PNG becomes a JPEG. The folder is listed
+    once, at the start. Raises UsageError for a folder that is missing or has no photo, and for a PNG without OpenCV.
     """
 
-    def __init__(self, folder: Path, *, photo_s: float, lens: Lens | None = None) -> None:
+    def __init__(
+        self, folder: Path, *, photo_s: float, lens: Lens | None = None, in_flight: bool = False
+    ) -> None:
         self._photo_s = photo_s
+        self._in_flight = in_flight
         self._lens = lens
         self._paths = itertools.cycle(photo_files(folder))
 
     async def take_photo(self, at: Position) -> Photo:
         """Returns the next file after `photo_s` seconds; raises CameraError if it cannot be read, or not in 20 s."""
+        clock = asyncio.get_running_loop().time
+        asked_s = clock()
         await asyncio.sleep(self._photo_s)
         path = next(self._paths)
         try:
@@ -50,7 +55,8 @@ class FolderCamera:
                 str(path.parent),
                 f"{shown_name(path)} was not read within {_READ_S:g} s; see that its drive is connected",
             ) from None
-        return Photo(jpeg, asyncio.get_running_loop().time(), source=shown_name(path), lens=self._lens)
+        captured_s = asked_s if self._in_flight else clock()
+        return Photo(jpeg, captured_s, source=shown_name(path), lens=self._lens)
 
 
 def read_photos(folder: Path, most: int) -> dict[str, bytes]:
