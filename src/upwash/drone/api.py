@@ -111,7 +111,7 @@ class Drone:
         """Starts a call of a service's method, `drone.start(detector.process_photo, photo)`, and does not wait.
 
         Raises UsageError while another call is pending. If `stay_or_go` left an answer open, first waits for it and
-        acts.
+        acts. With rows (`mission.photos`) neither holds: several calls are open at once.
         """
         self._settle()
         return self._calls.start(call, *args, **kwargs)
@@ -130,7 +130,7 @@ class Drone:
         goes on at once, to the next waypoint at most. If the answer then has a demand, the drone comes back, acts,
         and flies to its former target. The next call, and the way down, wait for the answer. `demands` is called
         once, at any place. If the call raises an exception, `failed` gets it at this waypoint; without `failed`, the
-        method that waits raises it there.
+        method that waits raises it there. On a row of `mission.photos` the mission goes on over many waypoints.
         """
         self._answers.run(pending.demands(demands), act, failed)
 

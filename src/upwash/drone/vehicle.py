@@ -155,6 +155,7 @@ class Vehicle:
     def goto(self, place: Waypoint | Position, *, unless: Demand[Any] | None = None) -> bool:
         """Flies to a waypoint or position; returns True on arrival, at rest, and after the waypoint's hold time.
 
+        On a row of `mission.photos` it returns True when the drone passes the waypoint, and the drone flies on.
         With `unless=pending.demands(...)`, an answer with that demand stops the flight: the vehicle brakes and `goto`
         returns False, at rest on the way, or at the target if that is nearer. Raises AutopilotRefused, without a
         movement, if the plan's geofence forbids the place or the way.
