@@ -2,8 +2,8 @@
 
 Photos of 4000 x 3000 pixels of rendered solar parks, from several altitudes, with as many faults expected at each.
 For each altitude and setting `tiles` there are recall and precision of mode `heavy` at confidence 0.25, of boxes that
-overlap by one half. Then come the times, in turns: from a photo's bytes to boxes, the network alone as often on ready
-pictures, and the decoding. The bundled network is small, so that all else has a large share. See docs/detector.md.
+overlap by one half. Then come processor times, in turns: from a photo's bytes to boxes, the network alone as often on
+ready pictures, and the decoding. The bundled network is small: all else has a large share. See docs/detector.md.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def scored(detector: Detector, photos: Sequence[RenderedPhoto]) -> str:
 
 
 def race(detector: Detector, jpeg: bytes, rounds: int) -> str:
-    """The number of runs, and medians of the times and of their ratios."""
+    """The number of runs, and medians of the processor times and of their ratios."""
     heavy = detector._ways["heavy"]
     pictures, network = [picture for _, _, picture in heavy.looks(jpeg)], heavy.inference
     encoded = np.frombuffer(jpeg, np.uint8)
@@ -89,10 +89,10 @@ def race(detector: Detector, jpeg: bytes, rounds: int) -> str:
     delays_s: dict[str, list[float]] = {way: [] for way in ways}
     for number in range(rounds + 1):
         for way, call in ways.items():
-            began_s = time.perf_counter()
+            began_s = time.process_time()
             call()
             if number:  # the first round warms up
-                delays_s[way].append(time.perf_counter() - began_s)
+                delays_s[way].append(time.process_time() - began_s)
     columns = " | ".join(f"{1000 * median(delays):.0f} ms" for delays in delays_s.values())
     turns = list(zip(*delays_s.values(), strict=True))
     over = median(whole / networks for whole, networks, _ in turns)
