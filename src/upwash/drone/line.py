@@ -10,6 +10,7 @@ A place is busy from the decision on until the call is answered, wherever it is 
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 from collections.abc import AsyncIterator, Callable
@@ -52,8 +53,8 @@ class CallLine:
         self._decisions = decisions
         self._is_computing = is_computing
         self._first = 0 if first == "oldest" else -1
-        self._urgent: list[object] = []
-        self._others: list[object] = []
+        self._urgent: list[asyncio.Event] = []  # of each call, set once it is the first
+        self._others: list[asyncio.Event] = []
         self._is_deciding = False
         self._placed: dict[object, tuple[str, float]] = {}  # calls, with the place and its expected end
         self._only_on_drone = False
@@ -66,13 +67,19 @@ class CallLine:
 
         With `on_drone` the call runs nowhere else.
         """
-        call, line = object(), self._urgent if urgent else self._others
+        call, line = asyncio.Event(), self._urgent if urgent else self._others
         line.append(call)
         try:
             while not (free := self._free_place(call, operation, on_drone=on_drone)):
-                await self._decisions.told()
+                if call is self._first_in_line:
+                    await self._decisions.told()
+                else:
+                    call.clear()
+                    await call.wait()
         finally:
             line.remove(call)
+            if self._urgent or self._others:
+                self._first_in_line.set()
             self._decisions.wake()  # another is first now
         self._is_deciding = True
 
@@ -87,14 +94,17 @@ class CallLine:
                 self._is_deciding = False
             self._decisions.wake()
 
+    @property
+    def _first_in_line(self) -> asyncio.Event:
+        return self._urgent[0] if self._urgent else self._others[self._first]
+
     def keep_on_drone(self) -> None:
         """From now on have every call run on the drone."""
         self._only_on_drone = True
         self._decisions.wake()
 
     def _free_place(self, call: object, operation: Operation, *, on_drone: bool) -> Place:
-        first = self._urgent[0] if self._urgent else self._others[self._first]
-        if self._is_deciding or call is not first:
+        if self._is_deciding or call is not self._first_in_line:
             return ""
         if on_drone or self._only_on_drone:
             places = {place for place, _ in self._placed.values()}

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
 from msgspec.structs import asdict
@@ -371,6 +371,12 @@ class AnswerAction(Generic[T]):
         else:
             self._act(answer)
         self._calls.note(schema.Acted(waypoint=self.waypoint))
+
+
+async def one_answered(answers: Iterable[AnswerAction[Any]]) -> None:
+    """Return when the call of one of the answers, of which there are some, has ended; for the loop."""
+    calls = [answer.pending._task for answer in answers]
+    await asyncio.wait([call for call in calls if call is not None], return_when=asyncio.FIRST_COMPLETED)
 
 
 class AnswerActions:

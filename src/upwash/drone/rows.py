@@ -17,7 +17,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -26,10 +26,9 @@ from msgspec.structs import asdict
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.planning.stay_or_go import RowOutlook, StayRule
 from upwash.drone.mission import MissionThread
-from upwash.drone.pending import AnswerAction, Place, position_of
+from upwash.drone.pending import AnswerAction, Place, one_answered, position_of
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
-from upwash.support.background import first
 
 _IN_TIME = 2  # open answers, at most, of a drone whose answers come before the next photos
 _LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
@@ -288,15 +287,15 @@ class Rows:
 
     def _take_next(self) -> bool:
         """Wait at rest for an answer and meet its demand; return whether the drone left its place."""
-        waited_s = self._thread.call(_one_answered(self._open))
+        waited_s = self._thread.call(_timed(one_answered(self._open)))
         demanding = self._taken(waited_s)
         if demanding:
             self._meet(demanding)
         return bool(demanding)
 
 
-async def _one_answered(answers: Sequence[AnswerAction[Any]]) -> float:
-    """Return once one of the answers is there, after how many seconds."""
+async def _timed(wait: Coroutine[Any, Any, None]) -> float:
+    """The seconds that the wait takes."""
     begun_s = asyncio.get_running_loop().time()
-    await first(*(answer.demand.answered() for answer in answers))
+    await wait
     return asyncio.get_running_loop().time() - begun_s

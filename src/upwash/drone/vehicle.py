@@ -19,7 +19,7 @@ from upwash.core.selection.events import (
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.coming_down import ComingDown
 from upwash.drone.mission import MissionThread
-from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
+from upwash.drone.pending import AnswerAction, Demand, index_of, one_answered, position_of
 from upwash.drone.rows import RowRules, Rows, ahead_m, late_m, lies_on, passed
 from upwash.drone.site import Site, require_altitude
 from upwash.errors import AutopilotError, UsageError
@@ -392,7 +392,7 @@ class Vehicle:
             await passed(self._autopilot, position, start=start, end=end, fastest_m_s=fastest_m_s)
             is_there = True
 
-        waits = [answer.demand.answered() for answer in answers]
+        waits: list[Coroutine[Any, Any, Any]] = [one_answered(answers)] if answers else []
         if distance_m(start, end) > _SHORT_M:
             waits.append(passes())
         try:
