@@ -72,6 +72,18 @@ def test_a_spot_that_was_passed_during_a_call_is_flown_back_to() -> None:
     assert max(offs_m(events, PLAN)) < 2.0
 
 
+def test_a_spot_just_before_a_rows_end_is_flown_back_to() -> None:
+    """A call flies the drone on to the end, 2 m beyond the last spot."""
+
+    def program(drone: Drone, detector: Detector) -> None:
+        photograph_each(drone, lambda _, photo: detector.process_photo(photo, mode="heavy"))
+
+    config = scenario(waypoints_m=[[0, 0], [42, 0]], photos={"every_m": 20.0}, ground_speed_m_s=3.0)
+    part = fly(config, mission=in_the_air(program))
+    assert part.error is None
+    assert max(offs_m(part.events, PLAN)) < 0.5
+
+
 def test_rows_that_end_at_one_place_are_two_rows() -> None:
     config = scenario(waypoints_m=[[0, 0], [100, 0], [100, 60], [100, 0]], photos={"every_m": 20.0})
     part = fly(config)

@@ -220,8 +220,9 @@ class Rows:
         if not (isinstance(place, Waypoint) and isinstance(last, Waypoint) and place.row_end is not None):
             return None
         is_on_row = last.row_end == place.row_end and lies_on(place.position, last.position, place.row_end)
-        passes = lies_on(place.position, self._vehicle.position(), place.row_end)
-        return place.row_end if is_on_row and passes else None
+        here, end = self._vehicle.position(), place.row_end
+        is_ahead = distance_m(here, end) >= distance_m(place.position, end)
+        return end if is_on_row and is_ahead and lies_on(place.position, here, end) else None
 
     def _rests_at(self, spot: Waypoint) -> bool:
         """Whether the drone waits at this spot, where it rests, for the answer."""

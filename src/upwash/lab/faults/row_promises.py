@@ -27,7 +27,8 @@ def on_the_move(history: History) -> Iterator[Breach]:
     """Photos at their spots, few enough open, one call at a place, in line, nothing open on the way home."""
     if not flies_rows(history.config):
         return
-    if not position_jumps(history.config):
+    led_away = any(fault.kind == "diverted" for fault in history.config.faults)  # perhaps in a silence
+    if not (led_away or position_jumps(history.config)):
         yield from _photos_elsewhere(history)
     yield from _too_many_open(history)
     yield from _two_at_a_place(history)
