@@ -84,6 +84,14 @@ def test_a_spot_just_before_a_rows_end_is_flown_back_to() -> None:
     assert max(offs_m(part.events, PLAN)) < 0.5
 
 
+def test_a_row_that_begins_beside_another_begins_at_rest() -> None:
+    """The second row begins 1.7 m beside the first, behind its last spot."""
+    config = scenario(waypoints_m=[[0, 0], [99, 0], [92, 1.7], [92, 60]], photos={"every_m": 90.0})
+    part = fly(config)
+    assert part.error is None
+    assert max(offs_m(part.events, {0: PLAN[0], 1: Position(90.0, 0.0), 2: Position(92.0, 1.7)})) < 0.5
+
+
 def test_rows_that_end_at_one_place_are_two_rows() -> None:
     config = scenario(waypoints_m=[[0, 0], [100, 0], [100, 60], [100, 0]], photos={"every_m": 20.0})
     part = fly(config)

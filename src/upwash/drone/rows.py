@@ -147,7 +147,8 @@ class Rows:
         if self._acts:
             self._vehicle.fly(place)
             return
-        if self._end is not None and not self._vehicle.passes(place):
+        ends = position_of(place), place.row_end if isinstance(place, Waypoint) else None
+        if self._end not in ends or not self._vehicle.passes(place):
             self.stop()
         if self._end is None:
             row_end = None if self._stays else self._row_end_from_here(place)
