@@ -10,7 +10,6 @@ from tests.sim.planting import plant, planted
 
 from upwash.config import DroneConfig
 from upwash.core.operation import Operation
-from upwash.drone import rows
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
 from upwash.drone.rows import Rows
@@ -45,8 +44,9 @@ def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0) -> Any:
     return demanding
 
 
-plant("a spot that was passed during a call is not flown back to", Vehicle, "_passes", lambda *_: True)
-plant("after a detour the drone flies to the row's end from anywhere", rows, "lies_on", lambda *_: True)
+plant(
+    "a spot that was passed during a call is not flown back to", Vehicle, "_is_beyond", lambda *_, **__: False
+)
 plant(
     "the number of open photos has no bound",
     Rows,

@@ -36,6 +36,7 @@ FOUND_BY_SEED = {
     "a server that keeps failing is not left alone for longer": 173,
     "a service that does not start is tried without pause": 136,
     "a drone ignores the pause that a server names": 136,
+    "a photo whose demand was met is taken again": 1109,
 }
 
 
