@@ -35,6 +35,9 @@ class Workbench:
     def pause(self, duration_s: float) -> None:
         time.sleep(duration_s)
 
+    def mutter(self, words: str) -> None:
+        print(words)  # noqa: T201 - without a flush
+
     def fail(self) -> None:
         raise Overheated(91.5)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import logging
 import os
 import signal
 import subprocess
@@ -110,6 +111,24 @@ def gone(*process_ids: int) -> bool:
 
 
 # --- starting -----------------------------------------------------------------------------------------------
+
+
+async def test_what_a_service_prints_is_logged_while_it_runs(
+    services: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "upwash.instance")
+    said = asyncio.Event()
+
+    def note(record: logging.LogRecord) -> bool:
+        if "a word" in record.getMessage():
+            said.set()
+        return True
+
+    caplog.handler.addFilter(note)
+    async with running(services, tmp_path) as bench:
+        await bench.call("mutter", "a word without a flush")
+        await asyncio.wait_for(said.wait(), 10.0)
+    assert "workbench@s1: a word without a flush" in caplog.messages
 
 
 async def test_an_instance_answers_from_a_process_in_a_session_of_its_own(

@@ -9,6 +9,7 @@ services need not be safe for threads.
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import signal
 import socket
@@ -177,6 +178,8 @@ class ServiceInstance:
 def main() -> NoReturn:
     """Serve until the control socket is closed at its other end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # what a service prints is in the log at once
     line = socket.socket(fileno=int(sys.argv[1]))
     lines = line.makefile("rb")
     outside = socket.socket(fileno=int(sys.argv[2])) if len(sys.argv) > 2 else None
