@@ -104,6 +104,7 @@ def test_the_map_and_the_photo_are_side_by_side_in_the_first_view(
     page: Browser, one: str, width: int, height: int
 ) -> None:
     opened(page, one, 34.0, width=width, height=height)
+    page.wait_until(lambda: boxes(page, ".photo")[0][2] > 0)  # a hidden element has no sides
     (map_box,), (photo,) = boxes(page, ".map"), boxes(page, ".photo")
     assert map_box[2] <= photo[0]
     (controls,) = boxes(page, "#controls")
