@@ -374,7 +374,7 @@ class AnswerAction(Generic[T]):
 
 
 async def one_answered(answers: Iterable[AnswerAction[Any]]) -> None:
-    """Return when the call of one of the answers, of which there are some, has ended; for the loop."""
+    """Return when the call of one of the answers has ended; there must be an answer. For the loop."""
     calls = [answer.pending._task for answer in answers]
     await asyncio.wait([call for call in calls if call is not None], return_when=asyncio.FIRST_COMPLETED)
 

@@ -30,7 +30,7 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     left: set[int] = set()
     owed = OpenDemands()
     here: int | None = None
-    back_at: int | None = None  # the waypoint to which it flies back
+    back_at: int | None = None  # the waypoint of the way back
     whereabouts = CallPlaces()
     completed = False
     for event in events:

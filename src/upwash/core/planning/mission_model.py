@@ -126,6 +126,7 @@ class MissionModel:
         self._last_leg_m = 0.0
         self._here: list[StopCall] = []
         self._flies_on = any(waypoint.row_end is not None for waypoint in beliefs.plan)  # before its answers
+        self._row_starts = list(_row_starts(beliefs.plan))
         self._is_back = False  # or on the way back: the stop teaches nothing
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
         self._entries: dict[tuple[Position, Position], _Entries] = {}
@@ -280,12 +281,7 @@ class MissionModel:
 
     def _section(self, index: int, ground_speed_m_s: float | None = None) -> Section | None:
         """The part of a row's leg that ends at the waypoint; None if the leg begins or ends at rest there."""
-        waypoint = self._plan[index]
-        first = index
-        while (
-            waypoint.row_end is not None and first > 0 and self._plan[first - 1].row_end == waypoint.row_end
-        ):
-            first -= 1
+        waypoint, first = self._plan[index], self._row_starts[index]
         if first == index or waypoint.row_end is None:
             return None
         start, before = self._plan[first].position, self._plan[index - 1].position
@@ -325,6 +321,15 @@ class MissionModel:
                 [(server, way_m) for server, way_m in found if way_m],
             )
         return entries
+
+
+def _row_starts(plan: Sequence[Waypoint]) -> Iterator[int]:
+    """For each waypoint of the plan, the index of the first waypoint of its row."""
+    first = 0
+    for index, waypoint in enumerate(plan):
+        if waypoint.row_end is None or index == 0 or plan[index - 1].row_end != waypoint.row_end:
+            first = index
+        yield first
 
 
 @dataclass(slots=True)

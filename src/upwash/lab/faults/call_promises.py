@@ -229,7 +229,7 @@ def _expected(config: DroneConfig, number: int) -> probing.CallReport:
 
 
 _AT_PLACE_M = 1.0  # within which a vehicle counts as arrived
-_BRAKED_M = 1.5  # from a place at which a vehicle that braked beside it counts as arrived at once
+_BRAKED_M = 1.5  # a vehicle that braked within this distance of a place counts as arrived there
 _MOST_CRASHES = 12  # that a flight is tested with
 
 

@@ -90,7 +90,7 @@ def _decided_s(call: FlownCall) -> float:
 
 
 def _out_of_line(history: History) -> Iterator[Breach]:
-    """The oldest, or the newest, of the started calls is decided first; one that is waited for before all."""
+    """A call that the mission waits for is decided first, and then the oldest, or the newest, of the others."""
     photos = history.config.mission.photos
     assert photos is not None  # noqa: S101 - it flies rows
     urgent = _waits_for(history.run.events)
@@ -117,7 +117,7 @@ def _out_of_line(history: History) -> Iterator[Breach]:
 
 
 def _waits_for(events: Sequence[Event]) -> list[tuple[int | None, float, float]]:
-    """For each call that the mission waited for, its waypoint, and when it was asked and decided."""
+    """For each call that the mission waited for: its waypoint, its begin, and its decision, in seconds."""
     started = {event.waypoint for event in events if isinstance(event, schema.CallStarted)}
     return [
         (call.ended.waypoint, call.ended.at_s, call.decisions[0].t)

@@ -192,7 +192,7 @@ def find_sandbox(*, readable: tuple[Path, ...]) -> Sandbox:
 
 @contextlib.contextmanager
 def open_call_filter(*, pins: bool = False, devices: Collection[str] = ()) -> Iterator[int]:
-    """A file descriptor from which one bubblewrap can read its filter of system calls; raises UsageError.
+    """A file descriptor with the filter of system calls for one bubblewrap; raises UsageError.
 
     With `pins` a process cannot choose other processors. With a card among the `devices` it can share memory.
     """

@@ -45,7 +45,7 @@ _GUIDED = Pursuit(
     drag_per_s=0.22,
     foresight=0.96,
 )
-_STOPS_M_S2 = 1.83  # by which the driver of an ArduCopter aims where to stop
+_STOPS_M_S2 = 1.83  # the deceleration that the driver of an ArduCopter assumes
 _ARRIVED_M, _ARRIVED_M_S = 1.0, 0.5  # near and slow enough for the next target
 _FINEST_M = 1e-6  # legs that differ by less are flown alike
 
@@ -142,7 +142,7 @@ def hold(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
 
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
-    """The second at which the vehicle counts as arrived: within 1 m of the end and below 0.5 m/s."""
+    """The second of the arrival: within 1 m of the end and below 0.5 m/s."""
     return settled_s(phases, within_m=_ARRIVED_M, below_m_s=_ARRIVED_M_S)
 
 

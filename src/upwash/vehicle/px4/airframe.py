@@ -64,7 +64,7 @@ hold = brake
 
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
-    """The second at which the vehicle first counts as arrived: within 1 m of the end, below 0.5 m/s, having flown."""
+    """The second of the arrival: first within 1 m of the end and below 0.5 m/s, after it has flown."""
     elapsed_s, flew = 0.0, False
     for phase in phases:
         slow = phase.speed_m_s <= _ARRIVED_M_S
