@@ -69,6 +69,10 @@ def befalls(kind: str, from_s: float, to_s: float = float("inf"), **more: object
     return FaultConfig(target="autopilot", kind=kind, from_s=from_s, to_s=to_s, **more)  # type: ignore[arg-type]
 
 
+def now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
 def fly(story: Callable[[], Awaitable[None]]) -> None:
     async def told() -> None:
         await story()
@@ -171,6 +175,27 @@ async def test_a_jump_within_a_silence_is_not_heard() -> None:
     silent.clear()
     await leg
     assert flight.unheard == 1 and flight.off_m == [pytest.approx(50.0)]
+
+
+@played(fly)
+async def test_a_leg_that_a_pilot_stopped_and_gave_back_unheard_is_flown_to_its_end() -> None:
+    silent = befalls("off", 0.0)
+    flight = Flight(befalls("pilot", 8.0, 9.0), fault=lambda: silent if 7.0 < now_s() < 10.0 else None)
+    autopilot = await flight.take_off()
+    await autopilot.goto(Position(30.0, 0.0, 20.0))
+    assert flight.off_m == [pytest.approx(0.0, abs=0.01)]
+
+
+@pytest.mark.parametrize("verb", ["take-off", "turn"])
+@played(fly)
+async def test_what_a_pilot_stopped_and_gave_back_unheard_does_not_count_as_done(*, verb: str) -> None:
+    silent, from_s = befalls("off", 0.0), 1.0 if verb == "take-off" else 5.0
+    flight = Flight(
+        befalls("pilot", from_s + 1.0, from_s + 2.0),
+        fault=lambda: silent if from_s < now_s() < from_s + 2.5 else None,
+    )
+    with pytest.raises(AutopilotOverruled, match=f"{verb}: "):  # the pilot lands it later
+        await (await flight.take_off()).turn_to(180.0)
 
 
 @pytest.mark.parametrize(

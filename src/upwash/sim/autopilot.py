@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from upwash.config import FaultConfig
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
@@ -25,6 +26,7 @@ from upwash.vehicle.ardupilot.airframe import TURN_DEG_S
 from upwash.vehicle.body.kinematics import Phase, duration_s, stretched
 
 _PATIENCE_S = 60.0  # the most that a leg may exceed its time
+_SAME_PLACE_M = 1e-3
 _GPS = GpsFix("3d", satellites=12, hdop=0.8)
 
 
@@ -212,7 +214,11 @@ class ModelAutopilot:
             raise AutopilotRefused("take-off", "the vehicle is not armed")
         self._command("take-off", goes=True)
         self._battery.take_off()
-        await self._move("take-off", self._manner.takeoff(self.position, altitude_m))
+        top = self.position.at_altitude(altitude_m)
+        climb = self._manner.takeoff(self.position, altitude_m)
+        await self._move("take-off", climb)
+        if not self._leads_to(top):
+            await self._wait_in_vain("take-off", duration_s(climb))
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """Sets the speed of the following legs, at once."""
@@ -237,13 +243,16 @@ class ModelAutopilot:
         arrival_s = self._manner.arrival_s(stretched(leg_from(self._waypoint or self.position), noise))
         phases = stretched(self._in_time(leg_from, self._manner.arrival_s), noise)
         if fault is not None and fault.kind == "stuck":
-            await self._pass(arrival_s + _PATIENCE_S)
-            self._reach("goto")
-            raise _late("goto", arrival_s)
+            await self._wait_in_vain("goto", arrival_s, for_s=arrival_s + _PATIENCE_S)
         self._nose_deg = _bearing_deg(self.position, position, self._nose_deg)
         await self._move("goto", phases, until_s=arrival_s)
-        while self._link.doubt:
-            await self._become_sure(begun_s, arrival_s)
+        while self._link.doubt or not self._leads_to(end):
+            if self._link.doubt:
+                await self._become_sure(begun_s, arrival_s)
+            else:  # a driver repeats the target to a vehicle that comes no nearer
+                self._command("goto", goes=True, target=end)
+                phases = stretched(leg_from(self.position), noise)
+                await self._move("goto", phases, until_s=self._manner.arrival_s(phases))
         self._observe("reached", off_m=distance_m(self._vehicle.true_position, position))
         self._waypoint = position
 
@@ -253,8 +262,12 @@ class ModelAutopilot:
         if self.stands:
             raise AutopilotRefused("turn", "the vehicle is on the ground")
         self._command("turn")
-        await self._pass(abs(math.remainder(heading_deg - self._nose_deg, 360)) / TURN_DEG_S)
+        takes_s = abs(math.remainder(heading_deg - self._nose_deg, 360)) / TURN_DEG_S
+        begun = self._vehicle.report
+        await self._pass(takes_s)
         self._reach("turn")
+        if self._vehicle.report is not begun:
+            await self._wait_in_vain("turn", takes_s)
         self._nose_deg = self._turned_to_deg = heading_deg
 
     async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
@@ -401,6 +414,16 @@ class ModelAutopilot:
             async with asyncio.timeout(left_s):
                 await first(asyncio.wait([self._link.lost]), self._link.jumped.wait())
         await self._rest("goto")
+
+    def _leads_to(self, end: Position) -> bool:
+        """Whether it was not stopped on its way by a pilot who gave it back within one silence of the link."""
+        return distance_m(self._vehicle.motion.end, end) < _SAME_PLACE_M
+
+    async def _wait_in_vain(self, step: str, due_s: float, *, for_s: float = _PATIENCE_S) -> NoReturn:
+        """Wait as long as a driver for what does not happen, then raise AutopilotTimeout."""
+        await self._pass(for_s)
+        self._reach(step)
+        raise _late(step, due_s)
 
     async def _booted(self) -> None:
         while self._vehicle.is_booting:
