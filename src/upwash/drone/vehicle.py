@@ -4,34 +4,31 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, Literal
 
-from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
+from upwash.core.geo import EarthPosition, Position, Waypoint, rounded
 from upwash.core.selection.events import (
     DescentBegun,
-    LegBegun,
-    LegEnded,
     MissionBegun,
     SelectionEvent,
     TargetUnknown,
 )
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.coming_down import ComingDown
+from upwash.drone.legs import Legs
 from upwash.drone.mission import MissionThread
-from upwash.drone.pending import AnswerAction, Demand, index_of, one_answered, position_of
-from upwash.drone.rows import RowRules, Rows, ahead_m, late_m, lies_on, passed
+from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
+from upwash.drone.rows import RowRules, Rows
 from upwash.drone.site import Site, require_altitude
-from upwash.errors import AutopilotError, UsageError
+from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import Autopilot, Journal, VehicleLimits
-from upwash.support.background import begin, first
 from upwash.support.text import printable
 
 Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]
 _LONGEST_TEXT_BYTES = 200  # four chunks of STATUSTEXT
-_SHORT_M = 1.0  # a leg whose end is not seen to be passed
 _AtPlace = type[
     schema.Armed | schema.Holding | schema.Returning | schema.Landing | schema.Landed | schema.Disarmed
 ]
@@ -54,20 +51,14 @@ class Vehicle:
         self._thread = thread
         self._journal = journal
         self._site = site
-        self._limits = VehicleLimits()  # as they were read before arming
         self._tell = tell
-        self._default_m_s = rows.ground_speed_m_s if rows else 0.0
+        self._legs = Legs(
+            autopilot, journal, site=site, tell=tell, default_m_s=rows.ground_speed_m_s if rows else 0.0
+        )
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._coming_down: ComingDown | None = None
-        self._ground_speed_m_s: float | None = None  # as it was last set
-        self._on_a_leg = False
-        self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
-        self._place: Waypoint | Position | None = None  # where it was last sent to
         self._open: AnswerAction[Any] | None = None
-        self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
-        self._leg_start: Position | None = None  # of that leg
-        self._leg_end: Position | None = None
         self._rows = (
             Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, rules=rows) if rows else None
         )
@@ -109,22 +100,22 @@ class Vehicle:
     @property
     def on_a_leg(self) -> bool:
         """Whether the vehicle is on its way to a place where the mission sent it."""
-        return self._on_a_leg
+        return self._legs.on_a_leg
 
     @property
     def place(self) -> Waypoint | Position | None:
         """The place where the mission last sent the vehicle; None before its first leg."""
-        return self._place
+        return self._legs.place
 
     @property
     def waypoint(self) -> int | None:
         """The index of the waypoint where the mission last sent the vehicle; None for a place off the plan."""
-        return index_of(self._place)
+        return index_of(self._legs.place)
 
     @property
     def ground_speed_m_s(self) -> float | None:
         """The ground speed of legs as the mission last set it; None for the configured speed."""
-        return self._ground_speed_m_s
+        return self._legs.ground_speed_m_s
 
     def _take_up(self) -> None:
         """Note that the vehicle is in the air, where an earlier program left it."""
@@ -144,13 +135,13 @@ class Vehicle:
         if self._found_flying:
             self._thread.call(self._climb(altitude_m))
             return
-        self._stands_at = None
+        self._legs.stands_at = None
         self._in_the_air = True  # from the attempt on: it may fail half-way up
         self._thread.call(self._takeoff(altitude_m))
 
     def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """Sets the ground speed of the following legs, in metres per second."""
-        self._thread.call(self._set_ground_speed(ground_speed_m_s))
+        self._thread.call(self._legs.set_ground_speed(ground_speed_m_s))
 
     def goto(self, place: Waypoint | Position, *, unless: Demand[Any] | None = None) -> bool:
         """Flies to a waypoint or position; returns True on arrival, at rest, and after the waypoint's hold time.
@@ -203,7 +194,7 @@ class Vehicle:
     def hold(self) -> None:
         """Stops the vehicle, and returns when it hovers."""
         self._settle()
-        self._stands_at = None
+        self._legs.stands_at = None
         self._thread.call(self._logged(self._autopilot.hold, schema.Holding))
 
     def return_home_and_land(self) -> None:
@@ -236,9 +227,9 @@ class Vehicle:
         self, place: Waypoint | Position, *, unless: Demand[Any] | None = None, back: bool = False
     ) -> bool:
         """As `goto`, without settling the open answer."""
-        self._place = place
+        self._legs.place = place
         if isinstance(place, Waypoint):
-            verb = self._goto(
+            verb = self._legs.goto(
                 place.position,
                 waypoint=place.index,
                 ground_speed_m_s=place.ground_speed_m_s,
@@ -246,20 +237,20 @@ class Vehicle:
                 back=back,
             )
         else:
-            verb = self._goto(place, back=back)
+            verb = self._legs.goto(place, back=back)
         if unless is None:
             self._thread.call(verb)
             return True
-        if self._thread.call(self._until_answered(verb, unless)):
+        if self._thread.call(self._legs.until_answered(verb, unless)):
             return True
         try:
             goes_on = not unless.holds()
             if not goes_on:  # before it brakes: who takes the vehicle then has it with this left undone
                 unless.note()
         except BaseException:
-            self._thread.call(self._stop_short_of(position_of(place)))
+            self._thread.call(self._legs.stop_short_of(position_of(place)))
             raise
-        self._thread.call(self._rest_of_leg() if goes_on else self._stop_short_of(position_of(place)))
+        self._thread.call(self._legs.arrive() if goes_on else self._legs.stop_short_of(position_of(place)))
         return goes_on
 
     @contextlib.contextmanager
@@ -287,10 +278,6 @@ class Vehicle:
         finally:
             self._coming_down = None
 
-    async def _set_ground_speed(self, ground_speed_m_s: float) -> None:
-        await self._autopilot.set_ground_speed(ground_speed_m_s)
-        self._ground_speed_m_s = ground_speed_m_s
-
     async def _turn_to(self, heading_deg: float) -> None:
         await self._autopilot.turn_to(heading_deg)
         self._journal.record(schema.Turned(heading_deg=heading_deg))
@@ -298,165 +285,6 @@ class Vehicle:
     async def _send_text(self, severity: int, text: str) -> None:
         self._autopilot.say(severity, text)
         self._journal.record(schema.TextSent(severity=severity, text=printable(text)))
-
-    async def _goto(
-        self,
-        position: Position,
-        *,
-        waypoint: int | None = None,
-        ground_speed_m_s: float | None = None,
-        hold_s: float = 0.0,
-        back: bool = False,
-    ) -> None:
-        self._site.require_leg(self._limits, self._stands_at or self._autopilot.position, position)
-        if ground_speed_m_s is not None and ground_speed_m_s != self._ground_speed_m_s:
-            await self._set_ground_speed(ground_speed_m_s)
-        self._journal.record(
-            schema.SetOff(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, back=back)
-        )
-        self._tell(LegBegun(position, self._ground_speed_m_s, back=back))
-        self._stands_at = None
-        self._on_a_leg = True
-        try:
-            await self._autopilot.goto(position)
-        finally:
-            self._on_a_leg = False
-        self._stands_at = position
-        self._tell(LegEnded())
-        self._journal.record(
-            schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, hold_s=hold_s)
-        )
-        if hold_s:
-            await asyncio.sleep(hold_s)
-
-    async def _until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
-        """Begin to fly; return True on arrival, or False, still in flight, when the answer is there."""
-        leg = self._leg = begin(verb)
-        try:
-            await first(asyncio.wait([leg]), demand.answered())
-        except asyncio.CancelledError:
-            await self._end_leg()
-            raise
-        if not leg.done():
-            return False
-        await self._rest_of_leg()
-        return True
-
-    async def _set_off(self, end: Position) -> None:
-        """Set off for the end of a leg, once the present leg is flown, and do not wait for the arrival."""
-        before, start = self._leg, self._leg_end
-        if before is None or start is None:
-            start = self._stands_at or self._autopilot.position
-        self._site.require_leg(self._limits, start, end)
-        self._leg_start, self._leg_end = start, end
-        self._leg = begin(self._fly_leg(end, after=before))
-
-    async def _fly_leg(self, end: Position, *, after: asyncio.Task[None] | None) -> None:
-        if after is not None:
-            await after
-        self._stands_at = None
-        self._on_a_leg = True
-        try:
-            await self._autopilot.goto(end)
-        finally:
-            self._on_a_leg = False
-        self._stands_at = end
-
-    def _passes(self, place: Waypoint | Position) -> bool:
-        """Whether the leg that is flown passes the place, or has just passed it."""
-        start, end, spot = self._leg_start, self._leg_end, position_of(place)
-        if start is None or end is None or not lies_on(spot, start, end):
-            return False
-        return not self._is_beyond(spot, start=start, end=end)
-
-    def _head_for(self, place: Waypoint | Position) -> None:
-        """Note that the place is the next one on the leg."""
-        self._place, position = place, position_of(place)
-        self._journal.record(
-            schema.SetOff(waypoint=index_of(place), east_m=position.east_m, north_m=position.north_m)
-        )
-        self._tell(LegBegun(position, self._ground_speed_m_s))
-
-    async def _fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
-        """Return True where it passes the place, or arrives there; False when one of the answers is there.
-
-        If it finds itself far beyond the place, it comes back.
-        """
-        leg, start, end, position = self._leg, self._leg_start, self._leg_end, position_of(place)
-        assert leg is not None and start is not None and end is not None  # noqa: S101 - it was set off
-        fastest_m_s = self._ground_speed_m_s or self._default_m_s
-        is_there = False
-
-        async def passes() -> None:
-            nonlocal is_there
-            await passed(self._autopilot, position, start=start, end=end, fastest_m_s=fastest_m_s)
-            is_there = True
-
-        waits: list[Coroutine[Any, Any, Any]] = [one_answered(answers)] if answers else []
-        if distance_m(start, end) > _SHORT_M:
-            waits.append(passes())
-        try:
-            await first(asyncio.wait([leg]), *waits)
-        except asyncio.CancelledError:
-            await self._end_leg()
-            raise
-        if leg.done():
-            await self._rest_of_leg()
-            is_there = True
-        if is_there and self._is_beyond(position, start=start, end=end):
-            await self._come_back(place, end)
-            return True
-        if is_there:
-            self._tell(LegEnded())
-            self._journal.record(
-                schema.Arrived(
-                    waypoint=index_of(place),
-                    east_m=position.east_m,
-                    north_m=position.north_m,
-                    passing=position != end,
-                )
-            )
-        return is_there
-
-    def _is_beyond(self, spot: Position, *, start: Position, end: Position) -> bool:
-        """Whether the vehicle is far beyond a spot of the leg, as after a silence of its link."""
-        if end in (spot, start):
-            return False
-        left_m = ahead_m(spot, self._autopilot.position, start=start, end=end)
-        return left_m < -late_m(self._ground_speed_m_s or self._default_m_s)
-
-    async def _come_back(self, spot: Waypoint | Position, end: Position) -> None:
-        """Brake, fly to a spot that was passed unseen, and set off again."""
-        if self._leg is not None:
-            await self._stop_short_of(end)
-        await self._goto(position_of(spot), waypoint=index_of(spot))
-        await self._set_off(end)
-
-    async def _stop(self) -> None:
-        if self._leg_end is not None:
-            await self._stop_short_of(self._leg_end)
-
-    async def _rest_of_leg(self) -> None:
-        leg, self._leg = self._leg, None
-        if leg is not None:
-            await leg
-
-    async def _stop_short_of(self, target: Position) -> None:
-        """Brake; end the leg at its target instead if braking would lead beyond it, where no check was made."""
-        here, stopping_place = self._autopilot.position, self._autopilot.stopping_place
-        if distance_m(here, stopping_place) > distance_m(here, target):
-            await self._rest_of_leg()
-        else:
-            await self._end_leg()
-            await self._autopilot.hold()
-
-    async def _end_leg(self) -> None:
-        """Cancel the leg under way, if any."""
-        leg, self._leg = self._leg, None
-        if leg is not None:
-            leg.cancel()
-            with contextlib.suppress(asyncio.CancelledError, AutopilotError):
-                await leg
 
     async def _arm(self) -> None:
         await self._autopilot.ready()
@@ -467,7 +295,7 @@ class Vehicle:
         self._site.require_within(limits, stands)
         for why in self._site.doubts(limits, stands):
             self._journal.record(schema.SiteDoubt(why=why))
-        self._limits = limits
+        self._legs.limits = limits
         self._journal.record(schema.Arming())
         await self._autopilot.arm()
         self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
@@ -487,7 +315,7 @@ class Vehicle:
         )
 
     async def _takeoff(self, altitude_m: float) -> None:
-        require_altitude(self._limits, altitude_m, step=f"takeoff to {altitude_m:g} m")
+        require_altitude(self._legs.limits, altitude_m, step=f"takeoff to {altitude_m:g} m")
         self._tell(TargetUnknown())
         self._journal.record(schema.TakingOff(altitude_m=altitude_m))
         await self._autopilot.takeoff(altitude_m)
@@ -498,7 +326,7 @@ class Vehicle:
     async def _climb(self, altitude_m: float) -> None:
         here = self._autopilot.position
         if here.altitude_m < altitude_m:  # never down: only the plan knows what is below
-            require_altitude(self._limits, altitude_m, step=f"climb to {altitude_m:g} m")
+            require_altitude(self._legs.limits, altitude_m, step=f"climb to {altitude_m:g} m")
             await self._autopilot.goto(Position(here.east_m, here.north_m, altitude_m))
 
     async def _logged(
@@ -521,17 +349,18 @@ class VehicleHandle:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
+        self._legs = legs = vehicle._legs
         self.settle = vehicle._settle
-        self.end_leg = vehicle._end_leg
+        self.end_leg = legs.end
         self.take_up = vehicle._take_up
         self.fly = vehicle._fly
         self.settle_for_call = vehicle._settle_for_call
-        self.set_off = vehicle._set_off
-        self.passes = vehicle._passes
-        self.head_for = vehicle._head_for
-        self.fly_on = vehicle._fly_on
-        self.arrive = vehicle._rest_of_leg
-        self.stop = vehicle._stop
+        self.set_off = legs.set_off
+        self.passes = legs.passes
+        self.head_for = legs.head_for
+        self.fly_on = legs.fly_on
+        self.arrive = legs.arrive
+        self.stop = legs.stop
 
     @property
     def flies_rows(self) -> bool:
@@ -540,11 +369,11 @@ class VehicleHandle:
 
     def rests(self) -> bool:
         """Whether the last leg is over."""
-        return self._vehicle._leg is None
+        return self._legs.rests
 
     def place(self) -> Waypoint | Position | None:
         """Where it was last sent to."""
-        return self._vehicle.place
+        return self._legs.place
 
     def position(self) -> Position:
         """Where it is."""

@@ -1,0 +1,224 @@
+"""The legs that the vehicle flies, on the loop: from rest to rest, or on along a row. Fences may forbid a leg."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any
+
+from upwash.core.geo import Position, Waypoint, distance_m
+from upwash.core.selection.events import LegBegun, LegEnded, SelectionEvent
+from upwash.drone.pending import AnswerAction, Demand, index_of, one_answered, position_of
+from upwash.drone.rows import ahead_m, late_m, lies_on, passed
+from upwash.drone.site import Site
+from upwash.errors import AutopilotError
+from upwash.eventlog import schema
+from upwash.ports import Autopilot, Journal, VehicleLimits
+from upwash.support.background import begin, first
+
+_SHORT_M = 1.0  # a leg whose end is not seen to be passed
+
+
+class Legs:
+    """Flies one leg after the other, and knows where the vehicle was last sent to.
+
+    `limits` are the vehicle's, as they were read before arming. `stands_at` is where exactly it was sent, which is
+    not quite where it is; None on a leg. `ground_speed_m_s` is the speed as it was last set, None for the configured
+    one.
+    """
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        journal: Journal,
+        *,
+        site: Site,
+        tell: Callable[[SelectionEvent], None],
+        default_m_s: float,
+    ) -> None:
+        self._autopilot = autopilot
+        self._journal = journal
+        self._site = site
+        self._tell = tell
+        self._default_m_s = default_m_s
+        self.limits = VehicleLimits()
+        self.ground_speed_m_s: float | None = None
+        self.on_a_leg = False
+        self.stands_at: Position | None = None
+        self.place: Waypoint | Position | None = None
+        self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
+        self._leg_start: Position | None = None  # of that leg
+        self._leg_end: Position | None = None
+
+    @property
+    def rests(self) -> bool:
+        """Whether the last leg is over."""
+        return self._leg is None
+
+    async def set_ground_speed(self, ground_speed_m_s: float) -> None:
+        """Set the ground speed of the following legs, in metres per second."""
+        await self._autopilot.set_ground_speed(ground_speed_m_s)
+        self.ground_speed_m_s = ground_speed_m_s
+
+    async def goto(
+        self,
+        position: Position,
+        *,
+        waypoint: int | None = None,
+        ground_speed_m_s: float | None = None,
+        hold_s: float = 0.0,
+        back: bool = False,
+    ) -> None:
+        """Fly to a place, from rest to rest; raises AutopilotRefused if a fence forbids the way."""
+        self._site.require_leg(self.limits, self.stands_at or self._autopilot.position, position)
+        if ground_speed_m_s is not None and ground_speed_m_s != self.ground_speed_m_s:
+            await self.set_ground_speed(ground_speed_m_s)
+        self._journal.record(
+            schema.SetOff(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, back=back)
+        )
+        self._tell(LegBegun(position, self.ground_speed_m_s, back=back))
+        self.stands_at = None
+        self.on_a_leg = True
+        try:
+            await self._autopilot.goto(position)
+        finally:
+            self.on_a_leg = False
+        self.stands_at = position
+        self._tell(LegEnded())
+        self._journal.record(
+            schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, hold_s=hold_s)
+        )
+        if hold_s:
+            await asyncio.sleep(hold_s)
+
+    async def until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
+        """Begin to fly; return True on arrival, or False, still in flight, when the answer is there."""
+        leg = self._leg = begin(verb)
+        try:
+            await first(asyncio.wait([leg]), demand.answered())
+        except asyncio.CancelledError:
+            await self.end()
+            raise
+        if not leg.done():
+            return False
+        await self.arrive()
+        return True
+
+    async def set_off(self, end: Position) -> None:
+        """Set off for the end of a leg, once the present leg is flown, and do not wait for the arrival."""
+        before, start = self._leg, self._leg_end
+        if before is None or start is None:
+            start = self.stands_at or self._autopilot.position
+        self._site.require_leg(self.limits, start, end)
+        self._leg_start, self._leg_end = start, end
+        self._leg = begin(self._fly_leg(end, after=before))
+
+    async def _fly_leg(self, end: Position, *, after: asyncio.Task[None] | None) -> None:
+        if after is not None:
+            await after
+        self.stands_at = None
+        self.on_a_leg = True
+        try:
+            await self._autopilot.goto(end)
+        finally:
+            self.on_a_leg = False
+        self.stands_at = end
+
+    def passes(self, place: Waypoint | Position) -> bool:
+        """Whether the leg that is flown passes the place, or has just passed it."""
+        start, end, spot = self._leg_start, self._leg_end, position_of(place)
+        if start is None or end is None or not lies_on(spot, start, end):
+            return False
+        return not self._is_beyond(spot, start=start, end=end)
+
+    def head_for(self, place: Waypoint | Position) -> None:
+        """Note that the place is the next one on the leg."""
+        self.place, position = place, position_of(place)
+        self._journal.record(
+            schema.SetOff(waypoint=index_of(place), east_m=position.east_m, north_m=position.north_m)
+        )
+        self._tell(LegBegun(position, self.ground_speed_m_s))
+
+    async def fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
+        """Return True where it passes the place, or arrives there; False when one of the answers is there.
+
+        If it finds itself far beyond the place, it comes back.
+        """
+        leg, start, end, position = self._leg, self._leg_start, self._leg_end, position_of(place)
+        assert leg is not None and start is not None and end is not None  # noqa: S101 - it was set off
+        fastest_m_s = self.ground_speed_m_s or self._default_m_s
+        is_there = False
+
+        async def passes() -> None:
+            nonlocal is_there
+            await passed(self._autopilot, position, start=start, end=end, fastest_m_s=fastest_m_s)
+            is_there = True
+
+        waits: list[Coroutine[Any, Any, Any]] = [one_answered(answers)] if answers else []
+        if distance_m(start, end) > _SHORT_M:
+            waits.append(passes())
+        try:
+            await first(asyncio.wait([leg]), *waits)
+        except asyncio.CancelledError:
+            await self.end()
+            raise
+        if leg.done():
+            await self.arrive()
+            is_there = True
+        if is_there and self._is_beyond(position, start=start, end=end):
+            await self._come_back(place, end)
+            return True
+        if is_there:
+            self._tell(LegEnded())
+            self._journal.record(
+                schema.Arrived(
+                    waypoint=index_of(place),
+                    east_m=position.east_m,
+                    north_m=position.north_m,
+                    passing=position != end,
+                )
+            )
+        return is_there
+
+    def _is_beyond(self, spot: Position, *, start: Position, end: Position) -> bool:
+        """Whether the vehicle is far beyond a spot of the leg, as after a silence of its link."""
+        if end in (spot, start):
+            return False
+        left_m = ahead_m(spot, self._autopilot.position, start=start, end=end)
+        return left_m < -late_m(self.ground_speed_m_s or self._default_m_s)
+
+    async def _come_back(self, spot: Waypoint | Position, end: Position) -> None:
+        """Brake, fly to a spot that was passed unseen, and set off again."""
+        if self._leg is not None:
+            await self.stop_short_of(end)
+        await self.goto(position_of(spot), waypoint=index_of(spot))
+        await self.set_off(end)
+
+    async def stop(self) -> None:
+        """Brake and end the leg, or fly it to its end if that is nearer."""
+        if self._leg_end is not None:
+            await self.stop_short_of(self._leg_end)
+
+    async def arrive(self) -> None:
+        """Wait until the vehicle rests at the end of the leg."""
+        leg, self._leg = self._leg, None
+        if leg is not None:
+            await leg
+
+    async def stop_short_of(self, target: Position) -> None:
+        """Brake; end the leg at its target instead if braking would lead beyond it, where no check was made."""
+        here, stopping_place = self._autopilot.position, self._autopilot.stopping_place
+        if distance_m(here, stopping_place) > distance_m(here, target):
+            await self.arrive()
+        else:
+            await self.end()
+            await self._autopilot.hold()
+
+    async def end(self) -> None:
+        """Cancel the leg under way, if any."""
+        leg, self._leg = self._leg, None
+        if leg is not None:
+            leg.cancel()
+            with contextlib.suppress(asyncio.CancelledError, AutopilotError):
+                await leg
