@@ -38,6 +38,7 @@ class Radio(Field):
         super().__init__()
         self.told: list[tuple[float, Any]] = []
         self.in_range = True
+        self.moves = asyncio.Event()
         self.joins_s = 0.0
         endpoint = ServerEndpoint("s1", "field", DAEMON, ("counter", "detector"))
         this: Any = self
@@ -48,10 +49,14 @@ class Radio(Field):
             dialer=this,
             journal=self,
             tell=self.record,
+            told=self.until_told,
         )
 
     def record(self, event: object) -> None:
         self.told.append((now_s(), event))
+
+    async def until_told(self) -> None:
+        await self.moves.wait()
 
     async def join(self, network: str, *, timeout_s: float) -> None:
         await asyncio.sleep(self.joins_s)
@@ -247,6 +252,32 @@ def test_a_server_that_is_left_in_a_check_is_told_of_no_more() -> None:
         assert await radio.sent(CHECK) == [JOINED]
         assert await radio.sent(BYE, lasts_s=60.0) == []
         assert await radio.sent(BYE) == [], "it is left already"
+
+    tell(story)
+
+
+@pytest.mark.parametrize("flies_out", [False, True])
+def test_a_left_server_finishes_its_calls_unless_the_drone_flies_out_of_range_meanwhile(
+    flies_out: bool,
+) -> None:
+    async def story(radio: Radio) -> None:
+        await radio.sent(CHECK)
+        assert radio.worker.session is not None
+        radio.answers_in_s = 4.0
+        call = asyncio.create_task(radio.worker.session.call("detector", "look", b"", deadline_s=9.0))
+        await asyncio.sleep(1.0)
+        radio.answers_in_s = 0.0
+        radio.worker.send(BYE)
+        await asyncio.sleep(1.0)
+        radio.in_range = not flies_out
+        radio.moves.set()
+        radio.moves.clear()
+        begun_s = now_s()
+        await radio.worker.done()
+        assert now_s() - begun_s == pytest.approx(0.0 if flies_out else 2.0, abs=0.01)
+        assert (radio.said[-1] == (DAEMON, LEAVE)) == (not flies_out)
+        assert (sorted(radio.closed), radio.network[-1]) == (["s1:1", "s1:2", DAEMON], "leave")
+        await call
 
     tell(story)
 

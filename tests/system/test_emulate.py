@@ -239,9 +239,8 @@ def test_a_call_is_cut_when_the_drone_leaves_the_range_and_answered_on_the_drone
     _, cut = read_result(read_log(emulation.folder / "drone.jsonl")).calls
     assert cut.place == "local" and cut.decision != "no server selected"
     out_of_range_after_s, local_s = 3.5, 5.0
-    assert local_s < cut.delay_s < out_of_range_after_s + local_s + 0.5
-    events = [event["event"] for event in emulation.events()]
-    assert "remote_failed" in events
+    assert local_s < cut.delay_s < out_of_range_after_s + local_s + 0.5, emulation.events()
+    assert any(event["event"] == "remote_failed" for event in emulation.events())
 
 
 @pytest.mark.flight

@@ -65,6 +65,7 @@ class Offloading:
                     dialer=dialer,
                     journal=journal,
                     tell=lambda event: self._decisions.tell(event),  # noqa: PLW0108 - they are made below
+                    told=lambda: self._decisions.told(),  # noqa: PLW0108 - likewise
                 )
                 for network in networks
             ]

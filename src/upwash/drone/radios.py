@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import NoReturn, TypeVar
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from typing import Any, NoReturn, TypeVar
 
 from upwash.core.selection import events
 from upwash.core.selection.commands import Check, Command, Leave, Prepare, Probe, Start
@@ -18,7 +18,7 @@ from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UNREACHED, LinkError, NetworkError, ServerFull, ServicePaused
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Journal, Network
-from upwash.support.background import begin, end
+from upwash.support.background import begin, end, first
 
 T = TypeVar("T")
 
@@ -35,6 +35,7 @@ class RadioWorker:
         dialer: Dialer,
         journal: Journal,
         tell: Callable[[SelectionEvent], None],
+        told: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
         self.session: ServerSession | None = None
         self._session_with = ""  # the server
@@ -45,6 +46,7 @@ class RadioWorker:
         self._dialer = dialer
         self._journal = journal
         self._tell = tell
+        self._told = told  # waits for the core's next event, as when a border is crossed
         self._commands: asyncio.Queue[Command] = asyncio.Queue()
         self._tasks: asyncio.TaskGroup  # of `run`: the worker fails with any of them
         self._exchange: asyncio.Task[None] | None = None  # what the session is busy with
@@ -96,6 +98,8 @@ class RadioWorker:
             case Leave(server):
                 await end(self._message, self._exchange)
                 if self.session is not None:
+                    while self.session.calling and self._in_range(server):
+                        await first(self.session.calls_over(), self._told())
                     answered = await self.session.end(in_range=self._in_range(server))
                     if answered and self.cut is not None:
                         self._tell(self.cut)

@@ -96,6 +96,15 @@ class ServerSession:
         """Whether all wanted services run there, by the last answer."""
         return all(service in self._instances for service in self._server.services)
 
+    @property
+    def calling(self) -> bool:
+        """Whether calls are under way."""
+        return not self._quiet.is_set()
+
+    async def calls_over(self) -> None:
+        """Returns when no call is under way; each has its deadline."""
+        await self._quiet.wait()
+
     async def join(self, *, timeout_s: float) -> bool:
         """Joins the server's network unless it is joined; returns whether it had to. Raises NetworkError."""
         if self._lost:
@@ -255,7 +264,7 @@ class ServerSession:
         """
         answered = False
         if in_range:
-            await self._quiet.wait()  # each has its deadline
+            await self.calls_over()
             if self._daemon is None and self._expected:  # a probe asked, over a connection of its own
                 self._daemon = self._dialer.dial(self._address, server=self._server.name)
             await self.tell_denied()
