@@ -58,6 +58,23 @@ def texts(*events: Event, servers: Sequence[str] = ("s1",)) -> list[CallText]:
     return explained_calls([*planned(*servers), *events])
 
 
+def test_of_several_open_calls_the_line_is_told_where_there_was_one_and_what_the_answer_demanded() -> None:
+    begun = [event("call_started", 20.0, operation=OPERATION, waypoint=number) for number in (0, 1)]
+    first, second = texts(
+        *begun,
+        decided(20.0, waypoint=0),
+        ended(30.0, 10.0, waypoint=0, queued_s=0.001),
+        event("answer_taken", 30.0, waypoint=0, demanded=True),
+        decided(30.0, waypoint=1),
+        ended(40.0, 20.0, waypoint=1, queued_s=10.0),
+        event("answer_taken", 41.0, waypoint=1),
+    )
+    assert first.reasons[0].startswith("Ran on the drone in 10.00 s because")
+    assert first.reasons[-1] == "the answer was taken at 0:20, and demanded something"
+    assert second.reasons[0].startswith("Ran on the drone in 10.00 s after 10.00 s in line because")
+    assert second.reasons[-1] == "the answer was taken at 0:31, and demanded nothing"
+
+
 def sentence(*events: Event, servers: Sequence[str] = ("s1",)) -> str:
     """Of the last call."""
     return texts(*events, servers=servers)[-1].reasons[0]

@@ -58,6 +58,25 @@ def test_a_line_before_the_mission_began_has_the_logs_seconds_in_brackets() -> N
     assert times == ["[0.4 s]", "[1.0 s]", "0.0 s", "2.5 s"]
 
 
+def test_on_rows_a_call_is_told_at_its_own_photo_and_stops_are_told() -> None:
+    call = {"operation": "o", "place": "s1", "decision": "server ready"}
+    said = lines(
+        [
+            STARTED,
+            event("arrived", 1.0, waypoint=1, passing=True, **PLACE),
+            event("leg", 1.5, waypoint=2, **PLACE),
+            event("call", 2.0, waypoint=1, delay_s=0.4, **call),
+            event("call", 3.0, waypoint=0, delay_s=9.0, queued_s=8.6, **call),
+            event("photos_wait", 4.0, waiting=2),
+        ]
+    )
+    assert said[1:] == [
+        "waypoint 1: o on s1, 0.40 s (server ready)",
+        "waypoint 0: o on s1, 9.00 s, 8.6 s of that in line (server ready)",
+        "stopping on the row: 2 photos without an answer",
+    ]
+
+
 def head(events: Iterable[Event]) -> str:
     """The first line of the picture that a terminal shows in the end."""
     console = Console(file=io.StringIO(), width=300, force_terminal=True, color_system=None)

@@ -276,8 +276,57 @@ def test_the_way_back_is_told_and_that_answers_were_open(going: list[Fact]) -> N
     assert back == [f"flying back to waypoint {waypoint}" for waypoint in (2, 8, 14)]
     assert [each.waypoint for each in those(facts.Going, going)] == list(range(17))
     hidden_s = [each.hidden_s for each in those(facts.Answer, going)]
-    assert len(hidden_s) == 17
-    assert hidden_s == pytest.approx([10.0] * 17)
+    assert hidden_s == pytest.approx([*[10.0] * 17, 0.0])
+
+
+# --- a drone that flies rows ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Fact]:
+    photos = {"every_m": 20.0, "at_most": 3}
+    run = simulate(
+        survey(mission={"photos": photos}, policy={"name": "local-only"}, event={"every": 6, "offset": 2})
+    )
+    return tell(run.events)
+
+
+def test_on_rows_an_answer_is_open_from_its_photo_until_its_call_is_over(rows: list[Fact]) -> None:
+    photographed_s = {shot.waypoint: shot.at_s for shot in those(facts.Shot, rows)}
+    assert {begun.waypoint: begun.at_s for begun in those(facts.Started, rows)} == photographed_s
+    calls = those(facts.Call, rows)
+    assert {call.waypoint: call.at_s - call.delay_s for call in calls} == pytest.approx(photographed_s)
+    assert max(call.queued_s for call in calls) > 5.0
+    hidden_s = sum(answer.hidden_s for answer in those(facts.Answer, rows))
+    assert hidden_s > 0.5 * sum(call.delay_s for call in calls)
+
+
+def test_on_rows_detours_and_waits_are_told_and_what_it_computes_meanwhile(rows: list[Fact]) -> None:
+    kinds = [beside.kind for beside in those(facts.Beside, rows)]
+    assert kinds.count("detour") == len({turn.at_s for turn in those(facts.Turn, rows)}) == 3
+    assert "wait" in kinds and kinds[-1] == ""
+    assert any(doing.words == "waiting for answers" for doing in those(facts.Doing, rows))
+    decisions = [decision for decision in those(facts.Decision, rows) if decision.words]
+    assert [decision.waypoint for decision in decisions] == list(range(18))
+
+
+def test_while_one_of_two_calls_goes_on_it_is_the_one_under_way() -> None:
+    there = {**AT_S1, "server": "s1", "decision": "remote", "deadline_s": 3.0, "state": "READY"}
+    alone = {**AT_S1, "selected": None, "state": None, "decision": "local", "why": "no server selected"}
+    told = tell(
+        [
+            STARTED,
+            event("decided", 10.0, operation="detector.count", waypoint=0, **alone),
+            event("decided", 11.0, operation="detector.count", waypoint=1, **there),
+            event("call", 11.5, operation="detector.count", waypoint=1, place="s1", delay_s=0.5),
+        ]
+    )
+    under_way = [(each.waypoint, each.doing, each.number) for each in those(facts.Decision, told)]
+    assert under_way == [
+        (0, "computing on the drone", 0),
+        (1, "calling s1", 0),
+        (0, "computing on the drone", 1),
+    ]
 
 
 def test_what_the_user_is_told_late_is_of_the_photo_of_that_waypoint(going: list[Fact]) -> None:

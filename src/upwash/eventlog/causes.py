@@ -17,6 +17,7 @@ _REMEMBERED_S = 60.0  # how long the drone believes a server without a free slot
 _NO_ANSWER = "no answer"
 _ALONE = "computing on the drone"
 _OUT_OF_RANGE = "out of range"
+SHORTEST_S = 0.005  # less is printed as 0.00 s
 _WITHOUT_FIGURES = (_OUT_OF_RANGE, "failed or was slow")  # of a decision: its estimates decided nothing
 _RAISED = {
     "": "",
@@ -240,8 +241,11 @@ def _left(before: Course, event: Event, doing: str) -> Course:
 def ran(outcome: schema.Call, decisions: Sequence[Considered], events: Sequence[Event]) -> str:
     """Where the call ran and why; `events` are what the log told of servers from its first decision on."""
     took = f"in {outcome.delay_s:.2f} s"
-    if outcome.waypoint is not None and outcome.queued_s:  # one of several that were open
-        took = f"in {outcome.delay_s - outcome.queued_s:.2f} s after {outcome.queued_s:.2f} s in line"
+    if (
+        outcome.waypoint is not None and (outcome.queued_s or 0.0) >= SHORTEST_S
+    ):  # one of several that were open
+        queued_s = outcome.queued_s or 0.0
+        took = f"in {outcome.delay_s - queued_s:.2f} s after {queued_s:.2f} s in line"
     if outcome.server is not None:
         return f"Ran on {outcome.server}{_server_cause(outcome, decisions)} {took}"
     if not decisions:

@@ -25,6 +25,7 @@ SAFE_ENDS = {
     "disarm": "disarming on the ground",
 }
 WARNING = 4
+_SHORTEST_S = 0.05  # the shortest time in line that a sentence has
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
 _WITHOUT_SENTENCE = frozenset({schema.PhotoTaken, schema.Decided, schema.CallStarted})
 _OWNERS = {
@@ -173,9 +174,13 @@ class Narrator:
 
     def _call(self, call: schema.Call) -> Sentence:
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
+        if call.queued_s and call.queued_s >= _SHORTEST_S:
+            waited += f", {call.queued_s:.1f} s of that in line"
         why = f" ({call.decision})" if self._knows_servers else ""
         asked_at = self._whereabouts.of_call
         where = self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {named(asked_at)}"
+        if call.waypoint is not None:  # one of several that may be open
+            where = named(call.waypoint)
         return Sentence(
             f"{where}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited}{why}",
             Tone.PLAIN if call.server is None else Tone.REMOTE,
@@ -190,6 +195,7 @@ _DOING: Mapping[type[Event], str] = {  # from the event on
     schema.Arming: "arming",
     schema.Armed: "armed",
     schema.TookOff: "in the air",
+    schema.PhotosWait: "waiting for answers",
     schema.Returning: "returning",
     schema.LeftHovering: "hovering",
     schema.Landed: "landed",
@@ -262,6 +268,8 @@ def _sentence(event: Event) -> Sentence | None:
             return Sentence(f"the answer at {named(waypoint)} demands something", Tone.FOUND)
         case schema.TurnedBack(waypoint=waypoint):
             return Sentence(f"turning back to {named(waypoint)}, for its answer", Tone.FOUND)
+        case schema.PhotosWait(waiting=waiting):
+            return Sentence(f"stopping on the row: {counted(waiting, 'photo')} without an answer")
         case schema.Foreseen():
             return _foreseen(event)
         case schema.MissionEnded(why=why):

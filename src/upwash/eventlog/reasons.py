@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
-from upwash.eventlog.causes import Considered, Standings, ran
+from upwash.eventlog.causes import SHORTEST_S, Considered, Standings, ran
 from upwash.eventlog.narration import ran_on
 from upwash.eventlog.progress import CallPlaces, MissionTime, clock
 from upwash.eventlog.schema import Event
@@ -28,7 +28,6 @@ _LATER = (
     schema.Deselected,
     schema.DeselectedAfterStart,
 )  # after a decision: for the next call
-_SHORTEST_S = 0.005  # less is printed as 0.00 s
 _LEAST_LOSS = 0.05  # of the delay that was expected
 _LEAST_LOSS_S = 0.1
 
@@ -110,6 +109,7 @@ class Reasons:
         self._standings = Standings()
         self._told: list[Considered | Event] = []  # since the last call was over
         self._delays_s: list[float] = []
+        self._several: set[int] = set()  # the numbers of calls that were open beside others
         self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until the mission takes the answer
         self._turned: dict[int | None, Position] = {}
         self._places: dict[int, Position] = {}  # of the waypoints that were reached
@@ -153,10 +153,11 @@ class Reasons:
             self._back_m[waypoint] = ground_distance_m(self._turned.pop(waypoint), there)
 
     def _explain_answer(self, taken: schema.AnswerTaken) -> ExplainedAnswer | None:
-        """None if the drone stayed or the call failed."""
+        """None if the drone stayed for the answer, or the call failed."""
         going, back_m = self._going.pop(taken.waypoint, None), self._back_m.pop(taken.waypoint, None)
         number = self._whereabouts.answered
-        if number is None or going is None or not going.goes:
+        went_on = number in self._several if going is None else going.goes
+        if number is None or not went_on:
             return None
         hidden_s = max(0.0, self._delays_s[number] - taken.waited_s)
         return ExplainedAnswer(number, taken, taken.t - (self._began.at_s or 0.0), hidden_s, back_m)
@@ -168,6 +169,8 @@ class Reasons:
             its, later = _own(self._told, outcome.waypoint)
         self._told = later
         waypoint, began_s = self._whereabouts.of_call, self._began.at_s or 0.0
+        if outcome.waypoint is not None:
+            self._several.add(len(self._delays_s))
         self._delays_s.append(outcome.delay_s)
         return ExplainedCall(
             len(self._delays_s) - 1,
@@ -263,7 +266,7 @@ def call_lines(call: ExplainedCall) -> Iterator[str]:
         )
     if outcome.hedged_s is not None:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
-    if outcome.waypoint is None and outcome.queued_s and outcome.queued_s >= _SHORTEST_S:
+    if outcome.waypoint is None and outcome.queued_s and outcome.queued_s >= SHORTEST_S:
         yield f"    the drone was busy with an earlier call for {outcome.queued_s:.2f} s"
     if call.going is not None:
         yield _going_text(call.going)
@@ -274,7 +277,8 @@ def answer_text(answer: ExplainedAnswer) -> str:
     taken = answer.taken
     waited = f" after a wait of {taken.waited_s:.2f} s" if taken.waited_s else ""
     if answer.back_m is None:
-        return f"the answer was taken at {clock(answer.at_s)}{waited}, and demanded nothing"
+        demanded = "something" if taken.demanded else "nothing"
+        return f"the answer was taken at {clock(answer.at_s)}{waited}, and demanded {demanded}"
     return f"the answer demanded something{waited}: the drone turned back, and flew {answer.back_m:.1f} m"
 
 

@@ -170,7 +170,8 @@ class Decision(Fact, frozen=True):
 class Call(Fact, frozen=True):
     """A call ended; `words` say why it ran where it ran, and `east_m`, `north_m` where the drone made it.
 
-    It took `lost_s` longer than was expected of the best place, as the `estimates` were when it began.
+    It was in line for `queued_s`. It took `lost_s` longer than was expected of the best place, as the `estimates`
+    were when it began.
     """
 
     operation: str
@@ -184,6 +185,7 @@ class Call(Fact, frozen=True):
     lost_s: float
     east_m: float | None
     north_m: float | None
+    queued_s: float = 0.0
 
 
 class Amended(Fact, frozen=True):
@@ -191,6 +193,18 @@ class Amended(Fact, frozen=True):
 
     number: int
     words: Sequence[str]
+
+
+class Started(Fact, frozen=True):
+    """The mission began a call at the waypoint without waiting; its answer is open until the call ends, or fails."""
+
+    waypoint: int | None
+
+
+class Beside(Fact, frozen=True):
+    """What keeps the drone off its way from now on: "detour" for demands, "wait" for answers; "" once it flies on."""
+
+    kind: str
 
 
 class Going(Fact, frozen=True):
@@ -218,10 +232,10 @@ class Measured(Fact, frozen=True):
 
 
 class Answer(Fact, frozen=True):
-    """The mission has the answer of a waypoint that the drone had left; so much of the call's delay was hidden."""
+    """The mission has the answer of a waypoint, or no answer will come. The call hid `hidden_s` of its delay."""
 
     waypoint: int | None
-    hidden_s: float
+    hidden_s: float = 0.0
 
 
 class Shot(Fact, frozen=True):

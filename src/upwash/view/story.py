@@ -64,7 +64,7 @@ class Story:
         self._vehicle = facts.Vehicle(at_s=0.0)
         self._course: Course | None = None
         self._servers: set[str] = set()
-        self._left_out = ""
+        self._left_out = self._beside = ""
         self._unfinished: list[ExplainedCall] = []  # they name servers that are still left alone
 
     def take(self, event: Event) -> Iterable[Fact]:
@@ -261,14 +261,17 @@ class Story:
         )
 
     def _under_way(self, event: Event) -> Iterator[Fact]:
-        """Where the open call is, if the event changes that."""
-        before = self._course
+        """Where the open call is, or the last of several, if the event changes that."""
+        before, decisions = self._course, self._reasons.under_way
         if isinstance(event, _ON_CALLS):
-            decisions = self._reasons.under_way
             self._course = course_after(event, decisions[-1], before) if decisions else None
+        elif isinstance(event, schema.Call) and decisions:  # of the other calls
+            self._course = course_after(decisions[-1].decided, decisions[-1], None)
         elif _ends_call(event):
             self._course = None
-        if self._course is before or isinstance(event, schema.Call):  # which tells by itself that it is over
+            if isinstance(event, schema.Call):  # which tells by itself that it is over
+                return
+        if self._course is before:
             return
         if self._course is None:
             yield facts.Decision(at_s=self._now_s, number=self._reasons.ended, waypoint=None)
@@ -282,7 +285,7 @@ class Story:
             at_s=self._now_s,
             number=self._reasons.ended,
             operation=decided.operation,
-            waypoint=self._calls_at.of_call_under_way,
+            waypoint=self._calls_at.of_call_under_way if decided.waypoint is None else decided.waypoint,
             words=[f"{course.sentence}.", *decision_lines(decided)],
             estimates=_estimates(decision),
             began_s=course.began_s,
@@ -316,6 +319,7 @@ class Story:
             words=list(call_lines(call)),
             estimates=_estimates(call.decisions[0]) if call.decisions else (),
             lost_s=call.loss_s,
+            queued_s=outcome.queued_s or 0.0,
             east_m=place.east_m if place else None,
             north_m=place.north_m if place else None,
         )
@@ -330,8 +334,14 @@ class Story:
                 yield facts.Turn(
                     at_s=self._now_s, waypoint=waypoint, east_m=place.east_m, north_m=place.north_m
                 )
-            case schema.AnswerTaken(waypoint=waypoint) if isinstance(explained, ExplainedAnswer):
-                yield facts.Answer(at_s=self._now_s, waypoint=waypoint, hidden_s=explained.hidden_s)
+            case schema.CallStarted(waypoint=waypoint):
+                yield facts.Started(at_s=self._now_s, waypoint=waypoint)
+            case schema.AnswerTaken(waypoint=waypoint):
+                hidden_s = explained.hidden_s if isinstance(explained, ExplainedAnswer) else 0.0
+                yield facts.Answer(at_s=self._now_s, waypoint=waypoint, hidden_s=hidden_s)
+        if (kind := _beside(event, self._beside)) != self._beside:
+            self._beside = kind
+            yield facts.Beside(at_s=self._now_s, kind=kind)
 
     # --- photos -----------------------------------------------------------------------------------------------
 
@@ -384,6 +394,20 @@ def _estimates(decision: Considered) -> Sequence[facts.Estimate]:
         return local
     there = facts.Estimate(place=decided.selected, call_s=decided.remote_s, wait_s=decision.wait_s)
     return [*local, there]
+
+
+def _beside(event: Event, before: str) -> str:
+    """What keeps the drone off its way after the event: "detour", "wait" or nothing."""
+    match event:
+        case schema.TurnedBack():
+            return "detour"
+        case schema.PhotosWait():
+            return "wait"
+        case schema.SetOff(back=False) | schema.Returning() | schema.Landing() | schema.SafeEnd():
+            return ""
+        case schema.ControlChanged() | schema.MissionStarted() | schema.MissionEnded():
+            return ""
+    return before
 
 
 def _ends_call(event: Event) -> bool:
