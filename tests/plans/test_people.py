@@ -291,7 +291,8 @@ def test_a_pattern_is_flown_as_its_single_waypoints(tmp_path: Path, kind: str) -
     assert [waypoint.item for waypoint in plan.waypoints] == [2, 4, 6]  # numbered as QGroundControl does
     assert told(plan) == [
         f"{kind} is flown as its 4 single commands, items 2-5",
-        f"items 3, 5: MAV_CMD_DO_SET_CAM_TRIGG_DIST (206): {PHOTOS}",
+        f"items 3, 5: MAV_CMD_DO_SET_CAM_TRIGG_DIST (206): {PHOTOS}, at each waypoint; with mission.photos = {{}} "
+        "the plan's triggers take them in flight",
     ]
 
 

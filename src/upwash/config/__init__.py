@@ -64,6 +64,7 @@ from upwash.config.places import (
     frame_of,
     geofence,
     is_planned_home,
+    leaving,
     movable_waypoints,
     plan_notices,
     server_areas,

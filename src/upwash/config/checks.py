@@ -18,7 +18,15 @@ from upwash.config.drone import (
     ServiceConfig,
 )
 from upwash.config.flight_times import finish_by_s
-from upwash.config.places import geofence, is_planned_home, measured_servers, row_ends, sweeps_of, waypoints
+from upwash.config.places import (
+    corners,
+    geofence,
+    is_planned_home,
+    measured_servers,
+    row_ends,
+    sweeps_of,
+)
+from upwash.config.plan_photos import MOST_SPOTS
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.user import user_problems
@@ -31,7 +39,6 @@ from upwash.plans import FlightPlan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
 _HOME = Position(0.0, 0.0)
-_MOST_SPOTS = 100_000
 _MOST_DRONES = 1000  # the largest simulation that was tried
 
 
@@ -119,18 +126,22 @@ def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
     mission, photos = config.mission, config.mission.photos
     if photos is None:
         return
-    if mission.plan is not None or any(drone.plan is not None for drone in config.drones):
-        yield "mission.photos", "a plan has no rows: give a grid or waypoints_m, or leave photos out"
     if mission.waypoints_m is not None and len(mission.waypoints_m) % 2:
         count = len(mission.waypoints_m)
         yield "mission.waypoints_m", f"{count} places: with photos, give the start and the end of each row"
     if mission.order != "given":
         yield "mission.order", 'rows are flown in the order of the file: leave it out, or set "given"'
+    if not (_has_rows(mission) or any(map(_has_rows, config.drones))):
+        return
+    if photos.every_m is None:
+        problem = "missing: add a number above 0; only a plan has triggers of its own"
+        yield "mission.photos.every_m", problem
+        return
     rows_m = sum(ground_distance_m(*row) for row in row_ends(mission))
-    if rows_m / photos.every_m > _MOST_SPOTS:
+    if rows_m / photos.every_m > MOST_SPOTS:
         yield (
             "mission.photos.every_m",
-            f"more than {_MOST_SPOTS:,} photos of {rows_m:g} m of rows: make it larger",
+            f"more than {MOST_SPOTS:,} photos of {rows_m:g} m of rows: make it larger",
         )
     fastest_m_s = photos.every_m / config.camera.photo_s if config.camera.photo_s else math.inf
     if mission.ground_speed_m_s > fastest_m_s:
@@ -139,6 +150,10 @@ def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
             f"a photo takes camera.photo_s = {config.camera.photo_s:g} s, so that one every {photos.every_m:g} m "
             f"allows at most {fastest_m_s:.3g} m/s: fly slower, or make photos.every_m larger",
         )
+
+
+def _has_rows(table: MissionConfig | FleetDroneConfig) -> bool:
+    return table.grid is not None or table.waypoints_m is not None
 
 
 def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:
@@ -230,7 +245,7 @@ def plan_problems(mission: MissionConfig, plan: FlightPlan) -> Iterator[Problem]
             f"item {plan.above_sea_level}",
             "its altitude is above sea level, and mission.home is not the plan's home: give it above home",
         )
-    places = waypoints(mission)
+    places = corners(mission, plan)
     names = ["home", *(f"waypoint {waypoint.index}" for waypoint in places)]
     items = ["plannedHomePosition", *(f"item {waypoint.item}" for waypoint in plan.waypoints)]
     fences = geofence(mission)

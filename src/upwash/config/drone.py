@@ -60,8 +60,9 @@ class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class PhotosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Photos that are taken in flight, along rows that the drone flies without stopping: [rows](rows.md)."""
 
-    every_m: values.Positive
-    """The distance along a row from one photo to the next, in metres; the first is at its start."""
+    every_m: values.Positive | None = None
+    """The distance along a row from one photo to the next, in metres; the first is at its start. Needed, except with
+    a plan, whose triggers have distances."""
     first: Literal["oldest", "newest"] = "oldest"
     """Which of the photos without an answer is computed next."""
     at_most: values.PhotoCount = 100
@@ -88,7 +89,8 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     plan: values.PlanPath | None = None
     """The waypoints and the geofence of a [plan](plans.md): QGroundControl's `.plan`, or `QGC WPL 110`."""
     photos: PhotosConfig | None = None
-    """The rows of the grid, or the legs 0, 2, 4 ... of `waypoints_m`, are flown without stopping for photos."""
+    """The rows of the grid, the legs 0, 2, 4 ... of `waypoints_m`, or those of the plan where it triggers the camera,
+    are flown without stopping for photos."""
     action_s: values.NotNegative = 0.0
     """The duration of an action that an answer demands at its waypoint, in seconds."""
     order: values.FlightOrder = "given"

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from upwash.config.checks import order_problems, plan_problems, problems
 from upwash.config.drone import DroneConfig, FleetDroneConfig, MissionConfig
 from upwash.config.places import as_planned
+from upwash.config.plan_photos import photo_plan_problems
 from upwash.config.problems import Problem
 from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.shorthand import written_out
@@ -39,11 +40,13 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
     config = convert(tables, DroneConfig, file=file, as_written=document)
     mission = config.mission
     if mission.plan is not None:
-        mission = as_planned(mission, mission.plan, named=document["mission"])
+        photo_s = config.camera.photo_s
+        mission = as_planned(mission, mission.plan, named=document["mission"], photo_s=photo_s)
         config = replace(config, mission=mission)
     refuse_first(file, problems(config))
     for drone in fleet_of(config):
         plan = drone.mission.plan
+        refuse_first(file, photo_plan_problems(drone))
         if plan is not None:
             refuse_first(plan.file, plan_problems(drone.mission, plan.plan))
         refuse_first(file, order_problems(drone))
@@ -102,7 +105,7 @@ def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConf
         config,
         name=drone.name,
         seed=config.seed if number == 0 else int.from_bytes(digest[:_SEED_BYTES]),
-        mission=_mission(config.mission, drone, number),
+        mission=_mission(config, drone, number),
         policy=replace(config.policy, name=drone.policy or config.policy.name),
         services=tuple(
             replace(
@@ -114,11 +117,14 @@ def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConf
     )
 
 
-def _mission(mission: MissionConfig, drone: FleetDroneConfig, number: int) -> MissionConfig:
+def _mission(config: DroneConfig, drone: FleetDroneConfig, number: int) -> MissionConfig:
     """The file's mission with the drone's waypoints and sweep; its own plan says how high and how fast."""
+    mission = config.mission
     if mission.order == "by-index":
         mission = replace(mission, order=number % SWEEPS)
     if drone.grid is None and drone.waypoints_m is None and drone.plan is None:
         return mission
     mission = replace(mission, grid=drone.grid, waypoints_m=drone.waypoints_m, plan=drone.plan)
-    return mission if drone.plan is None else as_planned(mission, drone.plan, named=("home",))
+    if drone.plan is None:
+        return mission
+    return as_planned(mission, drone.plan, named=("home",), photo_s=config.camera.photo_s)

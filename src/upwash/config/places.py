@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
+from upwash.config.plan_photos import planned_photos
 from upwash.config.values import PlanFile
 from upwash.core.geo import (
     Circle,
@@ -21,6 +22,7 @@ from upwash.core.geo import (
     Measured,
     Position,
     Reach,
+    Via,
     Waypoint,
     ground_distance_m,
 )
@@ -35,13 +37,29 @@ _LAST_SPOT = 1e-6  # of the distance between spots: nearer to a row's end, the e
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     """The mission's waypoints in the order of the file, which is the order of their indices."""
     if mission.plan is not None:
-        return _planned_waypoints(mission.plan.plan, _frame(mission.home))
-    if mission.photos is None:
+        plan = mission.plan.plan
+        return corners(mission, plan) if mission.photos is None else planned_photos(mission, plan).waypoints
+    every_m = None if mission.photos is None else mission.photos.every_m
+    if every_m is None:
         return tuple(Waypoint(index, place) for index, place in enumerate(_places(mission)))
-    spots = (
-        (spot, end) for start, end in row_ends(mission) for spot in _spots(start, end, mission.photos.every_m)
-    )
+    spots = ((spot, end) for start, end in row_ends(mission) for spot in _spots(start, end, every_m))
     return tuple(Waypoint(index, spot, row_end=end) for index, (spot, end) in enumerate(spots))
+
+
+def leaving(mission: MissionConfig) -> tuple[Via, ...]:
+    """The places of a plan that the drone flies to after its last waypoint: those after its last photo."""
+    if mission.plan is None or mission.photos is None:
+        return ()
+    return planned_photos(mission, mission.plan.plan).leaving
+
+
+def corners(mission: MissionConfig, plan: FlightPlan) -> tuple[Waypoint, ...]:
+    """The plan's waypoints, with a photo or without."""
+    frame = _frame(mission.home)
+    return tuple(
+        Waypoint(index, frame.position(item.place), item.ground_speed_m_s, item.above_sea_m, item.hold_s)
+        for index, item in enumerate(plan.waypoints)
+    )
 
 
 def row_ends(mission: MissionConfig) -> list[tuple[Position, Position]]:
@@ -107,9 +125,13 @@ def planned_home(plan: FlightPlan) -> HomeConfig | None:
     return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
 
 
-def as_planned(mission: MissionConfig, file: PlanFile, *, named: Container[str]) -> MissionConfig:
+def as_planned(
+    mission: MissionConfig, file: PlanFile, *, named: Container[str], photo_s: float
+) -> MissionConfig:
     """The mission over the file's plan, with what the plan says wherever the configuration names nothing."""
-    plan = replace(file.plan, takeoff_above_sea_m=None) if "altitude_m" in named else file.plan
+    plan = replace(file.plan, photo_s=photo_s)
+    if "altitude_m" in named:
+        plan = replace(plan, takeoff_above_sea_m=None)
     planned = {
         "home": planned_home(plan),
         "altitude_m": plan.takeoff_altitude_m or plan.waypoints[0].place.altitude_m,
@@ -128,7 +150,13 @@ def plan_notices(config: DroneConfig) -> list[str]:
     Each is a sentence with the plan's file, the items and the reason.
     """
     files = [config.mission.plan, *(drone.plan for drone in config.drones)]
-    notices = (f"{file.file}: {notice}" for file in files if file is not None for notice in file.plan.notices)
+    notices = (
+        f"{file.file}: {notice}"
+        for file in files
+        if file is not None
+        for notice in file.plan.notices
+        if config.mission.photos is None or not notice.only_without_photos
+    )
     return list(dict.fromkeys(notices))
 
 
@@ -249,13 +277,6 @@ def _frame(home: HomeConfig | None) -> LocalFrame:
     if home is None:
         raise ValueError("degrees without a home: read the configuration from a file")
     return LocalFrame(home.place)
-
-
-def _planned_waypoints(plan: FlightPlan, frame: LocalFrame) -> tuple[Waypoint, ...]:
-    return tuple(
-        Waypoint(index, frame.position(item.place), item.ground_speed_m_s, item.above_sea_m, item.hold_s)
-        for index, item in enumerate(plan.waypoints)
-    )
 
 
 def _grid_places(grid: GridConfig) -> list[tuple[float, float]]:

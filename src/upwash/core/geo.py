@@ -72,12 +72,25 @@ class EarthPosition:
 
 
 @dataclass(frozen=True, slots=True)
+class Via:
+    """A place without a photo on the way to a waypoint; the drone rests there for `hold_s`, or only as it turns.
+
+    `ground_speed_m_s` is the speed of the way there, None for the current speed.
+    """
+
+    position: Position
+    ground_speed_m_s: float | None = None
+    hold_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Waypoint:
     """A place where the mission calls a service; `index` counts from 0 in flight order.
 
     `ground_speed_m_s` is the speed of the way there, None for the current speed. `above_sea_m` is its altitude in a
     plan that counts from the sea, which is sure only with home's altitude above the sea. The drone first hovers for
-    `hold_s`. With a `row_end` the waypoint is a spot of a row, which the drone passes on its way there.
+    `hold_s`. With a `row_end` the waypoint is a spot of a row, which the drone passes on its way there. On its way to
+    the waypoint the drone flies to each place of `via`. A row that begins before its first spot has a `row_start`.
     """
 
     index: int
@@ -86,6 +99,8 @@ class Waypoint:
     above_sea_m: float | None = None
     hold_s: float = 0.0
     row_end: Position | None = None
+    row_start: Position | None = None
+    via: tuple[Via, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

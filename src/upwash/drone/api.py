@@ -65,6 +65,7 @@ class Drone:
         calls: Calls,
         answers: AnswerActions,
         settle: Callable[[], None],
+        leave: Callable[[], None],
         action_s: float = 0.0,
     ) -> None:
         self.plan = plan
@@ -80,9 +81,14 @@ class Drone:
         self._calls = calls
         self._answers = answers
         self._settle = settle  # the answer that is open
+        self._leave = leave
 
     def end_flight(self) -> None:
-        """Ends the flight as the plan says: lands where the vehicle is, or returns home and lands."""
+        """Ends the flight as the plan says: lands where the vehicle is, or returns home and lands.
+
+        With `mission.photos` and a plan it first flies to the plan's waypoints after the last photo.
+        """
+        self._leave()
         if self._ending == "land":
             self.autopilot.land()
         else:

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.config import DroneConfig, ending, geofence, pace_in_numbers, server_areas, told_pace
+from upwash.config import DroneConfig, ending, geofence, leaving, pace_in_numbers, server_areas, told_pace
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
 from upwash.core.planning.order import Order
@@ -133,6 +133,7 @@ class Flight:
                 farthest_start_m=config.autopilot.farthest_start_m,
                 takeoff_m=config.mission.altitude_m,
                 ending=ending(config.mission),
+                leaving=leaving(config.mission),
                 home=planned_home(config.mission),
             ),
             tell=self._offloading.tell,
@@ -419,6 +420,7 @@ class Flight:
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,
             settle=self._handle.settle_for_call,
+            leave=self._handle.leave,
             answers=AnswerActions(
                 self._handle,
                 self._calls,

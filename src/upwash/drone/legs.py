@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
-from upwash.core.geo import Position, Waypoint, distance_m
+from upwash.core.geo import Position, Via, Waypoint, distance_m
 from upwash.core.selection.events import LegBegun, LegEnded, SelectionEvent
 from upwash.drone.pending import AnswerAction, Demand, index_of, one_answered, position_of
 from upwash.drone.rows import ahead_m, late_m, lies_on, passed
@@ -50,6 +50,7 @@ class Legs:
         self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
         self._leg_start: Position | None = None  # of that leg
         self._leg_end: Position | None = None
+        self._leg_m_s: float | None = None
 
     @property
     def rests(self) -> bool:
@@ -105,18 +106,23 @@ class Legs:
         await self.arrive()
         return True
 
-    async def set_off(self, end: Position) -> None:
+    async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
         """Set off for the end of a leg, once the present leg is flown, and do not wait for the arrival."""
         before, start = self._leg, self._leg_end
         if before is None or start is None:
             start = self.stands_at or self._autopilot.position
         self._site.require_leg(self.limits, start, end)
         self._leg_start, self._leg_end = start, end
-        self._leg = begin(self._fly_leg(end, after=before))
+        self._leg_m_s = ground_speed_m_s
+        self._leg = begin(self._fly_leg(end, ground_speed_m_s, after=before))
 
-    async def _fly_leg(self, end: Position, *, after: asyncio.Task[None] | None) -> None:
+    async def _fly_leg(
+        self, end: Position, ground_speed_m_s: float | None, *, after: asyncio.Task[None] | None
+    ) -> None:
         if after is not None:
             await after
+        if ground_speed_m_s is not None and ground_speed_m_s != self.ground_speed_m_s:
+            await self.set_ground_speed(ground_speed_m_s)
         self.stands_at = None
         self.on_a_leg = True
         try:
@@ -132,20 +138,46 @@ class Legs:
             return False
         return not self._is_beyond(spot, start=start, end=end)
 
-    def head_for(self, place: Waypoint | Position) -> None:
-        """Note that the place is the next one on the leg."""
+    def head_for(self, place: Waypoint | Position, via: tuple[Via, ...] = ()) -> None:
+        """Note that the place is the next one on the leg, or on those over `via`."""
         self.place, position = place, position_of(place)
         self._journal.record(
             schema.SetOff(waypoint=index_of(place), east_m=position.east_m, north_m=position.north_m)
         )
-        self._tell(LegBegun(position, self.ground_speed_m_s))
+        self.turn(place, via)
+
+    def turn(self, place: Waypoint | Position, via: tuple[Via, ...] = ()) -> None:
+        """Note that the next leg on the way to the place begins."""
+        planned_m_s = place.ground_speed_m_s if isinstance(place, Waypoint) and not via else None
+        self._tell(LegBegun(position_of(place), planned_m_s or self.ground_speed_m_s, via=via))
 
     async def fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
         """Return True where it passes the place, or arrives there; False when one of the answers is there.
 
         If it finds itself far beyond the place, it comes back.
         """
-        leg, start, end, position = self._leg, self._leg_start, self._leg_end, position_of(place)
+        start, end, position = self._leg_start, self._leg_end, position_of(place)
+        assert start is not None and end is not None  # noqa: S101 - it was set off
+        if not await self.fly_through(position, answers):
+            return False
+        if self._is_beyond(position, start=start, end=end):
+            await self._come_back(place, end)
+            return True
+        self._tell(LegEnded())
+        self._journal.record(
+            schema.Arrived(
+                waypoint=index_of(place),
+                east_m=position.east_m,
+                north_m=position.north_m,
+                passing=position != end,
+                hold_s=place.hold_s if isinstance(place, Waypoint) else 0.0,
+            )
+        )
+        return True
+
+    async def fly_through(self, position: Position, answers: Sequence[AnswerAction[Any]]) -> bool:
+        """As `fly_on`, of a place that is none of the mission's."""
+        leg, start, end = self._leg, self._leg_start, self._leg_end
         assert leg is not None and start is not None and end is not None  # noqa: S101 - it was set off
         fastest_m_s = self.ground_speed_m_s or self._default_m_s
         is_there = False
@@ -166,19 +198,6 @@ class Legs:
         if leg.done():
             await self.arrive()
             is_there = True
-        if is_there and self._is_beyond(position, start=start, end=end):
-            await self._come_back(place, end)
-            return True
-        if is_there:
-            self._tell(LegEnded())
-            self._journal.record(
-                schema.Arrived(
-                    waypoint=index_of(place),
-                    east_m=position.east_m,
-                    north_m=position.north_m,
-                    passing=position != end,
-                )
-            )
         return is_there
 
     def _is_beyond(self, spot: Position, *, start: Position, end: Position) -> bool:
@@ -193,7 +212,7 @@ class Legs:
         if self._leg is not None:
             await self.stop_short_of(end)
         await self.goto(position_of(spot), waypoint=index_of(spot))
-        await self.set_off(end)
+        await self.set_off(end, self._leg_m_s)
 
     async def stop(self) -> None:
         """Brake and end the leg, or fly it to its end if that is nearer."""

@@ -15,6 +15,7 @@ from upwash.config import (
     ending,
     finish_by_s,
     geofence,
+    leaving,
     pace_in_numbers,
     server_areas,
     stands,
@@ -189,6 +190,7 @@ def mission_beliefs(
     pauses_s = (config.camera.photo_s, *(0.0 for _ in operations[1:]))
     return MissionBeliefs(
         plan=plan,
+        leaving=leaving(mission),
         ground_speed_m_s=mission.ground_speed_m_s,
         pace=told or pace_in_numbers(config.vehicle),
         stop=[StopCall(operation, pause_s) for operation, pause_s in zip(operations, pauses_s, strict=False)],

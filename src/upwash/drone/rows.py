@@ -17,13 +17,13 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from msgspec.structs import asdict
 
-from upwash.core.geo import Position, Waypoint, distance_m
+from upwash.core.geo import Position, Via, Waypoint, distance_m
 from upwash.core.planning.stay_or_go import RowOutlook, StayRule
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Place, one_answered, position_of
@@ -87,7 +87,7 @@ class LegVerbs(Protocol):
     def fly(self, place: Place, *, back: bool = False) -> bool:
         """Fly to a place, from rest to rest."""
 
-    async def set_off(self, end: Position) -> None:
+    async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
         """Set off for the end of a leg; a leg that is flown is first flown to its end."""
 
     def passes(self, place: Place) -> bool:
@@ -96,11 +96,17 @@ class LegVerbs(Protocol):
     def rests(self) -> bool:
         """Whether the last leg is over."""
 
-    def head_for(self, place: Place) -> None:
-        """Note that the place is the next one on the leg."""
+    def head_for(self, place: Place, via: tuple[Via, ...] = ()) -> None:
+        """Note that the place is the next one on the leg, or on those over `via`."""
+
+    def turn(self, place: Place, via: tuple[Via, ...] = ()) -> None:
+        """Note that the next leg on the way to the place begins."""
 
     async def fly_on(self, place: Place, answers: Sequence[AnswerAction[Any]]) -> bool:
         """Return True where it passes the place, or arrives there; False when one of the answers is there."""
+
+    async def fly_through(self, position: Position, answers: Sequence[AnswerAction[Any]]) -> bool:
+        """As `fly_on`, of a place that is none of the mission's."""
 
     async def arrive(self) -> None:
         """Wait until it rests at the end of the leg."""
@@ -136,9 +142,13 @@ class Rows:
         self._thread = thread
         self._journal = journal
         self._following = dict(itertools.pairwise(plan))
+        self._is_planned = any(waypoint.row_start is not None for waypoint in plan)  # by a ground station
         self._rules = rules
         self._open: list[AnswerAction[Any]] = []
         self._end: Position | None = None  # of the leg that is flown
+        self._leg_m_s: float | None = None
+        self._last: Waypoint | None = None  # that the mission flew to
+        self._left_at: Position | None = None  # where the last leg ends, if nothing else was flown since
         self._stays = False  # at rest, until its answer is there
         self._acts = False
 
@@ -147,23 +157,82 @@ class Rows:
         if self._acts:
             self._vehicle.fly(place)
             return
+        flown = self.fly_over(place)
         ends = position_of(place), place.row_end if isinstance(place, Waypoint) else None
         if self._end not in ends or not self._vehicle.passes(place):
             self.stop()
         if self._end is None:
             row_end = None if self._stays else self._row_end_from_here(place)
-            self._set_off(row_end or position_of(place))
-        self._thread.post(lambda: self._vehicle.head_for(place))
-        while not self._thread.call(self._vehicle.fly_on(place, self._open)):
-            if demanding := self._taken():
-                self._detour(demanding, place)
+            self._set_off(row_end or position_of(place), _speed_of(place))
+        notes = self._vehicle.turn if flown else self._vehicle.head_for
+        self._thread.post(lambda: notes(place))
+        self._reach(
+            place,
+            lambda: self._vehicle.fly_on(place, self._open),
+            lambda: self._vehicle.head_for(place),
+        )
+        self._last = place if isinstance(place, Waypoint) else self._last
         if self._end == position_of(place) or self._vehicle.rests():
-            self._end = None
+            self._end, self._left_at = None, position_of(place)
             self._stays = isinstance(place, Waypoint) and self._rests_at(place)
-            if not self._stays:
+            hold_s = place.hold_s if isinstance(place, Waypoint) else 0.0
+            if not self._stays and not hold_s:
                 self._set_off_for_next(place)
             if self._end is None:
                 self._thread.call(self._vehicle.arrive())
+                self._hover(hold_s)
+
+    def fly_over(self, place: Place) -> bool:
+        """Fly to the places without a photo on the way to a waypoint from the one before; False if there are none."""
+        if not isinstance(place, Waypoint) or self._acts:
+            return False
+        if self._last is not None and self._following.get(self._last) != place:
+            return False
+        for number, via in enumerate(place.via):
+            notes = self._vehicle.turn if number else self._vehicle.head_for
+            self._fly_to(via, place, notes, place.via[number:])
+        return bool(place.via)
+
+    def leave(self, places: Sequence[Via]) -> None:
+        """Fly to the places after the last waypoint."""
+        for via in places:
+            self._fly_to(via, via.position, self._vehicle.head_for, ())
+
+    def _fly_to(
+        self,
+        via: Via,
+        place: Place,
+        notes: Callable[[Place, tuple[Via, ...]], None],
+        left: tuple[Via, ...],
+    ) -> None:
+        """Fly a leg on the way to a place, which `notes` logs."""
+        position = via.position
+        if self._end != position or not self._vehicle.passes(position):
+            self.stop()
+        if self._end is None:
+            self._set_off(position, via.ground_speed_m_s)
+        self._thread.post(lambda: notes(place, left))
+        self._reach(
+            position,
+            lambda: self._vehicle.fly_through(position, self._open),
+            lambda: self._vehicle.head_for(place, left),
+        )
+        self._end, self._left_at = None, position
+        if via.hold_s:
+            self._thread.call(self._vehicle.arrive())
+            self._hover(via.hold_s)
+
+    def _hover(self, hold_s: float) -> None:
+        if hold_s:
+            self._thread.call(asyncio.sleep(hold_s))
+
+    def _reach(
+        self, place: Place, fly_on: Callable[[], Coroutine[Any, Any, bool]], goes_on: Callable[[], None]
+    ) -> None:
+        """Fly on until the place is passed, and meet the demands that come meanwhile."""
+        while not self._thread.call(fly_on()):
+            if demanding := self._taken():
+                self._detour(demanding, position_of(place), goes_on)
 
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
@@ -181,7 +250,7 @@ class Rows:
     def stop(self) -> None:
         """Brake, if a leg is flown."""
         if self._end is not None:
-            self._end = None
+            self._end = self._left_at = None
             self._thread.call(self._vehicle.stop())
 
     def rest(self) -> None:
@@ -204,19 +273,25 @@ class Rows:
     def _come_back(self, place: Place | None) -> None:
         if place is not None:
             self._vehicle.fly(place, back=True)
+            self._left_at = position_of(place)
 
-    def _set_off(self, end: Position) -> None:
-        self._thread.call(self._vehicle.set_off(end))
-        self._end = end
+    def _set_off(self, end: Position, ground_speed_m_s: float | None) -> None:
+        self._thread.call(self._vehicle.set_off(end, ground_speed_m_s))
+        self._end, self._leg_m_s = end, ground_speed_m_s
 
     def _set_off_for_next(self, place: Place) -> None:
         """Set off along the row for its last spots, or for the next waypoint of the plan."""
         following = self._following.get(place) if isinstance(place, Waypoint) else None
-        if following is not None:
-            self._set_off(self._row_end_from_here(following) or following.position)
+        if following is not None and following.via:
+            self._set_off(following.via[0].position, following.via[0].ground_speed_m_s)
+        elif following is not None:
+            end = self._row_end_from_here(following) or following.position
+            self._set_off(end, following.ground_speed_m_s)
 
     def _row_end_from_here(self, place: Place) -> Position | None:
         """The end of the place's row, if the drone is on that row, and passes the place on its way there."""
+        if isinstance(place, Waypoint) and place.row_start is not None and place.row_start == self._left_at:
+            return place.row_end
         last = self._vehicle.place()
         if not (isinstance(place, Waypoint) and isinstance(last, Waypoint) and place.row_end is not None):
             return None
@@ -259,20 +334,22 @@ class Rows:
                 waited_s = 0.0
         return demanding
 
-    def _detour(self, demanding: list[AnswerAction[Any]], target: Place) -> None:
+    def _detour(
+        self, demanding: list[AnswerAction[Any]], spot: Position, goes_on: Callable[[], None]
+    ) -> None:
         end, left = self._end, self._vehicle.position()
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
         last = self._meet(demanding)
-        spot = position_of(target)
-        if spot != end and not (last is not None and lies_on(spot, position_of(last), end)):
+        keeps_way = spot != end or self._is_planned
+        if keeps_way and not (last is not None and lies_on(spot, position_of(last), end)):
             self._vehicle.fly(left)
-        self._set_off(end)
-        self._thread.post(lambda: self._vehicle.head_for(target))
+        self._set_off(end, self._leg_m_s)
+        self._thread.post(goes_on)
 
     def _meet(self, demanding: list[AnswerAction[Any]]) -> Place | None:
         """Act on the answers and on those that come meanwhile; return where the last was."""
-        acted, self._acts = self._acts, True
+        acted, self._acts, self._left_at = self._acts, True, None
         try:
             while demanding:
                 here = self._vehicle.position()
@@ -301,3 +378,7 @@ async def _timed(wait: Coroutine[Any, Any, None]) -> float:
     begun_s = asyncio.get_running_loop().time()
     await wait
     return asyncio.get_running_loop().time() - begun_s
+
+
+def _speed_of(place: Place) -> float | None:
+    return place.ground_speed_m_s if isinstance(place, Waypoint) else None

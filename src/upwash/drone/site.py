@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
+from upwash.core.geo import Circle, Position, Via, Waypoint, ground_distance_m
 from upwash.core.vehicle.geofence import Fence, breached_by_leg, breached_by_move, breached_by_position
 from upwash.drone.home import NO_PLANNED_HOME, PlannedHome
 from upwash.errors import AutopilotRefused
@@ -22,6 +22,7 @@ class Site(Struct, frozen=True):
     """The waypoints of a mission, the fences of its plan, and how it begins and ends.
 
     `takeoff_m` is the altitude of the take-off; the vehicle may start at most `farthest_start_m` from a waypoint.
+    After the last waypoint it flies over `leaving`.
     """
 
     waypoints: Sequence[Waypoint]
@@ -30,6 +31,7 @@ class Site(Struct, frozen=True):
     takeoff_m: float
     ending: Ending = "return"
     home: PlannedHome = NO_PLANNED_HOME
+    leaving: Sequence[Via] = ()
 
     def require_reachable(self, vehicle: Position) -> None:
         """Raises AutopilotRefused if the vehicle stands farther than `farthest_start_m` from every waypoint."""
@@ -105,13 +107,24 @@ class Site(Struct, frozen=True):
 
     def _on_the_way(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
         before, whence = vehicle, f"where the vehicle stands ({_place(vehicle)})"
-        for waypoint in self.waypoints:
-            place, name = waypoint.position, f"waypoint {waypoint.index}"
+        for name, place in self._places():
             if why := _outside_altitudes(limits, place.altitude_m) or _outside_areas(limits, place):
                 yield name, why
             if why := _crossed_areas(limits, before, place):
                 yield name, f"the way there from {whence} {why}"
             before, whence = place, name
+
+    def _places(self) -> Iterator[tuple[str, Position]]:
+        """The name and position of each place of the flight, those without a photo among them."""
+        for waypoint in self.waypoints:
+            for via in waypoint.via:
+                yield (
+                    f"a place on the way to waypoint {waypoint.index} ({_place(via.position)})",
+                    via.position,
+                )
+            yield f"waypoint {waypoint.index}", waypoint.position
+        for via in self.leaving:
+            yield f"a place after the last photo ({_place(via.position)})", via.position
 
     def _at_the_end(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
         names, home = limits.names, _home(limits, vehicle)
@@ -122,9 +135,9 @@ class Site(Struct, frozen=True):
             return
         if why := _outside_areas(limits, home):
             yield f"the landing at the vehicle's home ({_place(home)})", why
-        last = self.waypoints[-1]
-        if why := _crossed_areas(limits, last.position, home):
-            yield f"the way home from waypoint {last.index}", f"it {why}"
+        *_, (last, place) = self._places()
+        if why := _crossed_areas(limits, place, home):
+            yield f"the way home from {last}", f"it {why}"
 
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
         """Warnings about places nearer to the fence than the vehicle's margin, where it may overshoot."""

@@ -155,6 +155,7 @@ class Vehicle:
             self._rows.goto(place)
             return True
         if self._rows is not None:
+            self._rows.fly_over(place)
             self._rows.stop()
         if self._open is None or unless is not None:
             return self._fly(place, unless=unless)
@@ -217,6 +218,11 @@ class Vehicle:
         elif self._open is not None:
             with self._settling(self._open) as answer:
                 answer.settle()
+
+    def _leave(self) -> None:
+        """Fly over the places after the last photo."""
+        if self._rows is not None:
+            self._rows.leave(self._site.leaving)
 
     def _settle_for_call(self) -> None:
         """The same before another call is made; on rows several are open."""
@@ -359,6 +365,9 @@ class VehicleHandle:
         self.passes = legs.passes
         self.head_for = legs.head_for
         self.fly_on = legs.fly_on
+        self.fly_through = legs.fly_through
+        self.turn = legs.turn
+        self.leave = vehicle._leave
         self.arrive = legs.arrive
         self.stop = legs.stop
 

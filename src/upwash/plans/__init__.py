@@ -19,11 +19,26 @@ from pathlib import Path
 from upwash.errors import ConfigError
 from upwash.plans.foreign import WANTED, kind_of_bytes, kind_of_text
 from upwash.plans.items import PlanRefusal
-from upwash.plans.plan import Ending, FlightPlan, PlannedCircle, PlannedPolygon, PlannedWaypoint
+from upwash.plans.plan import (
+    Ending,
+    FlightPlan,
+    PhotoTrigger,
+    PlannedCircle,
+    PlannedPolygon,
+    PlannedWaypoint,
+)
 from upwash.plans.waypoint_list import HEADER, parse_waypoint_list
 from upwash.support.input_files import read_named_file, text_of
 
-__all__ = ["Ending", "FlightPlan", "PlannedCircle", "PlannedPolygon", "PlannedWaypoint", "read_plan"]
+__all__ = [
+    "Ending",
+    "FlightPlan",
+    "PhotoTrigger",
+    "PlannedCircle",
+    "PlannedPolygon",
+    "PlannedWaypoint",
+    "read_plan",
+]
 
 _MOST_BYTES = 10_000_000
 

@@ -14,11 +14,16 @@ from upwash.plans.items import (
     ABOVE_HOME,
     ABOVE_SEA_LEVEL,
     ABOVE_TERRAIN,
+    CAM_TRIGG_DIST,
+    DIGICAM_CONTROL,
     FASTEST_M_S,
     FENCE_ENABLE,
     HIGHEST_M,
+    IMAGE_START_CAPTURE,
+    IMAGE_STOP_CAPTURE,
     LEFT_OUT,
     SET_HOME,
+    TRIGGERED,
     Command,
     Item,
     PlanHome,
@@ -27,7 +32,15 @@ from upwash.plans.items import (
     home_at,
     why_refused,
 )
-from upwash.plans.plan import Ending, FlightPlan, PlannedCircle, PlannedPolygon, PlannedWaypoint, PlanNotices
+from upwash.plans.plan import (
+    Ending,
+    FlightPlan,
+    PhotoTrigger,
+    PlannedCircle,
+    PlannedPolygon,
+    PlannedWaypoint,
+    PlanNotices,
+)
 
 _SAME_PLACE_M = 1.0
 _ASSUMED_LOWEST_M = 20.0  # above home, of what counts from the sea where home's altitude is unknown
@@ -143,9 +156,13 @@ class PlannedCourse:
         self._notices = notices
         self._ground_speed_m_s: float | None = None
         self._unused_speed: Item | None = None
+        self._first_triggers: tuple[PhotoTrigger, ...] = ()  # before the first waypoint
 
     def take(self, item: Item) -> None:
         """Add the next item."""
+        if (trigger := _trigger(item)) is not None:
+            self._take_trigger(item, trigger)
+            return
         if self._is_left_out(item):
             return
         if self.ending:
@@ -200,6 +217,16 @@ class PlannedCourse:
             self._tell(item, why)
         return why is not None
 
+    def _take_trigger(self, item: Item, trigger: PhotoTrigger) -> None:
+        self._notices.add(f"{item.name}: {TRIGGERED}", item.number, only_without_photos=True)
+        if self.ending:
+            return
+        if self.waypoints:
+            last = self.waypoints[-1]
+            self.waypoints[-1] = replace(last, triggers=(*last.triggers, trigger))
+        else:
+            self._first_triggers += (trigger,)
+
     def _take_waypoint(self, item: Item) -> None:
         hold_s = 0.0 if item.command == Command.LOITER_TO_ALT else self._hold_s(item)
         if item.command in (Command.WAYPOINT, Command.SPLINE_WAYPOINT):
@@ -239,7 +266,8 @@ class PlannedCourse:
     def _fly_to(self, item: Item, place: GeoPosition, height: Height, hold_s: float = 0.0) -> None:
         place = replace(place, altitude_m=height.altitude_m)
         speed_m_s, above_sea_m = self._ground_speed_m_s, height.above_sea_m
-        self.waypoints.append(PlannedWaypoint(item.number, place, speed_m_s, above_sea_m, hold_s))
+        triggers, self._first_triggers = self._first_triggers, ()
+        self.waypoints.append(PlannedWaypoint(item.number, place, speed_m_s, above_sea_m, hold_s, triggers))
         self._unused_speed = None
 
     def _hover(self, hold_s: float) -> None:
@@ -365,3 +393,22 @@ class PlannedCourse:
                 f"has frame {item.frame}, which is not understood: give its altitude above home or sea level"
             )
         return Height(altitude_m)
+
+
+def _trigger(item: Item) -> PhotoTrigger | None:
+    """What the item commands the camera to photograph; None where it does not."""
+    photo = PhotoTrigger(item.number, now=True, leaves_on=True)
+    if item.command == DIGICAM_CONTROL:
+        only_moves_the_lens = any(item.value(index) for index in (2, 3, 4)) and not item.value(5)
+        return None if only_moves_the_lens else photo
+    if item.command == CAM_TRIGG_DIST:
+        every_m = item.parameters[0]
+        every_m = math.nan if every_m is None else every_m
+        return PhotoTrigger(item.number, every_m=every_m or None, now=item.value(3) == 1)
+    if item.command == IMAGE_START_CAPTURE:
+        every_s, most = item.value(2) or 0.0, item.value(3) or 0.0
+        if most == 1:
+            return photo
+        count = int(most) if math.isfinite(most) else 0
+        return PhotoTrigger(item.number, every_s=every_s, most=count or None, now=True)
+    return PhotoTrigger(item.number) if item.command == IMAGE_STOP_CAPTURE else None

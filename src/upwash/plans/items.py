@@ -34,10 +34,15 @@ class Command(IntEnum):
     CHANGE_SPEED = 178
 
 
+DIGICAM_CONTROL = 203
+CAM_TRIGG_DIST = 206
+IMAGE_START_CAPTURE = 2000
+IMAGE_STOP_CAPTURE = 2001
 SET_HOME = 179
 FENCE_ENABLE = 207
 
 _PHOTOS = "left out: the mission takes its photos itself"
+TRIGGERED = f"{_PHOTOS}, at each waypoint; with mission.photos = {{}} the plan's triggers take them in flight"
 _AIM = "left out: the flight points no camera; a mission does with drone.payload"
 _NOSE = "left out: the vehicle turns its nose as its own settings say"
 _MARK = "left out: it marks a place in the plan, and commands nothing"

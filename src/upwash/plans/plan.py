@@ -15,10 +15,14 @@ _MOST_STRETCHES = 6  # that a person reads
 
 @dataclass(frozen=True, slots=True)
 class PlanNotice:
-    """What is done about items, by the numbers that the ground station shows, and why; no items: the whole plan."""
+    """What is done about items, by the numbers that the ground station shows, and why; no items: the whole plan.
+
+    With `only_without_photos` it is so for a mission that does not take the plan's photos.
+    """
 
     items: tuple[int, ...]
     what: str
+    only_without_photos: bool = False
 
     def __str__(self) -> str:
         if not self.items:
@@ -35,15 +39,32 @@ class PlanNotices:
     """Collects notices, in the order of their first items; the same words about several items are one notice."""
 
     def __init__(self) -> None:
-        self._items: dict[str, list[int]] = {}
+        self._items: dict[tuple[str, bool], list[int]] = {}
 
-    def add(self, what: str, *items: int) -> None:
+    def add(self, what: str, *items: int, only_without_photos: bool = False) -> None:
         """Add the words about the items."""
-        self._items.setdefault(what, []).extend(items)
+        self._items.setdefault((what, only_without_photos), []).extend(items)
 
     def all(self) -> tuple[PlanNotice, ...]:
         """All notices."""
-        return tuple(PlanNotice(tuple(items), what) for what, items in self._items.items())
+        return tuple(PlanNotice(tuple(items), *what) for what, items in self._items.items())
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoTrigger:
+    """A command to the camera, by its item, as the file has it: numbers may make no sense.
+
+    Photos each `every_m` metres or each `every_s` seconds of flight begin at the waypoint before it, `most` of them
+    at most, and end at the waypoint before the next command that does not leave them on. `now` is a photo at that
+    waypoint.
+    """
+
+    item: int
+    every_m: float | None = None
+    every_s: float | None = None
+    most: int | None = None
+    now: bool = False
+    leaves_on: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +72,7 @@ class PlannedWaypoint:
     """A waypoint, the number of its item, and the speed of the way to it where the plan changes it.
 
     `above_sea_m` is its altitude where the plan counts it from the sea; None where it counts from home. `hold_s` is
-    how long the drone hovers there.
+    how long the drone hovers there. `triggers` are the commands to the camera there, in their order.
     """
 
     item: int
@@ -59,6 +80,7 @@ class PlannedWaypoint:
     ground_speed_m_s: float | None = None
     above_sea_m: float | None = None
     hold_s: float = 0.0
+    triggers: tuple[PhotoTrigger, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +117,7 @@ class FlightPlan:
 
     `home_above_sea_m` is None where the plan does not know it. `reference_above_sea_m` is the altitude of home from
     which the altitudes above the sea were converted: that of the plan's home, or else an assumed one. `notices` say
-    what of the file is flown otherwise than it says, or not at all.
+    what of the file is flown otherwise than it says, or not at all. A photo takes `photo_s`.
     """
 
     home: GeoPosition | None
@@ -108,4 +130,5 @@ class FlightPlan:
     above_sea_level: int | None = None  # the first item whose altitude counts from the sea
     home_above_sea_m: float | None = None
     reference_above_sea_m: float = 0.0
+    photo_s: float = 0.0
     notices: tuple[PlanNotice, ...] = ()

@@ -15,7 +15,7 @@ from statistics import fmean
 
 from msgspec import Struct, structs
 
-from upwash.core.geo import Position, Reach, Waypoint, distance_m
+from upwash.core.geo import Position, Reach, Via, Waypoint, distance_m
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
@@ -67,7 +67,8 @@ class CallClock:
 class MissionBeliefs:
     """What is expected of a mission before take-off: its plan, its speed and pace, and the calls of its first stop.
 
-    An `assumed` pace is replaced by the vehicle's own, once known.
+    After the plan's last waypoint the drone flies over `leaving`. An `assumed` pace is replaced by the vehicle's own,
+    once known.
     """
 
     plan: Sequence[Waypoint] = ()
@@ -75,6 +76,7 @@ class MissionBeliefs:
     pace: Pace = field(default_factory=Pace)
     stop: Sequence[StopCall] = ()
     assumed: bool = False
+    leaving: Sequence[Via] = ()
 
     def pace_of(self, vehicle: Pace | None) -> Pace:
         """The pace to expect, with the vehicle's own if it is known."""
@@ -82,12 +84,13 @@ class MissionBeliefs:
 
 
 class PlannedLeg(Struct, frozen=True):
-    """A leg between two places, and when it was begun, if it was."""
+    """A leg between two places, and when it was begun, if it was; `hold_s` at its end is no waypoint's."""
 
     start: Position
     end: Position
     leg: Leg | Section
     begun_s: float = 0.0
+    hold_s: float = 0.0
 
 
 class _Entries(Struct, frozen=True):
@@ -123,6 +126,7 @@ class MissionModel:
         self._place: Position | None = None  # where it is or flies to, as far as is known
         self._index: int | None = None  # of that place in the plan
         self._way: PlannedLeg | None = None
+        self._then: list[PlannedLeg] = []  # the legs after it, to the same target
         self._last_leg_m = 0.0
         self._here: list[StopCall] = []
         self._flies_on = any(waypoint.row_end is not None for waypoint in beliefs.plan)  # before its answers
@@ -148,28 +152,30 @@ class MissionModel:
         *,
         now_s: float,
         back: bool = False,
+        via: Sequence[Via] = (),
     ) -> None:
-        """Note that the mission leaves for `target`; `back` if the calls there are over already."""
+        """Note that the mission leaves for `target`, by way of `via`; `back` if the calls there are over already."""
         if self._place is not None and self._way is None and not self._is_back and not self._flies_on:
             self._routine = tuple(self._here)
             self._leaving_s = max(0.0, now_s - self._free_s)
         self._is_back = back
         if ground_speed_m_s is not None:
             self._ground_speed_m_s = ground_speed_m_s
-        self._place, self._index, self._here = target, self._find(target), []
+        if self._way is None or self._place != target or self._index is None:
+            self._index = self._find(target)
+        self._place, self._here = target, []
         self._last_leg_m = distance_m(start, target)
-        section = None if self._index is None or back else self._section(self._index)
-        self._way = PlannedLeg(start, target, section or self._leg(self._last_leg_m), now_s)
+        self._way, *self._then = self._legs_to(None if back else self._index, start, target, via, now_s=now_s)
 
     def arrived(self, *, now_s: float) -> None:
         """Note that the leg is over; learn the vehicle's acceleration from it."""
-        if self._way is not None and isinstance(leg := self._way.leg, Leg):
+        if self._way is not None and not self._then and isinstance(leg := self._way.leg, Leg):
             moved_s = now_s - self._way.begun_s - leg.settling_s
             found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, moved_s)
             if found is not None:
                 self._accelerations_m_s2.append(found)
                 self._ways.clear()
-        self._way, self._free_s = None, now_s + self._hold_s()
+        self._way, self._then, self._free_s = None, [], now_s + self._hold_s()
 
     def lost(self) -> None:
         """Forget where the mission goes next."""
@@ -203,6 +209,11 @@ class MissionModel:
         waypoint = self._plan[self._index + 1]
         leg = self._leg(distance_m(self._place, waypoint.position), waypoint.ground_speed_m_s)
         return PlannedLeg(self._place, waypoint.position, leg)
+
+    def leaving_s(self) -> float:
+        """The seconds from the plan's last waypoint over the places after it, at the pace of now."""
+        legs = self._via_legs(len(self._plan) - 1, self._plan[-1].position, self._beliefs.leaving)
+        return sum(leg.leg.duration_s + leg.hold_s for leg in legs)
 
     def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
         """The next calls, at most `count`; empty if nothing is known."""
@@ -249,16 +260,14 @@ class MissionModel:
     def _rest_of_way(self, way: PlannedLeg, position: Position) -> _Stop:
         leg = way.leg
         flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
-        rest_s = leg.duration_s - flown_s + self._hold_s()
-        entries = self._entered(way.start, way.end)
-        entered = [
-            (server, rest_s - max(0.0, leg.reached_s(way_m) - flown_s)) for server, way_m in entries.entered_m
-        ]
-        return _Stop(rest_s, entries.servers, entered)
+        whole = self._way_of([way, *self._then])
+        rest_s = whole.duration_s - flown_s + self._hold_s()
+        entered = [(server, rest_s - max(0.0, way_s - flown_s)) for server, way_s in whole.entered_s]
+        return _Stop(rest_s, whole.servers, entered)
 
     def _ways_after(self, place: Position) -> Iterator[tuple[Position, _Way]]:
         if self._index is None:
-            around = self._way_of(self._leg(self._last_leg_m), place, place)
+            around = self._way_of([PlannedLeg(place, place, self._leg(self._last_leg_m))])
             while True:
                 yield place, around
         speed_m_s = self._ground_speed_m_s
@@ -269,29 +278,78 @@ class MissionModel:
             if way is None:
                 if len(self._ways) >= _MOST_ENTRIES:
                     self._ways.clear()
-                leg = self._section(index, speed_m_s) or self._leg(
-                    distance_m(place, waypoint.position), speed_m_s
-                )
-                way = self._way_of(leg, place, waypoint.position)
+                way = self._way_of(self._legs_to(index, place, waypoint.position, waypoint.via, speed_m_s))
+                held_s = self.photo_s if self._flies_on and index and self._plan[index - 1].hold_s else 0.0
                 way = self._ways[index, speed_m_s] = structs.replace(
-                    way, duration_s=way.duration_s + waypoint.hold_s
+                    way, duration_s=held_s + way.duration_s + waypoint.hold_s
                 )
             yield waypoint.position, way
             place = waypoint.position
 
+    def _legs_to(
+        self,
+        index: int | None,
+        start: Position,
+        target: Position,
+        via: Sequence[Via] = (),
+        ground_speed_m_s: float | None = None,
+        *,
+        now_s: float = 0.0,
+    ) -> list[PlannedLeg]:
+        """The legs to the target, the waypoint of that index if it is one, by way of `via`; at least one."""
+        legs = self._via_legs(index - 1 if index else None, start, via, now_s=now_s)
+        if legs:
+            start = legs[-1].end
+        if legs and index is not None:
+            ground_speed_m_s = ground_speed_m_s or self._plan[index].ground_speed_m_s
+        section = None if index is None else self._section(index, ground_speed_m_s)
+        leg = section or self._leg(distance_m(start, target), ground_speed_m_s)
+        return [*legs, PlannedLeg(start, target, leg, now_s)]
+
+    def _via_legs(
+        self, index: int | None, start: Position, via: Sequence[Via], *, now_s: float = 0.0
+    ) -> list[PlannedLeg]:
+        """The legs over these places, from the waypoint of that index if it is one."""
+        legs: list[PlannedLeg] = []
+        for place in via:
+            row = self._rest_of_row(index, place.position) if index is not None and not legs else None
+            leg = row or self._leg(distance_m(start, place.position), place.ground_speed_m_s)
+            legs.append(PlannedLeg(start, place.position, leg, now_s, place.hold_s))
+            start = place.position
+        return legs
+
     def _section(self, index: int, ground_speed_m_s: float | None = None) -> Section | None:
         """The part of a row's leg that ends at the waypoint; None if the leg begins or ends at rest there."""
-        waypoint, first = self._plan[index], self._row_starts[index]
-        if first == index or waypoint.row_end is None:
+        waypoint, (first, start) = self._plan[index], self._row_starts[index]
+        if start == waypoint.position or waypoint.row_end is None:
             return None
-        start, before = self._plan[first].position, self._plan[index - 1].position
         whole = self._leg(distance_m(start, waypoint.row_end), ground_speed_m_s)
+        before = start if first == index else self._plan[index - 1].position
         return Section(whole, distance_m(start, before), distance_m(before, waypoint.position))
 
-    def _way_of(self, leg: Leg | Section, start: Position, end: Position) -> _Way:
-        entries = self._entered(start, end)
-        entered_s = [(server, leg.reached_s(way_m)) for server, way_m in entries.entered_m]
-        return _Way(leg.duration_s, entries.servers, entered_s)
+    def _rest_of_row(self, index: int, end: Position) -> Section | None:
+        """The part of a row's leg from the waypoint to the row's end; None if the row ends elsewhere."""
+        waypoint, (_, start) = self._plan[index], self._row_starts[index]
+        if waypoint.row_end != end:
+            return None
+        whole = self._leg(distance_m(start, end), waypoint.ground_speed_m_s)
+        flown_m = distance_m(start, waypoint.position)
+        return Section(whole, flown_m, whole.length_m - flown_m)
+
+    def _way_of(self, legs: Sequence[PlannedLeg]) -> _Way:
+        """The legs as one way."""
+        begins_s = list(itertools.accumulate((leg.leg.duration_s + leg.hold_s for leg in legs), initial=0.0))
+        entries = [self._entered(leg.start, leg.end) for leg in legs]
+        entered_s = []
+        for server in entries[-1].servers:
+            for begun_s, leg, found in zip(begins_s[-2::-1], reversed(legs), reversed(entries), strict=True):
+                way_m = next((way_m for name, way_m in found.entered_m if name == server), None)
+                if server not in found.servers:  # it is entered as the leg after this one begins
+                    way_m = leg.leg.length_m
+                if way_m is not None:
+                    entered_s.append((server, begun_s + leg.leg.reached_s(way_m)))
+                    break
+        return _Way(begins_s[-1], entries[-1].servers, entered_s)
 
     def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
         speed_m_s = ground_speed_m_s or self._ground_speed_m_s
@@ -323,13 +381,22 @@ class MissionModel:
         return entries
 
 
-def _row_starts(plan: Sequence[Waypoint]) -> Iterator[int]:
-    """For each waypoint of the plan, the index of the first waypoint of its row."""
-    first = 0
+def _row_starts(plan: Sequence[Waypoint]) -> Iterator[tuple[int, Position]]:
+    """For each waypoint of the plan, the index of the first waypoint of its row, and where the leg over it begins."""
+    first, start = 0, Position(0.0, 0.0)
     for index, waypoint in enumerate(plan):
-        if waypoint.row_end is None or index == 0 or plan[index - 1].row_end != waypoint.row_end:
-            first = index
-        yield first
+        before = plan[index - 1] if index else None
+        same_row = before is not None and not waypoint.via and waypoint.row_end is not None
+        if not (same_row and before and _row_of(before) == _row_of(waypoint)):
+            rests_at = waypoint.via[-1].position if waypoint.via else before.position if before else None
+            first, start = index, waypoint.position
+            if waypoint.row_start is not None and waypoint.row_start == rests_at:
+                start = waypoint.row_start
+        yield first, start
+
+
+def _row_of(waypoint: Waypoint) -> tuple[Position | None, Position | None]:
+    return waypoint.row_start, waypoint.row_end
 
 
 @dataclass(slots=True)

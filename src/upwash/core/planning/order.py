@@ -137,7 +137,7 @@ class Forecaster(Struct, frozen=True):
         first, last = waypoints[0].position, waypoints[-1].position
         model = MissionModel(replace(self.beliefs, plan=waypoints), self.areas)
         start = self.stands.at_altitude(first.altitude_m)
-        model.leg_begun(start, first, waypoints[0].ground_speed_m_s, now_s=0.0)
+        model.leg_begun(start, first, waypoints[0].ground_speed_m_s, now_s=0.0, via=waypoints[0].via)
         calls = len(waypoints) * len(self.beliefs.stop)
         forecast = make_forecast(
             model.coming(start, now_s=0.0, count=calls),

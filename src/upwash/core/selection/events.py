@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from upwash.core.geo import Position
+from upwash.core.geo import Position, Via
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.way_home import EnergyFacts
@@ -184,11 +184,15 @@ class Reached(SelectionEvent, frozen=True):
 
 
 class LegBegun(SelectionEvent, frozen=True):
-    """The drone leaves for a place; speed None means as before; `back` if the calls there are over."""
+    """The drone leaves for a place; speed None means as before; `back` if the calls there are over.
+
+    On its way there it flies to each place of `via`, the first of them now.
+    """
 
     target: Position
     ground_speed_m_s: float | None
     back: bool = False
+    via: tuple[Via, ...] = ()
 
 
 class LegEnded(SelectionEvent, frozen=True):

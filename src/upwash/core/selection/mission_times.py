@@ -115,6 +115,8 @@ class Timetable:
         if not self._beliefs.plan:
             return None
         first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position
+        if self._beliefs.leaving:
+            last = self._beliefs.leaving[-1].position
         way, pace = vehicle.way_home or UNKNOWN, self._beliefs.pace_of(found)
         self.home_s = pace.home_share * (
             way.hover_s + descent_s(last.altitude_m, way)
@@ -123,8 +125,9 @@ class Timetable:
         )
         takeoff_s = pace.takeoff_s(self._settings.takeoff_m)
         self._mission.begun(found)
+        self.home_s += self._mission.leaving_s()
         start = Position(position.east_m, position.north_m, first.position.altitude_m)
-        self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s)
+        self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s, via=first.via)
         calls = self._mission.rest(start, now_s=now_s)
         if not calls:
             return None

@@ -114,8 +114,8 @@ class ServerPlanning:
     ) -> None:
         """Follow the mission; only a policy with a horizon sees it."""
         match event:
-            case LegBegun(target, ground_speed_m_s, back):
-                self.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back)
+            case LegBegun(target, ground_speed_m_s, back, via):
+                self.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back, via=via)
             case LegEnded():
                 self.mission.arrived(now_s=now_s)
             case TargetUnknown():

@@ -1,0 +1,299 @@
+"""Where the triggers of a plan take photos: spots on the legs between its waypoints.
+
+    a trigger     Photos begin at the place of the waypoint before it, and go on around corners, as an autopilot does.
+    a row         A straight way over one or more legs; the drone passes the spots on it, and rests at its end.
+    other places  A waypoint without a photo, such as a turn-around, is flown to on the way to the next spot.
+
+A trigger may take a photo at once, as those of QGroundControl do at the end of each transect. Where that follows the
+photo before it sooner than the camera can, the photo before it is taken earlier: no two photos lie farther apart.
+"""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from upwash.config.drone import DroneConfig, MissionConfig
+from upwash.config.problems import Problem
+from upwash.core.geo import LocalFrame, Position, Via, Waypoint, distance_m, ground_distance_m
+from upwash.plans import FlightPlan, PhotoTrigger
+
+MOST_SPOTS = 100_000
+_SAME_PLACE_M = 0.05
+_STRAIGHT_M = (
+    0.3  # beside a straight way: coordinates have centimetres, and rows on the Earth are not quite straight
+)
+_MOST_LEGS = 50  # of a straight way, so that each is compared with few others
+_ROUNDING = 0.01  # of the distance between spots: by so much a leg may be too short for its last photo
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPhotos:
+    """The spots of a plan, and the places that the drone flies to after the last of them."""
+
+    waypoints: tuple[Waypoint, ...]
+    leaving: tuple[Via, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Corner:
+    """A waypoint of the plan."""
+
+    position: Position
+    ground_speed_m_s: float  # of the way there
+    above_sea_m: float | None
+    hold_s: float
+    triggers: tuple[PhotoTrigger, ...]
+
+    def via(self) -> Via:
+        """The corner without its photo."""
+        return Via(self.position, self.ground_speed_m_s, self.hold_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """A leg with photos: to the corner of that number, `step_m` apart."""
+
+    corner: int
+    step_m: float
+    trigger: PhotoTrigger
+
+
+@dataclass(frozen=True, slots=True)
+class _Shot:
+    """A photo, by the metres over the ground from the first waypoint; `corner`: at a waypoint, taken at once."""
+
+    at_m: float
+    corner: int | None = None
+
+
+def planned_photos(mission: MissionConfig, plan: FlightPlan) -> PlannedPhotos:
+    """The spots of the plan's triggers, for a mission with photos."""
+    return _Course(mission, plan).photos()
+
+
+def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
+    """What keeps the triggers of the mission's plan from being flown; nothing for a mission without photos."""
+    mission, key = config.mission, "mission.photos"
+    if mission.plan is None or mission.photos is None:
+        return
+    file, plan, every_m = mission.plan.file, mission.plan.plan, mission.photos.every_m
+    triggers = [trigger for waypoint in plan.waypoints for trigger in waypoint.triggers]
+    for trigger in triggers if every_m is None else ():
+        what = f"{file}: item {trigger.item}: takes a photo each"
+        if trigger.every_m is not None and not 0 < trigger.every_m < math.inf:
+            yield key, f"{what} {trigger.every_m:g} m: expected a distance above 0"
+            return
+        if trigger.every_s is not None and not 0 < trigger.every_s < math.inf:
+            yield key, f"{what} {trigger.every_s:g} s: expected a time above 0"
+            return
+    course = _Course(mission, plan)
+    if not any(trigger.now for trigger in triggers) and not course.legs:
+        yield (
+            key,
+            f"{file} triggers no camera: plan a survey with a camera, or leave photos out, and the drone stops at "
+            "each waypoint for a photo",
+        )
+        return
+    if (count := course.least_photos()) > MOST_SPOTS:
+        yield key, f"{file}: more than {MOST_SPOTS:,} photos ({count:,.0f}): set photos.every_m larger"
+        return
+    photo_s = config.camera.photo_s
+    for leg in course.legs:
+        speed_m_s = course.corners[leg.corner].ground_speed_m_s
+        if photo_s * speed_m_s > leg.step_m * (1 + 1e-9):
+            yield (
+                key,
+                f"{file}: item {leg.trigger.item}: a photo takes camera.photo_s = {photo_s:g} s, so that one every "
+                f"{leg.step_m:g} m allows at most {leg.step_m / photo_s:.3g} m/s, and the plan has {speed_m_s:g} "
+                "m/s there: fly slower, or set photos.every_m larger",
+            )
+            return
+    if not course.photos().waypoints:
+        yield key, f"{file}: no leg is as long as its trigger's distance: set photos.every_m smaller"
+
+
+class _Course:
+    """The plan's waypoints in metres, and the legs with photos between them."""
+
+    def __init__(self, mission: MissionConfig, plan: FlightPlan) -> None:
+        assert mission.photos is not None and mission.home is not None  # noqa: S101 - the callers saw to it
+        self._photo_s = plan.photo_s
+        self._every_m = mission.photos.every_m
+        frame = LocalFrame(mission.home.place)
+        self.corners = _without_repeats(
+            _Corner(
+                frame.position(item.place),
+                item.ground_speed_m_s or mission.ground_speed_m_s,
+                item.above_sea_m,
+                item.hold_s,
+                item.triggers,
+            )
+            for item in plan.waypoints
+        )
+        places = [corner.position for corner in self.corners]
+        lengths_m = (ground_distance_m(*ends) for ends in itertools.pairwise(places))
+        self._reached_m = list(itertools.accumulate(lengths_m, initial=0.0))
+        self.legs = list(self._legs_with_photos())
+
+    def photos(self) -> PlannedPhotos:
+        """The spots in the order of the flight, and what comes after them."""
+        rows = list(self._rows())
+        rests = [0, *(end for _, end in rows)]  # the corners where the drone rests
+        waypoints: list[Waypoint] = []
+        following = 0  # of the rests, the first that is not behind the last spot
+        for (corner, share), _ in itertools.groupby(map(self._place_of, self._shots())):
+            number = bisect.bisect_left(rests, corner + (share > 0))  # of the rest where its row ends
+            start, end = rows[max(0, number - 1)] if rows else (0, 0)
+            is_rest = not share and rests[number] == corner
+            last = number if is_rest else number - 1  # the rest before it, or where it is
+            via = tuple(self.corners[rest].via() for rest in rests[following : last + (not is_rest)])
+            following = max(following, last + 1)
+            waypoints.append(
+                replace(
+                    self._spot(corner, share),
+                    index=len(waypoints),
+                    ground_speed_m_s=self.corners[corner if is_rest else end].ground_speed_m_s,
+                    hold_s=self.corners[corner].hold_s if is_rest else 0.0,
+                    row_start=self.corners[start].position if rows else None,
+                    row_end=self.corners[end].position if rows else None,
+                    via=via,
+                )
+            )
+        return PlannedPhotos(tuple(waypoints), tuple(self.corners[rest].via() for rest in rests[following:]))
+
+    def least_photos(self) -> float:
+        """How many photos the legs have, those taken at once not counted."""
+        return sum(
+            (self._reached_m[leg.corner] - self._reached_m[leg.corner - 1]) / leg.step_m for leg in self.legs
+        )
+
+    def _legs_with_photos(self) -> Iterator[_Leg]:
+        on: PhotoTrigger | None = None
+        for number, corner in enumerate(self.corners[:-1], start=1):
+            for trigger in corner.triggers:
+                if not trigger.leaves_on:
+                    on = trigger if trigger.every_m is not None or trigger.every_s is not None else None
+            if on is not None:
+                yield _Leg(number, self._step_m(on, self.corners[number].ground_speed_m_s), on)
+
+    def _step_m(self, trigger: PhotoTrigger, ground_speed_m_s: float) -> float:
+        if self._every_m is not None:
+            return self._every_m
+        return trigger.every_m or (trigger.every_s or 0.0) * ground_speed_m_s
+
+    def _shots(self) -> list[_Shot]:
+        shots: list[_Shot] = []
+        legs = {leg.corner - 1: leg for leg in self.legs}
+        share, since_m, left = (
+            0.0,
+            0.0,
+            math.inf,
+        )  # of a step, since the last photo; where photos began; how many
+        for number, corner in enumerate(self.corners):
+            at_m = self._reached_m[number]
+            for trigger in corner.triggers:
+                if trigger.now:
+                    share = 0.0
+                    self._take_at_once(shots, number, since_m)
+                if not trigger.leaves_on:
+                    share, since_m = 0.0, at_m
+                    left = math.inf if trigger.most is None else trigger.most - trigger.now
+            leg = legs.get(number)
+            if leg is None:
+                continue
+            length_m = self._reached_m[number + 1] - at_m
+            done_m = (1 - share) * leg.step_m
+            while done_m <= length_m + min(_SAME_PLACE_M, _ROUNDING * leg.step_m) and left > 0:
+                shots.append(_Shot(at_m + min(done_m, length_m)))
+                done_m += leg.step_m
+                left -= 1
+            share = 1 - (done_m - length_m) / leg.step_m
+        return shots
+
+    def _take_at_once(self, shots: list[_Shot], number: int, since_m: float) -> None:
+        corner, at_m = self.corners[number], self._reached_m[number]
+        if (
+            shots
+            and distance_m(self._spot(*self._place_of(shots[-1])).position, corner.position) < _SAME_PLACE_M
+        ):
+            return
+        needed_m = self._photo_s * corner.ground_speed_m_s
+        if shots and shots[-1].corner is None and at_m - shots[-1].at_m < needed_m:
+            before_m = shots[-2].at_m if len(shots) > 1 else since_m
+            shots[-1] = _Shot(max(at_m - needed_m, (before_m + at_m) / 2, since_m))
+        shots.append(_Shot(at_m, number))
+
+    def _place_of(self, shot: _Shot) -> tuple[int, float]:
+        """The corner at or before the photo, and the share of the leg from there."""
+        if shot.corner is not None:
+            return shot.corner, 0.0
+        after = bisect.bisect_left(self._reached_m, shot.at_m - _SAME_PLACE_M)
+        if self._reached_m[after] - shot.at_m <= _SAME_PLACE_M:
+            return after, 0.0
+        start_m, end_m = self._reached_m[after - 1 : after + 1]
+        return after - 1, (shot.at_m - start_m) / (end_m - start_m)
+
+    def _spot(self, corner: int, share: float) -> Waypoint:
+        start = self.corners[corner]
+        if not share:
+            return Waypoint(0, start.position, above_sea_m=start.above_sea_m)
+        end = self.corners[corner + 1]
+        above_sea_m = None
+        if start.above_sea_m is not None and end.above_sea_m is not None:
+            above_sea_m = start.above_sea_m + share * (end.above_sea_m - start.above_sea_m)
+        return Waypoint(0, _between(start.position, end.position, share), above_sea_m=above_sea_m)
+
+    def _rows(self) -> Iterator[tuple[int, int]]:
+        """The straight ways: the corners where each begins and ends."""
+        start = 0
+        while start + 1 < len(self.corners):
+            end = start + 1
+            while end + 1 < len(self.corners) and self._is_straight(start, end + 1):
+                end += 1
+            yield start, end
+            start = end
+
+    def _is_straight(self, start: int, end: int) -> bool:
+        ways, inner = self.corners[start + 1 : end + 1], self.corners[start + 1 : end]
+        if end - start > _MOST_LEGS or any(corner.hold_s for corner in inner):
+            return False
+        if len({corner.ground_speed_m_s for corner in ways}) > 1:
+            return False
+        first, last = self.corners[start].position, self.corners[end].position
+        length_m = distance_m(first, last)
+        along_m = 0.0
+        for corner in inner:
+            from_m, to_m = distance_m(first, corner.position), distance_m(corner.position, last)
+            if from_m < along_m or from_m > length_m or to_m > length_m:
+                return False
+            along_m = from_m
+            share = from_m / length_m
+            if distance_m(corner.position, _between(first, last, share)) > _STRAIGHT_M:
+                return False
+        return True
+
+
+def _without_repeats(corners: Iterator[_Corner]) -> Sequence[_Corner]:
+    """The corners; one for those that follow each other at one place."""
+    found: list[_Corner] = []
+    for corner in corners:
+        if found and distance_m(found[-1].position, corner.position) < _SAME_PLACE_M:
+            last = found[-1]
+            found[-1] = replace(
+                last, hold_s=last.hold_s + corner.hold_s, triggers=last.triggers + corner.triggers
+            )
+        else:
+            found.append(corner)
+    return found
+
+
+def _between(start: Position, end: Position, share: float) -> Position:
+    return Position(
+        start.east_m + share * (end.east_m - start.east_m),
+        start.north_m + share * (end.north_m - start.north_m),
+        start.altitude_m + share * (end.altitude_m - start.altitude_m),
+    )

@@ -1,0 +1,285 @@
+"""Surveys of ground stations, flown with their camera triggers."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash.config import read_drone_config
+from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.errors import ConfigError
+from upwash.eventlog import schema
+from upwash.lab.simulation import Simulation, simulate
+
+HOME = (39.3666, 22.9507)
+FRAME = LocalFrame(GeoPosition(*HOME))
+CONFIG = """
+[mission]
+plan = "field.plan"
+action_s = 5.0
+{mission}
+[camera]
+photo_s = {photo_s}
+[[service]]
+name = "detector"
+local_call_s = {{ light = 0.5, heavy = {heavy_s} }}
+{more}
+"""
+Item = dict[str, Any]
+Place = tuple[float, float]
+
+
+def item(command: int, *parameters: float | None, frame: int = 2) -> Item:
+    """An item as QGroundControl saves it; NaN is null there."""
+    filled = [*parameters, *[0] * (7 - len(parameters))]
+    return {
+        "autoContinue": True, "command": command, "frame": frame, "params": filled, "type": "SimpleItem",
+    }  # fmt: skip
+
+
+def at(east_m: float, north_m: float, altitude_m: float = 25.0, hold_s: float = 0.0) -> Item:
+    geo = FRAME.geo(Position(east_m, north_m))
+    degrees = round(geo.latitude_deg, 7), round(geo.longitude_deg, 7)
+    return item(16, hold_s, 0, 0, None, *degrees, altitude_m, frame=3)
+
+
+def begin(every_m: float = 20.0) -> Item:
+    return item(206, every_m, 0, 1)
+
+
+END = item(206, 0, 0, 1)  # QGroundControl takes a photo at the end of a transect too
+PHOTO = item(2000, 0, 0, 1, None, None, None, None)
+# Three transects of 90 m, turn-arounds 20 m beyond them: the way from one to the next is a rectangle.
+TRANSECTS: list[tuple[Place, Place]] = [((0, 10), (0, 100)), ((20, 100), (20, 10)), ((40, 10), (40, 100))]
+SPOTS = [
+    *((0.0, 10.0 + along_m) for along_m in (0, 20, 40, 60, 80, 90)),
+    *((20.0, 100.0 - along_m) for along_m in (0, 20, 40, 60, 80, 90)),
+    *((40.0, 10.0 + along_m) for along_m in (0, 20, 40, 60, 80, 90)),
+]
+
+
+def transects(turn_m: float = 20.0) -> list[Item]:
+    found = []
+    for (east_m, from_m), (_, to_m) in TRANSECTS:
+        beyond_m = math.copysign(turn_m, to_m - from_m)
+        row = [at(east_m, from_m), begin(), at(east_m, to_m), END]
+        found += [at(east_m, from_m - beyond_m), *row, at(east_m, to_m + beyond_m)] if turn_m else row
+    return found
+
+
+def written(
+    tmp_path: Path,
+    items: list[Item],
+    *,
+    mission: str = "photos = {}",
+    photo_s: float = 0.5,
+    heavy_s: float = 1.0,
+    more: str = "",
+    last: Item | None = None,
+    fence: list[Place] | None = None,
+    kind: str = "survey",
+) -> Path:
+    """A configuration, and beside it a plan with the items in a pattern."""
+    corners = [FRAME.geo(Position(*place)) for place in fence or []]
+    polygon = [[corner.latitude_deg, corner.longitude_deg] for corner in corners]
+    pattern = {
+        "type": "ComplexItem",
+        "complexItemType": kind,
+        "TransectStyleComplexItem": {"version": 2, "Items": items},
+    }
+    takeoff = item(22, 15, 0, 0, None, *HOME, 20, frame=3)
+    plan = {
+        "fileType": "Plan",
+        "groundStation": "QGroundControl",
+        "version": 1,
+        "geoFence": {
+            "version": 2,
+            "circles": [],
+            "polygons": [{"polygon": polygon, "inclusion": False, "version": 1}] if fence else [],
+        },
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2, "vehicleType": 2, "firmwareType": 3, "hoverSpeed": 4, "cruiseSpeed": 15,
+            "plannedHomePosition": [*HOME, None], "items": [takeoff, pattern, last or item(20)],
+        },
+    }  # fmt: skip
+    (tmp_path / "field.plan").write_text(json.dumps(plan))
+    return configured(tmp_path, mission=mission, photo_s=photo_s, heavy_s=heavy_s, more=more)
+
+
+def configured(tmp_path: Path, **values: Any) -> Path:
+    file = tmp_path / "drone.toml"
+    file.write_text(
+        CONFIG.format(**{"mission": "photos = {}", "photo_s": 0.5, "heavy_s": 1.0, "more": ""} | values)
+    )
+    return file
+
+
+def of(run: Simulation, kind: type[schema.Event]) -> list[Any]:
+    return [event for event in run.events if isinstance(event, kind)]
+
+
+def assert_flown(run: Simulation, spots: list[Place], *, off_m: float = 0.1) -> None:
+    """One photo at each place, in this order, in the foreseen time."""
+    assert run.completed
+    taken = [(photo.position.east_m, photo.position.north_m) for photo in of(run, schema.PhotoTaken)]
+    assert len(taken) == len(spots)
+    assert max(map(math.dist, taken, spots)) < off_m
+    (foreseen,) = of(run, schema.Foreseen)
+    assert run.mission_time_s == pytest.approx(foreseen.as_asked_s, rel=0.02)
+
+
+def test_a_survey_is_photographed_on_its_transects_and_not_in_its_turns(tmp_path: Path) -> None:
+    run = simulate(written(tmp_path, transects()))
+    assert_flown(run, SPOTS)
+    arrived = of(run, schema.Arrived)
+    assert all(event.passing for event in arrived if event.waypoint is not None), "it enters a row at speed"
+
+
+def test_a_survey_without_turns_stops_at_the_ends_of_its_transects(tmp_path: Path) -> None:
+    run = simulate(written(tmp_path, transects(turn_m=0.0)))
+    assert_flown(run, SPOTS)
+    stops = [event.waypoint for event in of(run, schema.Arrived) if not event.passing]
+    assert stops == [0, 5, 6, 11, 12, 17]
+
+
+def test_photos_in_turns_are_20_m_apart_on_the_way(tmp_path: Path) -> None:
+    """The option of QGroundControl: triggers begin at the first turn-around and end at the last."""
+    places: list[Place] = [(0, -10), (0, 10), (0, 100), (0, 120), (20, 120), (20, 100), (20, 10), (20, -10)]
+    way = [at(*place) for place in places]
+    run = simulate(written(tmp_path, [way[0], begin(), *way[1:], END]))
+    rows = [(0.0, -10.0 + 20 * number) for number in range(7)]
+    back = [(10.0, 120.0), *((20.0, 110.0 - 20 * number) for number in range(7))]
+    assert_flown(run, [*rows, *back])
+
+
+def test_a_corridor_is_photographed_around_its_bends(tmp_path: Path) -> None:
+    """20 m apart along the way, where a bend is a place like others; a photo at the bend of 60 m."""
+    items = [at(0, 10), begin(), at(50, 10), at(50, 20), at(50, 60), at(90, 60), END]
+    run = simulate(written(tmp_path, items, kind="CorridorScan"))
+    spots = [(0, 10), (20, 10), (40, 10), (50, 20), (50, 40), (50, 60), (70, 60), (90, 60)]
+    assert_flown(run, [(float(east_m), float(north_m)) for east_m, north_m in spots])
+
+
+def test_a_photo_at_each_waypoint_is_taken_at_rest_after_its_hold(tmp_path: Path) -> None:
+    places: list[Place] = [(0, 20), (0, 50), (30, 50)]
+    items = [part for place in places for part in (at(*place, hold_s=4.0), PHOTO)]
+    run = simulate(written(tmp_path, items))
+    assert_flown(run, places)
+    photos, arrivals = of(run, schema.PhotoTaken), of(run, schema.Arrived)
+    waited_s = [photo.t - photo.age_s - there.t for photo, there in zip(photos, arrivals, strict=True)]
+    assert waited_s == pytest.approx([4.0] * 3)
+
+
+def test_a_time_trigger_is_a_distance_at_the_speed_of_the_leg(tmp_path: Path) -> None:
+    items = [at(0, 10), item(2000, 0, 5, 0), at(0, 70), item(178, 1, 8, -1), at(0, 130), item(2001)]
+    run = simulate(written(tmp_path, items))
+    north_m = (10, 30, 50, 70, 110)
+    assert_flown(run, [(0.0, float(at_m)) for at_m in north_m])
+
+
+def test_the_configurations_distance_counts_before_the_plans(tmp_path: Path) -> None:
+    items = [at(0, 10), begin(1e9), at(0, 70), item(206, 0, 0, 0)]
+    run = simulate(written(tmp_path, items, mission="photos = { every_m = 30.0 }"))
+    assert_flown(run, [(0.0, 10.0), (0.0, 40.0), (0.0, 70.0)])
+
+
+def test_a_grid_of_mission_planner_is_flown(tmp_path: Path) -> None:
+    """Without a photo at the start (parameter 3 is 0), from a trigger before the first waypoint, never ended."""
+    places = [(0, 10), (0, 70), (30, 70), (30, 10)]
+    rows: list[list[object]] = [
+        [0, 0, 16, 0, 0, 0, 0, *HOME, 100],
+        [0, 3, 22, 0, 0, 0, 0, 0, 0, 20],
+        [0, 3, 206, 25, 0, 0, 0, 0, 0, 0],
+        *([0, 3, 16, 0, 0, 0, 0, *at(*place)["params"][4:6], 25] for place in places),
+        [0, 3, 20, 0, 0, 0, 0, 0, 0, 0],
+    ]
+    lines = ["\t".join(map(str, [number, *row, 1])) for number, row in enumerate(rows)]
+    (tmp_path / "field.plan").write_text("\n".join(["QGC WPL 110", *lines]))
+    run = simulate(configured(tmp_path))
+    assert_flown(run, [(0, 35), (0, 60), (15, 70), (30, 60), (30, 35), (30, 10)])
+
+
+def test_a_photo_that_the_camera_cannot_keep_comes_sooner(tmp_path: Path) -> None:
+    """The row ends 2 m after its last distance, and a photo takes 4 m of flight."""
+    items = [at(0, 10), begin(40.0), at(0, 252), END]
+    run = simulate(written(tmp_path, items, photo_s=1.0))
+    assert_flown(run, [(0.0, float(at_m)) for at_m in (10, 50, 90, 130, 170, 210, 248, 252)])
+
+
+def test_it_lands_where_the_plan_says_after_the_last_photo(tmp_path: Path) -> None:
+    way = [at(0, 10), begin(), at(0, 50), END, at(40, 50), at(40, 0)]
+    landing = item(21, 0, 0, 0, None, *at(40, 0)["params"][4:6], 0, frame=3)
+    more = "[event]\nevery = 3\noffset = 2\n"  # of the last photo
+    run = simulate(written(tmp_path, way, last=landing, more=more, heavy_s=8.0))
+    assert run.completed and len(of(run, schema.Acted)) == 1
+    (landed,) = of(run, schema.Landing)
+    assert math.dist((landed.position.east_m, landed.position.north_m), (40, 0)) < 0.1
+    reached = [(event.east_m, event.north_m) for event in of(run, schema.SetOff) if event.waypoint is None]
+    assert [(round(east_m), round(north_m)) for east_m, north_m in reached[:1]] == [(40, 50)]
+
+
+def test_demands_in_turns_are_met_and_each_spot_has_its_photo(tmp_path: Path) -> None:
+    more = "[event]\nevery = 5\noffset = 2\n"
+    run = simulate(written(tmp_path, transects(), heavy_s=6.0, more=more))
+    assert run.completed
+    assert sorted(event.waypoint for event in of(run, schema.Acted)) == [2, 7, 12, 17]
+    taken = [(photo.position.east_m, photo.position.north_m) for photo in of(run, schema.PhotoTaken)]
+    assert max(map(math.dist, taken, SPOTS)) < 0.5
+
+
+def test_without_photos_a_drone_stops_at_each_waypoint_of_the_plan(tmp_path: Path) -> None:
+    run = simulate(written(tmp_path, transects(), mission=""))
+    assert run.completed and len(of(run, schema.PhotoTaken)) == 12
+    assert not any(event.passing for event in of(run, schema.Arrived))
+
+
+def test_a_turn_outside_the_geofence_is_refused(tmp_path: Path) -> None:
+    fence: list[Place] = [(-5, 110), (45, 110), (45, 130), (-5, 130)]
+    with pytest.raises(ConfigError, match="waypoint 3 is within exclusion polygon 1 of the geofence"):
+        simulate(written(tmp_path, transects(), fence=fence))
+
+
+ROW = [at(0, 10), begin(), at(0, 100), END]
+
+
+@pytest.mark.parametrize(
+    ("items", "changed", "refusal"),
+    [
+        ([at(0, 10), begin(0.001), at(0, 210)], {}, "more than 100,000 photos"),
+        (
+            [at(0, 10), begin(math.nan), at(0, 100)],
+            {},
+            "item 3: takes a photo each nan m: expected a distance",
+        ),
+        ([at(0, 10), begin(-5.0), at(0, 100)], {}, "item 3: takes a photo each -5 m"),
+        ([at(0, 10), item(206, 1e9, 0, 0), at(0, 100)], {}, "no leg is as long as its trigger's distance"),
+        ([at(0, 10), item(2000, 0, 0, 0), at(0, 100)], {}, "item 3: takes a photo each 0 s: expected a time"),
+        ([at(0, 10), at(0, 100)], {}, "triggers no camera: plan a survey with a camera, or leave photos out"),
+        (
+            ROW,
+            {"photo_s": 6.0},
+            "item 3: a photo takes camera.photo_s = 6 s, so that one every 20 m allows at",
+        ),
+        (ROW, {"mission": "photos = {}\norder = 3"}, "rows are flown in the order of the file"),
+    ],
+)
+def test_triggers_that_cannot_be_flown_are_refused(
+    tmp_path: Path, items: list[Item], changed: dict[str, Any], refusal: str
+) -> None:
+    file = written(tmp_path, items, **changed)
+    with pytest.raises(ConfigError, match=refusal):
+        read_drone_config(file)
+    read_drone_config(written(tmp_path, items, mission=""))
+
+
+def test_a_grid_needs_a_distance(tmp_path: Path) -> None:
+    mission = "photos = {}\ngrid = { columns = 3, rows = 2, spacing_m = 20.0 }"
+    file = configured(tmp_path, mission=mission)
+    file.write_text(file.read_text().replace('plan = "field.plan"\n', ""))
+    with pytest.raises(ConfigError, match=r"mission\.photos\.every_m: missing"):
+        read_drone_config(file)
