@@ -198,6 +198,15 @@ async def test_what_a_pilot_stopped_and_gave_back_unheard_does_not_count_as_done
         await (await flight.take_off()).turn_to(180.0)
 
 
+@played(fly)
+async def test_a_fail_safe_does_not_take_a_vehicle_that_lands_already() -> None:
+    flight = Flight(befalls("fail-safe", 8.0))
+    autopilot = await flight.take_off()
+    with pytest.raises(AutopilotOverruled, match="disarmed itself"):
+        await autopilot.land()
+    assert autopilot.stands and not flight.taken
+
+
 @pytest.mark.parametrize(
     ("to_s", "taken"),
     [

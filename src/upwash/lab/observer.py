@@ -15,6 +15,7 @@ The models name each event to an observer, and know nothing of what it keeps.
 | `served` | an instance begins a drone's call |
 | `commanded` | a command of the drone's program reaches its vehicle |
 | `taken` | a pilot, a ground station, a fail-safe or a restart takes the vehicle: `by` |
+| `taken_unseen` | a fail-safe lands a vehicle that lands already, which no report shows: `by` |
 | `given_back_unheard` | a pilot who took the vehicle and gives it back within one silence of its link |
 | `reached` | the vehicle counts as arrived; `off_m` is the true distance to that place |
 | `jumped_unheard` | its reported position jumps within a silence of the vehicle's link |

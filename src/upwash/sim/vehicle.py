@@ -242,10 +242,13 @@ class ModelVehicle:
             self._tell_change()
 
     def fail_safe(self) -> None:
-        """Let a fail-safe land the vehicle where it is, as for a low battery; not while it is disarmed."""
+        """Let a fail-safe land the vehicle where it is, as for a low battery; not while it is disarmed.
+
+        No report of a vehicle that lands already differs from a command: that is "taken_unseen".
+        """
         if not self.armed:
             return
-        self._observe("taken", by="fail-safe")
+        self._observe("taken_unseen" if self.mode == LAND else "taken", by="fail-safe")
         self._report(failsafe="Battery Failsafe")
         self._land()
 

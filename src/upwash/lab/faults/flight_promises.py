@@ -176,7 +176,7 @@ def arrived_truly(history: History) -> Iterator[Breach]:
 
 def named_truly(history: History) -> Iterator[Breach]:
     """The log names as an owner only a party that has taken the vehicle before."""
-    taken = list(history.own("taken"))
+    taken = list(history.own("taken", "taken_unseen"))
     for event in history.run.events:
         if isinstance(event, schema.ControlChanged) and event.owner in _NAMED_AFTER:
             before = {fact.by for fact in taken if fact.t <= event.t + ROUNDING_S}
