@@ -104,6 +104,7 @@ def test_any_message_is_read_or_left(message: object) -> None:
         ({"brightness": 67.5, "bright_spots": 2}, "brightness 67.5, 2 bright spots"),
         ({"bright_spots": 1}, "1 bright spot"),
         ({"number": 41, "counted": False}, "41 number, not counted"),
+        ([{"x": 1, "y": 2, "label": ""}], "1 object"),
         ([], ""),
         ("as it is", "as it is"),
         ([1, 2], "[1, 2]"),

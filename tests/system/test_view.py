@@ -126,6 +126,33 @@ def test_a_drone_that_turns_back_for_an_answer_is_shown_to(page: Browser, tmp_pa
         assert page.errors() == []
 
 
+def test_on_rows_the_open_answers_are_shown_and_what_became_of_each(page: Browser, tmp_path: Path) -> None:
+    rows = scenario(
+        mission={"photos": {"every_m": 20.0, "at_most": 4}},
+        policy={"name": "local-only"},
+        event={"every": 100, "offset": 99},
+    )
+    run = simulate(rows)
+    waits_s = next(event.t for event in run.events if event.kind == "photos_wait")
+    ended_s = [event.t for event in run.events if event.kind == "call"]
+    log = tmp_path / "rows.jsonl"
+    log.write_bytes(run.log())
+    with view_of(log) as address:
+        opened(page, address)
+        page.seek(round(waits_s + 0.5, 1))
+        assert page.text(".doing") == "waiting for answers"
+        assert "4 answers open" in page.text(".says")
+        assert "Its answer is not there yet." in page.text(".photos")
+        page.seek(round(ended_s[2] + 0.1, 1))
+        assert re.match(
+            r"computing on the drone, 0\.\d of about .*; photo at 0:\d\d$", page.text(".now .course")
+        )
+        page.seek(round(ended_s[-1] + 0.1, 1))
+        course = page.text(".now .course")
+        assert re.match(r"photo at \d:\d\d, \d+\.\d s in line, answer at \d:\d\d$", course)
+        assert page.errors() == []
+
+
 def test_a_flight_plays_on_its_own_from_the_beginning_to_the_end(
     page: Browser, one: str, logs: tuple[Path, Path]
 ) -> None:

@@ -93,14 +93,18 @@ def test_the_mode_is_the_last_that_is_told_and_the_gps_what_the_vehicle_reports(
     lands = event(
         "control", 7.0, owner="pilot", why="the vehicle is in mode AUTO RTL (the remote control did not move)"
     )
-    states = [fact for fact in told([*FLIES, *reports, LOITER, lands]) if isinstance(fact, facts.Vehicle)]
+    stands = event("stood", 9.0, position={"east_m": 0, "north_m": 0})
+    events = [*FLIES, *reports, LOITER, lands, stands]
+    states = [fact for fact in told(events) if isinstance(fact, facts.Vehicle)]
     assert [(state.at_s, state.mode) for state in states] == [
         (3.0, ""),
         (5.0, "GUIDED"),
         (6.0, "LOITER"),
         (7.0, "AUTO RTL"),
+        (9.0, "AUTO RTL"),
     ]
-    assert (states[-1].armed, states[-1].gps, states[-1].satellites) == (True, "3d", 9)
+    assert (states[-2].armed, states[-2].gps, states[-2].satellites) == (True, "3d", 9)
+    assert states[-1].armed is False
 
 
 REMOTE = event("decided", 10.0, decision="remote", server="s1", deadline_s=3.9, local_s=10.7)

@@ -362,7 +362,7 @@ def in_one_line(message: object) -> str:
     """A message to the user: objects by their number and labels, fields by their names, other messages unchanged."""
     if (objects := found_objects(message)) is not None:
         labels = Counter(found.label for found in objects)
-        message = ", ".join(counted(count, label) for label, count in labels.items())
+        message = ", ".join(counted(count, label or "object") for label, count in labels.items())
     elif isinstance(message, dict):
         message = ", ".join(_field(str(name), value) for name, value in message.items())
     return printable(str(message))

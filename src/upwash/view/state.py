@@ -100,7 +100,7 @@ class Control:
                 self._phase = {"return": "returning", "land": "landing"}.get(action, self._phase)
             case schema.LinkLost() | schema.LinkRestored():
                 self._is_silent = isinstance(event, schema.LinkLost)
-            case schema.Armed() | schema.Disarmed():
+            case schema.Armed() | schema.Disarmed() | schema.Stood():
                 self.armed = isinstance(event, schema.Armed)
             case schema.LimitsRead(home=Position() as home):
                 self._home = home

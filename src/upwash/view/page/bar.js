@@ -52,7 +52,7 @@ export class Bar {
 
   #showState(moment, name) {
     const doing = moment.last("doing");
-    const calling = moment.underWay;
+    const calling = moment.open.length ? null : moment.underWay; // a drone that flies on does not wait for a call
     this.element.className = `bar ${doing?.tone ?? "ground"}${calling ? " calling" : ""}`;
     write(this.who, doing?.who ?? "WAITING");
     write(this.words, calling ? calling.doing : inWords(moment));
@@ -124,6 +124,7 @@ function figures(moment, doing) {
   return [
     position ? `${position.altitude_m.toFixed(0)} m` : "",
     down && doing.tone === "landing" ? `on the ground in ${told(down.down_s)}` : "",
+    doing.tone === "program" && moment.open.length ? `${counted(moment.open.length, "answer")} open` : "",
     isEmpty ? `battery ${battery.toFixed(0)} %` : "",
   ];
 }

@@ -207,7 +207,8 @@ function inWords(count, delays) {
 export function inShort(call) {
   const where = call.waypoint === null ? "before the first waypoint" : `waypoint ${call.waypoint}`;
   const waited = call.wait ? `, ${call.waited_s.toFixed(2)} s of it waited` : "";
-  return `${where}: ${call.operation} on ${theNameOf(call.place)}, ${call.delay_s.toFixed(2)} s${waited}`;
+  const inLine = call.queued_s ? `, ${call.queued_s.toFixed(2)} s of it in line` : "";
+  return `${where}: ${call.operation} on ${theNameOf(call.place)}, ${call.delay_s.toFixed(2)} s${waited}${inLine}`;
 }
 
 export function line(context, fromX, fromY, toX, toY) {

@@ -5,6 +5,7 @@ import { element, write } from "./element.js";
 import { inBrief, nameOf } from "./places.js";
 
 const NAME = 16; // characters
+const LEAST_S = 0.05; // of a wait that is worth a word
 const OTHERS = "The same call under other policies:";
 
 export class DecisionCard {
@@ -27,7 +28,7 @@ export class DecisionCard {
     const decision = moment.underWay;
     const about = decision ?? moment.last("call");
     write(this.heading, headingOf(about, decision && (moment.withoutNewsS ? "Call that was under way" : "Call under way")));
-    write(this.course, decision ? wholeCourse(decision, moment) : "");
+    write(this.course, decision ? wholeCourse(decision, moment) : about ? lineOf(about, moment.story) : "");
     const going = moment.last("going");
     const gone = decision && going && going.at_s >= decision.began_s && going.waypoint === decision.waypoint;
     const [cause = "", ...words] = about?.words ?? [];
@@ -45,9 +46,9 @@ export class DecisionCard {
   // A bar for each place that was considered, and for what the call took; the pale part is the wait.
   #drawBars(about) {
     const bars = (about?.estimates ?? []).map(({ place, wait_s, call_s }) => [place, inBrief(nameOf(place), NAME), wait_s ?? 0, call_s]);
-    const { delay_s, waited_s, wait, place } = about ?? {};
+    const { delay_s, waited_s, wait, place, queued_s = 0 } = about ?? {};
     if (bars.length && delay_s !== undefined) {
-      const waitedS = wait ? waited_s : 0;
+      const waitedS = queued_s + (wait ? waited_s : 0);
       bars.push([place, "it took", waitedS, Math.max(0, delay_s - waitedS)]);
     }
     const longestS = Math.max(0.1, ...bars.map(([, , waitS, callS]) => waitS + callS));
@@ -60,7 +61,7 @@ export class DecisionCard {
       made.style.width = `${(100 * seconds) / longestS}%`;
       return made;
     };
-    const seconds = waitS ? `${waitS.toFixed(1)} + ${callS.toFixed(1)} s` : `${callS.toFixed(1)} s`;
+    const seconds = waitS >= LEAST_S ? `${waitS.toFixed(1)} + ${callS.toFixed(1)} s` : `${callS.toFixed(1)} s`;
     const style = this.places.style(place);
     const track = element("span", { class: `track ${style}` }, part(waitS, "waits"), part(callS, "calls"));
     return [element("dt", {}, name), element("dd", {}, track, element("span", { class: "seconds" }, seconds))];
@@ -84,9 +85,18 @@ function secondsSince(atS, moment) {
 }
 
 function wholeCourse(decision, moment) {
+  const photo = moment.open.find(({ waypoint }) => waypoint === decision.waypoint);
+  if (photo) return `${decision.doing}${courseOf(decision, moment)}; photo at ${moment.story.timeOf(photo.at_s)}`;
   const begun = decision.from_s > decision.began_s;
   const since = begun ? `, ${secondsSince(decision.began_s, moment)} s since the call began` : "";
   return `${decision.doing}${courseOf(decision, moment)}${since}`;
+}
+
+// Of a call that others were open beside: when its photo was taken, how long it was in line, and when its answer came.
+function lineOf({ waypoint, at_s, queued_s = 0 }, story) {
+  const photo = story.open.find((each) => each.waypoint === waypoint && each.until_s === at_s);
+  const inLine = queued_s >= LEAST_S ? `${queued_s.toFixed(1)} s in line, ` : "";
+  return photo ? `photo at ${story.timeOf(photo.at_s)}, ${inLine}answer at ${story.timeOf(at_s)}` : "";
 }
 
 // Where the call of that number ran under other policies, and what it took.

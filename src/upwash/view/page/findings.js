@@ -153,7 +153,8 @@ function downloads() {
 
 // What was found, and how sure that is.
 export function wordsOf({ what, score }) {
-  return score === undefined ? what : `${what} ${percent(score)}`;
+  const name = what || "object"; // a simulated one has neither name nor score
+  return score ? `${name} ${percent(score)}` : name;
 }
 
 function percent(score) {

@@ -131,10 +131,14 @@ export class Flight {
     const { count, places, waited } = moment.calls;
     const parts = [...places].sort(([one], [other]) => byName(one, other)).map(([place, number]) => `${number} on ${theNameOf(place)}`);
     const calls = `${counted(count, "call")}${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
-    const gone = moment.count("going");
-    if (!gone) return calls;
-    const turned = `turned back for ${moment.count("turn")}`;
-    return `${calls} · gone on before ${gone} ${gone === 1 ? "answer" : "answers"}, ${turned}, ${moment.hiddenS.toFixed(0)} s hidden`;
+    const [gone, turned, hiddenS] = [moment.count("going"), moment.count("turn"), moment.hiddenS];
+    const went = [
+      gone ? `gone on before ${counted(gone, "answer")}` : "",
+      turned ? `turned back for ${turned}` : "",
+      hiddenS >= 0.5 ? `${hiddenS.toFixed(0)} s hidden` : "",
+      moment.isOver && moment.open.length ? `${counted(moment.open.length, "answer")} not there at the end` : "",
+    ];
+    return [calls, went.filter(Boolean).join(", ")].filter(Boolean).join(" · ");
   }
 
   #showLegend() {
@@ -142,7 +146,7 @@ export class Flight {
     const all = ["local", ...story.servers];
     const operations = places.operations.length > 1 ? [...story.operations].sort() : [];
     const found = story.told.length > 0;
-    const key = JSON.stringify([all, places.operations, operations, found]);
+    const key = JSON.stringify([all, places.operations, operations, found, story.open.length > 0]);
     if (key === this.#legend) return;
     this.#legend = key;
     const sign = (style) => element("span", { class: style, "aria-hidden": "true" });
@@ -151,6 +155,7 @@ export class Flight {
       ...operations.map((operation) => [places.icon("local", operation), fillOf(places, operation)]),
       [sign("wait"), "waited for a server"],
       [sign("mean"), "mean on the drone"],
+      ...(story.open.length ? [[sign("open"), "answer not there"]] : []),
       ...(found ? [[pill(), "what was found, by its number"]] : []),
     ];
     this.legend.replaceChildren(...entries.map((entry) => element("span", { class: "entry" }, ...entry)));

@@ -2,7 +2,7 @@
 
 import { inShort, line } from "./chart.js";
 import { told } from "./clock.js";
-import { card, element, write } from "./element.js";
+import { card, counted, element, write } from "./element.js";
 import { inBrief } from "./places.js";
 
 const [LEFT, RIGHT, AXIS] = [88, 12, 20];
@@ -10,6 +10,7 @@ const [LANE, BAR] = [18, 12];
 const MARK = 4; // the radius of a place's mark: beside a server's name, and on a call that is long enough
 const STATES = { ready: "ready", checking: "check", trouble: "listed" }; // the colours of a server's states, by tone
 const TOLD = { aside: "pale: in range", checking: "checked", ready: "ready", trouble: "left alone" }; // in their colours
+const BESIDE = { detour: "on a detour to act on answers", wait: "waiting for answers" };
 const NEAR_PX = 6; // of a call, to be pointed at
 const ZOOM = 1.25; // with each step of a wheel
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400]; // between numbers on the axis
@@ -138,19 +139,19 @@ export class Lanes {
   #drawLane(context, kind, name, top) {
     const { story } = this.#moment;
     const { colours } = this.places;
-    const bar = (fromS, toS, colour, alpha = 1) => {
+    const bar = (fromS, toS, colour, alpha = 1, share = 1) => {
       context.globalAlpha = alpha;
       context.fillStyle = colour;
       const left = this.#x(story.clockS(fromS));
-      context.fillRect(left, top, Math.max(1, this.#x(story.clockS(toS)) - left), BAR);
+      context.fillRect(left, top + BAR * (1 - share), Math.max(1, this.#x(story.clockS(toS)) - left), BAR * share);
       context.globalAlpha = 1;
     };
     switch (kind) {
       case "calls":
         for (const call of story.call) {
-          const fromS = call.at_s - call.delay_s;
+          const fromS = beganS(call);
           bar(fromS, call.at_s, this.places.colour(call.place), 0.85);
-          if (call.wait) bar(fromS, fromS + call.waited_s, colours.of("ink"), 0.5);
+          if (call.wait) bar(fromS, Math.min(call.at_s, fromS + call.waited_s), colours.of("ink"), 0.5);
           const [left, right] = [fromS, call.at_s].map((atS) => this.#x(story.clockS(atS)));
           if (right - left > 4 * MARK) this.places.paint(context, { place: call.place }, (left + right) / 2, top + BAR / 2, MARK, 1);
         }
@@ -159,6 +160,17 @@ export class Lanes {
         for (const [fromS, toS] of this.#inRange(story, name)) bar(fromS, toS, this.places.colour(name), 0.15);
         for (const [step, toS] of stretches(story.steps.get(name) ?? [], story.endsS)) {
           if (STATES[step.tone]) bar(step.at_s, toS, colours.of(STATES[step.tone]));
+        }
+        break;
+      case "open": {
+        const steps = openOver(story);
+        const most = Math.max(...steps.map(({ number }) => number));
+        for (const [{ at_s, number }, toS] of stretches(steps, story.endsS)) bar(at_s, toS, colours.of("soft"), 0.7, number / most);
+        break;
+      }
+      case "detours":
+        for (const [{ at_s, kind: what }, toS] of stretches(story.beside, story.endsS)) {
+          if (what) bar(at_s, toS, colours.of(what === "wait" ? "check" : "ink"), 0.7);
         }
         break;
       case "alarms":
@@ -226,10 +238,19 @@ export class Lanes {
     const at = `${told(second)} `;
     if (kind === "calls") {
       const call = story.call.find((each) => {
-        const [left, right] = [each.at_s - each.delay_s, each.at_s].map((atS) => this.#x(story.clockS(atS)));
+        const [left, right] = [beganS(each), each.at_s].map((atS) => this.#x(story.clockS(atS)));
         return x > left - NEAR_PX && x < right + NEAR_PX;
       });
       return call ? at + inShort(call) : "";
+    }
+    if (kind === "open") {
+      const { open } = there;
+      const which = open.length ? `: ${open.length === 1 ? "waypoint" : "waypoints"} ${open.map(({ waypoint }) => waypoint).join(", ")}` : "";
+      return `${at}${counted(open.length, "open answer")}${which}`;
+    }
+    if (kind === "detours") {
+      const words = BESIDE[there.last("beside")?.kind];
+      return words ? at + words : "";
     }
     if (kind === "server") {
       const step = there.step(name);
@@ -258,9 +279,21 @@ const CURVES = {
 // What has a lane; what a log does not tell has none.
 function lanesOf(story) {
   const servers = story.servers.map((name) => ({ kind: "server", name }));
-  const others = [["alarms", story.notice], ["battery", story.battery], ["link", story.link]];
+  const others = [["open", story.open], ["detours", story.beside], ["alarms", story.notice], ["battery", story.battery], ["link", story.link]];
   const told = others.filter(([, facts]) => facts.length).map(([kind]) => ({ kind, name: kind }));
   return [{ kind: "calls", name: "calls" }, ...servers, ...told];
+}
+
+// When it left the line.
+function beganS({ at_s, delay_s, queued_s = 0 }) {
+  return at_s - delay_s + queued_s;
+}
+
+// How many answers are open from each second on at which that changes.
+function openOver(story) {
+  const changes = story.open.flatMap(({ at_s, until_s }) => [[at_s, 1], [until_s, -1]]);
+  let number = 0;
+  return changes.filter(([atS]) => atS < Infinity).sort(([one], [other]) => one - other).map(([at_s, more]) => ({ at_s, number: (number += more) }));
 }
 
 // Each fact with the second at which the next one takes its place.

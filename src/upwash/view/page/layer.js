@@ -4,7 +4,7 @@ import * as L from "./leaflet/leaflet-src.esm.js";
 import { styleOf } from "./badge.js";
 import { droneIcon, turn } from "./icons.js";
 import { Mosaic } from "./mosaic.js";
-import { Marks, STILL, paintFinding, paintMeasured, paintTurn } from "./marks.js";
+import { Marks, STILL, paintFinding, paintMeasured, paintOpen, paintTurn } from "./marks.js";
 import { ABOVE } from "./pills.js";
 import { Track } from "./track.js";
 import { Waypoints } from "./waypoints.js";
@@ -18,6 +18,7 @@ export class FlightLayer {
   #marks = {}; // by kind of fact
   #legM = 0; // as long is the plan's middle leg
   #radius = MOST_PX;
+  #atS = 0; // the moment that is shown
   #aside = []; // by call: how many stand before it at the same place
 
   // Of the drone of that `number`; the only one there is has none.
@@ -79,11 +80,15 @@ export class FlightLayer {
 
   show(moment) {
     const { position } = moment;
+    this.#atS = moment.atS;
     this.mosaic.show(moment);
     this.track.show(moment.story.fix, moment.count("fix"), position, moment.atS);
     const paper = this.places.colours.of("paper");
     this.#showMarks(moment, "measured", ({ server, answered }, _, context, x, y) => {
       paintMeasured(context, this.places.colour(server), paper, answered, x, y);
+    });
+    this.#showMarks(moment, "open", ({ until_s }, _, context, x, y) => {
+      if (until_s > this.#atS) paintOpen(context, this.places.colours.of("ink"), x, y, this.#radius + 1);
     });
     this.#showMarks(moment, "call", (call, index, context, x, y) => {
       const [right, down] = [this.#aside[index] % IN_A_ROW, Math.floor(this.#aside[index] / IN_A_ROW)];
@@ -93,6 +98,7 @@ export class FlightLayer {
     this.#showMarks(moment, "turn", (_, __, context, x, y) => paintTurn(context, this.#colour, x, y));
     this.#showMarks(moment, "told", (finding, _, context, x, y) => this.#paintFinding(finding, context, x, y));
     this.#showLink(moment, position);
+    this.#showDetour(moment, position);
     if (!position) {
       this.drone.remove();
       return;
@@ -157,6 +163,15 @@ export class FlightLayer {
 
   #line(opacity) {
     return { color: this.#colour, border: this.places.colours.of("paper"), weight: 2, opacity, ...STILL };
+  }
+
+  // On a detour, the way back that is left.
+  #showDetour(moment, position) {
+    const turn = moment.last("beside")?.kind === "detour" && !moment.isOver ? moment.last("turn") : null;
+    const place = turn && this.plan?.waypoints_m[turn.waypoint];
+    this.detour ??= L.polyline([], { ...STILL, weight: 9, opacity: 0.35 }).addTo(this.map);
+    this.detour.setStyle({ color: this.#colour });
+    this.detour.setLatLngs(place && position ? [this.latLng(position.east_m, position.north_m), this.latLng(...place)] : []);
   }
 
   // From the drone to the server that it uses; dashed while that is being checked.

@@ -112,6 +112,13 @@ export function paintTurn(context, colour, x, y) {
   draw(context, colour, 1.6);
 }
 
+// A photo whose answer is not there.
+export function paintOpen(context, colour, x, y, radius) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  draw(context, colour, 1.4, [2.5, 2.5]);
+}
+
 // The number of what was found there, in a pill with its middle there; a dot where there is no room for it.
 export function paintFinding(context, [ink, paper], number, isCurrent, x, y) {
   const width = number === null ? DOT_PX : pillWidth(number);
@@ -155,9 +162,9 @@ export function paintNumber(context, [colour, ground], words, x, y) {
 
 export const NUMBER_FONT = "11px system-ui, sans-serif";
 
-function draw(context, colour, width) {
+function draw(context, colour, width, dashes = []) {
   context.globalAlpha = 1;
-  context.setLineDash([]);
+  context.setLineDash(dashes);
   context.lineCap = context.lineJoin = "round";
   context.lineWidth = width;
   context.strokeStyle = colour;

@@ -12,6 +12,7 @@ export class Mosaic {
   #images = new Map(); // by shot, the last used at the end
   #places = new Map(); // by waypoint: where its call was computed
   #calls = 0;
+  #open = new Set(); // the waypoints whose answers are not there
   #story = null;
 
   // Of the flight of that log; `latLng` and `scale` say where a place is on the map, and how many pixels a metre takes.
@@ -38,6 +39,7 @@ export class Mosaic {
       paint: (context, index, x, y) => this.#paint(context, story.shot[index], x, y),
       reach: () => 2 * this.scale() * widthM(story.painted[0]),
     }).addTo(this.map);
+    this.#open = new Set(moment.open.map(({ waypoint }) => waypoint));
     this.#marks.show(count);
     this.#showPlaces(story, count, moment.count("call"));
   }
@@ -61,7 +63,8 @@ export class Mosaic {
     const place = this.#places.get(shot.waypoint);
     const colour = place ? this.places.colour(place) : this.places.colours.of("soft");
     const image = scale * widthM(shot.footprint_m) >= NEAR_PX && this.#isInView(x, y) ? this.#image(shot) : null;
-    context.setLineDash([]);
+    const isOpen = !place && this.#open.has(shot.waypoint);
+    context.setLineDash(isOpen ? [4, 4] : []);
     context.globalAlpha = 1;
     if (image) drawImage(context, image, corners);
     context.beginPath();
@@ -70,7 +73,7 @@ export class Mosaic {
     context.fillStyle = context.strokeStyle = colour;
     context.lineWidth = image ? 2 : 1;
     context.globalAlpha = TINT;
-    if (!image) context.fill();
+    if (!image && !isOpen) context.fill();
     context.globalAlpha = EDGE;
     context.stroke();
     context.globalAlpha = 1;

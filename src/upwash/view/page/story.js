@@ -4,7 +4,7 @@ import { told } from "./clock.js";
 import { byName } from "./places.js";
 import { Totals, countUntil } from "./totals.js";
 
-const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "motion", "link", "down", "vehicle", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said", "open", "beside"];
 export const STALE_S = 5; // a flight tells where it is every second: what it told longer ago says nothing about now
 const MOST_SERVERS = 100; // that a page shows
 const OVER_S = 3600; // without news, after which a flight is over, whatever its log says last
@@ -109,6 +109,9 @@ export class Story {
       case "call":
         this.#takeCall(fact);
         break;
+      case "started":
+        this.#open(fact);
+        break;
       case "amended":
         if (this.call[fact.number]) this.call[fact.number].words = fact.words;
         break;
@@ -125,7 +128,8 @@ export class Story {
         this.fix.push(fact);
         break;
       case "answer":
-        this.hidden.add("", fact.at_s, fact.hidden_s);
+        this.hidden.add("", fact.at_s, fact.hidden_s ?? 0);
+        this.#close(fact);
         this.answer.push(fact);
         break;
       case "shot":
@@ -146,18 +150,31 @@ export class Story {
     if (!stays) this.moved = fix;
   }
 
+  // The waypoint's answer is there, or no more expected.
+  #close({ waypoint, at_s }) {
+    const open = this.open.findLast((each) => each.waypoint === waypoint);
+    if (open?.until_s === Infinity) open.until_s = at_s;
+  }
+
+  #open(started) {
+    const [east_m, north_m] = this.plan?.waypoints_m[started.waypoint] ?? [this.fix.at(-1)?.east_m, this.fix.at(-1)?.north_m];
+    this.#close(started); // of a flight that was taken up again
+    this.open.push({ ...started, until_s: Infinity, east_m, north_m });
+  }
+
   #takeCall(call) {
-    const { at_s, operation, place, delay_s, waited_s } = call;
+    const { at_s, operation, place, delay_s, waited_s, queued_s = 0 } = call;
     this.longestS = Math.max(this.longestS, delay_s);
     this.operations.add(operation);
     this.delays.place.add(place, at_s, delay_s);
     this.delays.operation.add(operation, at_s, delay_s);
-    if (place === "local") this.delays.local.add(operation, at_s, delay_s - waited_s);
+    if (place === "local") this.delays.local.add(operation, at_s, delay_s - waited_s - queued_s);
     else {
       this.known.add(place);
       this.asked.add(place);
     }
     if (call.wait) this.waits.add("", at_s, waited_s);
+    this.#close(call);
     this.call.push(call);
   }
 
@@ -251,6 +268,11 @@ class Moment {
   get underWay() {
     const decision = this.isOver ? null : this.last("decision");
     return decision?.words && decision.number >= this.count("call") ? decision : null;
+  }
+
+  // The photos whose answers are not there.
+  get open() {
+    return this.story.open.slice(0, this.count("open")).filter(({ until_s }) => until_s > this.atS);
   }
 
   step(server) {
