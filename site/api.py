@@ -31,7 +31,8 @@ error is an `UpwashError`.
 """
 _SECTIONS = {
     "In a mission": (
-        *("Drone", "Pending", "Demand", "Vehicle", "Photographer", "Payload", "User", "Waypoint", "Position"),
+        *("Drone", "Pending", "Demand", "Vehicle", "Photographer", "Payload", "User"),
+        *("Waypoint", "Via", "Position"),
         *("Telemetry", "EarthPosition", "GeoPosition", "Velocity", "Attitude", "GpsFix"),
         *("PhotoPose", "Place", "Unplaced"),
     ),

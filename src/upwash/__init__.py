@@ -71,6 +71,7 @@ __all__ = [
     "User",
     "Vehicle",
     "Velocity",
+    "Via",
     "Waypoint",
     "compare",
     "once",
@@ -83,7 +84,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from upwash.core.camera.georeference import Place, Unplaced
-    from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Waypoint
+    from upwash.core.geo import EarthPosition, GeoPosition, Position, Velocity, Via, Waypoint
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User
     from upwash.drone.payload import Payload
@@ -99,7 +100,7 @@ if TYPE_CHECKING:
     from upwash.rpc.service import once, service
 else:
     _NAMES = {
-        "upwash.core.geo": ("EarthPosition", "GeoPosition", "Position", "Velocity", "Waypoint"),
+        "upwash.core.geo": ("EarthPosition", "GeoPosition", "Position", "Velocity", "Via", "Waypoint"),
         "upwash.lab.least_time": ("Bound", "FleetBound"),
         "upwash.core.vehicle.telemetry": ("Attitude", "GpsFix", "Telemetry"),
         "upwash.drone.api": ("Drone", "User"),

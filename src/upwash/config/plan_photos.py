@@ -27,7 +27,7 @@ _STRAIGHT_M = (
     0.3  # beside a straight way: coordinates have centimetres, and rows on the Earth are not quite straight
 )
 _MOST_LEGS = 50  # of a straight way, so that each is compared with few others
-_ROUNDING = 0.01  # of the distance between spots: by so much a leg may be too short for its last photo
+_ROUNDING = 0.01  # the share of the distance between spots that a leg may lack for its last photo
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,7 @@ class EarthPosition:
 
 @dataclass(frozen=True, slots=True)
 class Via:
-    """A place without a photo on the way to a waypoint; the drone rests there for `hold_s`, or only as it turns.
+    """A place without a photo on the way to a waypoint, where the drone comes to rest and hovers for `hold_s`.
 
     `ground_speed_m_s` is the speed of the way there, None for the current speed.
     """

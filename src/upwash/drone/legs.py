@@ -23,7 +23,7 @@ _SHORT_M = 1.0  # a leg whose end is not seen to be passed
 class Legs:
     """Flies one leg after the other, and knows where the vehicle was last sent to.
 
-    `limits` are the vehicle's, as they were read before arming. `stands_at` is where exactly it was sent, which is
+    `limits` are the vehicle's own, read before arming. `stands_at` is where exactly it was sent, which is
     not quite where it is; None on a leg. `ground_speed_m_s` is the speed as it was last set, None for the configured
     one.
     """

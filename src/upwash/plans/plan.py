@@ -55,8 +55,7 @@ class PhotoTrigger:
     """A command to the camera, by its item, as the file has it: numbers may make no sense.
 
     Photos each `every_m` metres or each `every_s` seconds of flight begin at the waypoint before it, `most` of them
-    at most, and end at the waypoint before the next command that does not leave them on. `now` is a photo at that
-    waypoint.
+    at most. They end at the waypoint before the next command, unless that `leaves_on`. `now` is a photo at once.
     """
 
     item: int

@@ -84,7 +84,7 @@ class MissionBeliefs:
 
 
 class PlannedLeg(Struct, frozen=True):
-    """A leg between two places, and when it was begun, if it was; `hold_s` at its end is no waypoint's."""
+    """A leg between two places, and when it was begun; the drone hovers for `hold_s` at a place without a call."""
 
     start: Position
     end: Position
@@ -344,7 +344,7 @@ class MissionModel:
         for server in entries[-1].servers:
             for begun_s, leg, found in zip(begins_s[-2::-1], reversed(legs), reversed(entries), strict=True):
                 way_m = next((way_m for name, way_m in found.entered_m if name == server), None)
-                if server not in found.servers:  # it is entered as the leg after this one begins
+                if server not in found.servers:  # entered as the next leg begins
                     way_m = leg.leg.length_m
                 if way_m is not None:
                     entered_s.append((server, begun_s + leg.leg.reached_s(way_m)))
