@@ -227,7 +227,7 @@ def test_it_says_why_the_drone_went_on_and_how_far_it_turned_back(
     lines = explanation(capsys, flown(tmp_path, "go"))
     assert of_waypoint(lines, 0)[4:6] == [
         "    the drone went on before the answer: it always goes; to go saves 3.00 s where the answer demands "
-        "nothing, and costs 9.00 s where it does, by the last ones with a chance of 25 %",
+        "nothing, and costs 9.00 s where it does, by earlier answers with a chance of 25 %",
         "    the answer was taken at 0:20, and demanded nothing",
     ]
     assert "    the answer demanded something: the drone turned back, and flew 9.0 m" in of_waypoint(lines, 1)

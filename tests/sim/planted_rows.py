@@ -9,7 +9,9 @@ from msgspec.structs import replace
 from tests.sim.planting import plant, planted
 
 from upwash.config import DroneConfig
+from upwash.core.geo import Position
 from upwash.core.operation import Operation
+from upwash.core.planning.demand_map import DemandMap
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
 from upwash.drone.rows import Rows
@@ -25,6 +27,12 @@ def acts_on_the_row(come_back: Any, self: AnswerAction[Any], waited_s: float) ->
         self.finish(waited_s)
     else:
         come_back(self, waited_s)
+
+
+@planted("the map of demands does not count answers that demand nothing", DemandMap, "note")
+def counts_demands_only(note: Any, self: DemandMap, position: Position, *, demanded: bool) -> None:
+    if demanded:
+        note(self, position, demanded=demanded)
 
 
 @planted("of several demands on a row one is met", Rows, "_meet")

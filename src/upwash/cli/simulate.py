@@ -48,6 +48,7 @@ ARGUMENTS = {
     "--log FILE": "where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
     "--keep-coverage": "write what was measured of servers without a range to network.coverage_map, as a "
     "flight does",
+    "--keep-demands": "write the places of demands to policy.demand_map, as a flight does",
     **figures_with("the map and the call delays"),
 }
 
@@ -65,7 +66,11 @@ def run(options: argparse.Namespace) -> None:
 def _run_one(options: argparse.Namespace) -> None:
     figures = figures_of(options)
     simulation = simulate(
-        options.scenario, policy=options.policy, seed=options.seed, keep_coverage=options.keep_coverage
+        options.scenario,
+        policy=options.policy,
+        seed=options.seed,
+        keep_coverage=options.keep_coverage,
+        keep_demands=options.keep_demands,
     )
     if options.json:
         _print_json(_as_object(simulation))

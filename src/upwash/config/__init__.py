@@ -60,6 +60,8 @@ from upwash.config.places import (
     altitudes_above_sea,
     coverage_kept,
     coverage_of,
+    demand_map_of,
+    demands_kept,
     ending,
     frame_of,
     geofence,

@@ -7,6 +7,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from upwash.config.coverage import CoverageFile
+from upwash.config.demand_map import DemandFile
 from upwash.config.drone import (
     AutopilotConfig,
     CameraConfig,
@@ -60,6 +62,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from name_problems("server", [server.name for server in config.servers])
     yield from _network_problems(config.network)
     yield from _coverage_problems(config)
+    yield from _demand_map_problems(config)
     for index, service in enumerate(config.services):
         key = f"service[{index}]"
         yield from _key_problems(f"{key}.local_pace_s", service, service.local_pace_s)
@@ -357,12 +360,21 @@ def _coverage_problems(config: DroneConfig) -> Iterator[Problem]:
     if not measured_servers(config):
         yield key, 'no server has range_m = "measured", so there is nothing to keep: leave it out'
     elif not known.is_empty and known.has_home != (home is not None):
-        its, ours = ("a", "none") if known.has_home else ("no", "one")
-        yield (
-            key,
-            f"{known.file} was measured around {its} home, and the mission has {ours}: "
-            "name a map of this field, or give mission.home as it was then",
-        )
+        yield key, _another_home(known)
+
+
+def _demand_map_problems(config: DroneConfig) -> Iterator[Problem]:
+    known, home = config.policy.demand_map, config.mission.home
+    if known is not None and not known.is_empty and known.has_home != (home is not None):
+        yield "policy.demand_map", _another_home(known)
+
+
+def _another_home(known: CoverageFile | DemandFile) -> str:
+    its, ours = ("a", "none") if known.has_home else ("no", "one")
+    return (
+        f"{known.file} was measured around {its} home, and the mission has {ours}: "
+        "name a map of this field, or give mission.home as it was then"
+    )
 
 
 def _times_problems(

@@ -256,6 +256,8 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `true` with `look-ahead`."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
     """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
+    demand_map: values.DemandPath | None = None
+    """A file, kept between flights, with the places of demands, for `stay_or_go`."""
 
     def __post_init__(self) -> None:
         if self.blacklist_s is not None and self.probe is not None:

@@ -7,7 +7,7 @@ altitude of its own home.
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -27,6 +27,7 @@ from upwash.core.geo import (
     ground_distance_m,
 )
 from upwash.core.knowledge.coverage import Coverage
+from upwash.core.planning.demand_map import DemandMap, near_m
 from upwash.core.planning.order import Sweep, sweeps
 from upwash.core.vehicle.geofence import Fence
 from upwash.plans import Ending, FlightPlan
@@ -255,6 +256,19 @@ def coverage_kept(config: DroneConfig, coverage: Coverage) -> None:
     file = config.network.coverage_map
     if file is not None:
         file.keep(coverage, _around(config.mission))
+
+
+def demand_map_of(config: DroneConfig, plan: Sequence[Waypoint]) -> DemandMap | None:
+    """Where earlier flights' answers had demands; None where the configuration names no file."""
+    file = config.policy.demand_map
+    return None if file is None else DemandMap(file.places(_around(config.mission)), near_m=near_m(plan))
+
+
+def demands_kept(config: DroneConfig, known: DemandMap) -> None:
+    """Writes the map to its file, where the configuration names one; raises NotWritten."""
+    file = config.policy.demand_map
+    if file is not None:
+        file.keep(known, _around(config.mission))
 
 
 def _reach(server: ServerConfig, config: DroneConfig, radius_m: float | None) -> Reach:

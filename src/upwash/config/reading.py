@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from upwash.config.coverage import CoverageFile
+from upwash.config.demand_map import DemandFile
 from upwash.config.problems import Problem, impossible_values
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
@@ -50,12 +51,12 @@ def convert(
     """
     folder = file.absolute().parent
 
-    def resolve(kind: type, value: object) -> Path | CoverageFile | PlanFile | SettingsTable:
+    def resolve(kind: type, value: object) -> Path | CoverageFile | DemandFile | PlanFile | SettingsTable:
         if kind is SettingsTable and isinstance(value, dict):
             return SettingsTable(file, value)
-        if kind not in (Path, CoverageFile, PlanFile) or not isinstance(value, str) or not value:
+        if kind not in (Path, CoverageFile, DemandFile, PlanFile) or not isinstance(value, str) or not value:
             raise ValueError
-        of_file: type[Path | CoverageFile | PlanFile] = kind
+        of_file: type[Path | CoverageFile | DemandFile | PlanFile] = kind
         return of_file(folder / value)
 
     try:

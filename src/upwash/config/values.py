@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from upwash.config.coverage import CoverageFile
+from upwash.config.demand_map import DemandFile
 from upwash.core.planning.order import SWEEPS
 from upwash.plans import FlightPlan, read_plan
 
@@ -70,6 +71,9 @@ class SettingsTable:
 
 CoveragePath = Annotated[
     CoverageFile, Meta(description="a coverage map's path, absolute or from this file's folder")
+]
+DemandPath = Annotated[
+    DemandFile, Meta(description="a path of a map of demands, absolute or from this file's folder")
 ]
 Settings = Annotated[SettingsTable, Meta(description="a table of what the service's constructor takes")]
 PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]

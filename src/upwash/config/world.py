@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from upwash.config import values
+from upwash.core.geo import Circle, Position
 
 Level = Annotated[float, Meta(ge=0, lt=100, description="a number from 0 to below 100, in percent")]
 ShiftInMetres = Annotated[
@@ -53,6 +54,24 @@ class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Servers that this server can announce a drone to."""
 
 
+class EventAreaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Simulation: a circle with a share of demanding answers of its own."""
+
+    east_m: float
+    """Its centre, in metres east of home."""
+    north_m: float
+    """Its centre, in metres north of home."""
+    radius_m: values.Positive
+    """Its radius, in metres."""
+    probability: values.Fraction
+    """The probability at each waypoint in it."""
+
+    @property
+    def circle(self) -> Circle:
+        """The area."""
+        return Circle(Position(self.east_m, self.north_m), self.radius_m)
+
+
 class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Simulation: the waypoints whose answers demand an action."""
 
@@ -62,8 +81,18 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """See `every`."""
     probability: values.Fraction | None = None
     """At each waypoint with this probability, in place of `every`."""
+    areas: Annotated[tuple[EventAreaConfig, ...], Meta(description="tables, each a circle")] = ()
+    """Circles with a probability of their own; in several at the same time, the first counts."""
+
+    def chance(self, place: Position) -> float:
+        """The probability of a demand at a place, where no waypoint is counted."""
+        around = (area for area in self.areas if area.circle.contains(place))
+        area = next(around, None)
+        return (self.probability if area is None else area.probability) or 0.0
 
     def __post_init__(self) -> None:
+        if self.areas and self.probability is None:
+            raise ValueError("areas go with a probability outside them: give it, in place of every")
         if (self.every is None) == (self.probability is None):
             raise ValueError("give one of every (with an offset) and probability")
         if self.every is not None and self.offset >= self.every:

@@ -10,7 +10,16 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.config import DroneConfig, ending, geofence, leaving, pace_in_numbers, server_areas, told_pace
+from upwash.config import (
+    DroneConfig,
+    demand_map_of,
+    ending,
+    geofence,
+    leaving,
+    pace_in_numbers,
+    server_areas,
+    told_pace,
+)
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
 from upwash.core.planning.order import Order
@@ -121,7 +130,8 @@ class Flight:
         self._onboard = _onboard_services(config, programs, ports)
         selection = make_selection(config, specs, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
-        self._stay_rule = StayRule(config.policy.stay_or_go)
+        self.demand_map = demand_map_of(config, self._plan)
+        self._stay_rule = StayRule(config.policy.stay_or_go, self.demand_map)
         self._offloading = _offloading(config, selection, ports, self._onboard)
         self._vehicle = Vehicle(
             ports.autopilot,

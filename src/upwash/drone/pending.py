@@ -358,7 +358,8 @@ class AnswerAction(Generic[T]):
         """Take the answer, and act if it has a demand."""
         self.is_over = True
         demanded = self.demand.holds()
-        self._rule.answered(self.pending.took_s, demanded=demanded)
+        place = position_of(self.place) if self.place is not None else None
+        self._rule.answered(self.pending.took_s, demanded=demanded, place=place)
         self.pending._take(waited_s, demanded=demanded)
         if not demanded:
             return
@@ -399,12 +400,12 @@ class AnswerActions:
             self._vehicle.leave_open(answer)
             return
         if self._rule.manner != "stay" and not demand.pending.done():
-            verdict = self._calls.do(self._judge())
+            verdict = self._calls.do(self._judge(answer.place))
             self._calls.note(schema.StayOrGo(waypoint=answer.waypoint, **asdict(verdict)))
             if verdict.goes:
                 self._vehicle.leave_open(answer)
                 return
         answer.settle()
 
-    async def _judge(self) -> StayVerdict:
-        return self._rule.decide(self._outlook())
+    async def _judge(self, place: Place | None) -> StayVerdict:
+        return self._rule.decide(self._outlook(), position_of(place) if place is not None else None)

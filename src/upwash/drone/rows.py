@@ -314,7 +314,8 @@ class Rows:
                 rule.answer_s,
                 rules.photo_s,
                 rests_anyway=spot.position == spot.row_end,
-            )
+            ),
+            spot.position,
         )
         self._note(schema.StayOrGo(waypoint=spot.index, **asdict(verdict)))
         return not verdict.goes

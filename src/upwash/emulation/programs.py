@@ -26,6 +26,7 @@ from upwash.config import (
     told_in_numbers,
 )
 from upwash.config.coverage import CoverageFile
+from upwash.config.demand_map import DemandFile
 from upwash.config.values import PlanFile
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.namespaces import inside, make_namespace
@@ -137,7 +138,7 @@ def daemon_config(
 
 
 def _as_text(value: object) -> str:
-    if isinstance(value, CoverageFile | PlanFile):
+    if isinstance(value, CoverageFile | DemandFile | PlanFile):
         return str(value.file.absolute())
     if isinstance(value, Path):
         return str(value)

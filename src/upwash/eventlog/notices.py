@@ -234,6 +234,9 @@ _BEGUN: Mapping[type[Event], Notice] = {  # the notice that an event begins, wit
     schema.CoverageNotKept: Notice(
         "coverage", "The coverage map is as it was before the flight: {event.why}"
     ),
+    schema.DemandsNotKept: Notice(
+        "demands", "The map of demands is as it was before the flight: {event.why}"
+    ),
 }
 
 

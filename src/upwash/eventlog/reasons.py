@@ -288,7 +288,7 @@ def _going_text(going: schema.StayOrGo) -> str:
         return f"the drone {did}: {going.why}"
     return (
         f"the drone {did}: {going.why}; to go saves {going.saved_s:.2f} s where the answer demands nothing, and "
-        f"costs {going.lost_s:.2f} s where it does, by the last ones with a chance of {100 * going.chance:.0f} %"
+        f"costs {going.lost_s:.2f} s where it does, by earlier answers with a chance of {100 * going.chance:.0f} %"
     )
 
 

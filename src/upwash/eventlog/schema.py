@@ -611,6 +611,10 @@ class CoverageNotKept(_Explained, frozen=True, kw_only=True):
     """The coverage map could not be written; only the log has this flight's measurements."""
 
 
+class DemandsNotKept(_Explained, frozen=True, kw_only=True):
+    """The map of demands could not be written: `policy.demand_map` is as before the flight."""
+
+
 class HandoverTrouble(Event, frozen=True, kw_only=True, omit_defaults=True):
     """A program or address of `[user]` does not take findings, and why; without a reason it takes them again."""
 

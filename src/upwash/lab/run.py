@@ -29,6 +29,7 @@ from upwash.config import (
 )
 from upwash.core.geo import Position, Reach
 from upwash.core.knowledge.coverage import Coverage
+from upwash.core.planning.demand_map import DemandMap
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NetworkCell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
@@ -64,7 +65,7 @@ class Run:
     """One simulated mission: its events, its result, and the times in range of each server.
 
     `failure` says why it was not completed; `vanished` is whether the scenario had the drone vanish. `coverage` is
-    the coverage of servers without a range after the mission.
+    the coverage of servers without a range after the mission, and `demand_map` where answers had demands.
     """
 
     events: KeptEvents
@@ -73,6 +74,7 @@ class Run:
     failure: str = ""
     vanished: bool = False
     coverage: Coverage | None = None
+    demand_map: DemandMap | None = None
 
     def log(self) -> bytes:
         """The event log, as the flying drone would have written it."""
@@ -135,6 +137,7 @@ class _End(NamedTuple):
     failure: str = ""
     vanished: bool = False
     coverage: Coverage | None = None
+    demand_map: DemandMap | None = None
 
 
 class _Drone:
@@ -209,13 +212,13 @@ async def _fly_one(
     except MissionFailed:
         raise
     except UpwashError as error:
-        return _End(str(error), coverage=flight.coverage)
+        return _End(str(error), coverage=flight.coverage, demand_map=flight.demand_map)
     finally:
         observe("flight_over", altitude_m=autopilot.position.altitude_m)
         await autopilot.close()
     if journal.life.is_over:
         return _End(f"the drone vanished at {presence.vanishes_s:g} s, as its vanishes_s says", True)
-    return _End(coverage=flight.coverage)
+    return _End(coverage=flight.coverage, demand_map=flight.demand_map)
 
 
 def _ports(

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
-from upwash.config import DroneConfig, coverage_kept, fleet_of
+from upwash.config import DroneConfig, coverage_kept, demands_kept, fleet_of
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import Event
@@ -41,13 +41,14 @@ def simulate(
     seed: int | None = None,
     overrides: Mapping[str, object] | None = None,
     keep_coverage: bool = False,
+    keep_demands: bool = False,
 ) -> Simulation:
     """Simulates one mission on virtual time: the same scenario and seed give the same mission.
 
     The scenario is a TOML file, or its tables as a dict, whose paths count from the current folder. A policy or a
     seed stands in for the scenario's, and `overrides` for other values of it, by keys such as `server.s1.range_m`:
     those of `upwash campaign --set`. With `keep_coverage` the scenario's `network.coverage_map` is written at the
-    end, as by a flight.
+    end, and with `keep_demands` its `policy.demand_map`, as by a flight.
 
     ConfigError for a scenario that cannot be flown, UsageError for what cannot be simulated, and MissionFailed for a
     mission program with a bug. What else ends a mission early is the result's `failure`. A scenario of several drones
@@ -61,7 +62,11 @@ def simulate(
         )
     if keep_coverage and config.network.coverage_map is None:
         raise UsageError(f"{name_of(scenario)} names no file for its coverage map: give network.coverage_map")
+    if keep_demands and config.policy.demand_map is None:
+        raise UsageError(f"{name_of(scenario)} names no file for its map of demands: give policy.demand_map")
     run = fly(config)
+    if keep_demands and run.demand_map is not None:
+        demands_kept(config, run.demand_map)
     if keep_coverage and run.coverage is not None:
         coverage_kept(config, run.coverage)
     return simulation_of(run, config, bound_of(run, config), scenario=name_of(scenario))

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, UserConfig, altitudes_above_sea, coverage_kept, unsigned_port
+from upwash.config import (
+    DroneConfig,
+    UserConfig,
+    altitudes_above_sea,
+    coverage_kept,
+    demands_kept,
+    unsigned_port,
+)
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
@@ -113,15 +120,20 @@ async def fly(
         try:
             await flight.run()
         finally:
-            _keep_coverage(config, flight, journal)
+            _keep_maps(config, flight, journal)
 
 
-def _keep_coverage(config: DroneConfig, flight: Flight, journal: Journal) -> None:
+def _keep_maps(config: DroneConfig, flight: Flight, journal: Journal) -> None:
     try:
         if flight.coverage is not None:
             coverage_kept(config, flight.coverage)
     except NotWritten as error:
         journal.record(schema.CoverageNotKept(why=str(error)))
+    try:
+        if flight.demand_map is not None:
+            demands_kept(config, flight.demand_map)
+    except NotWritten as error:
+        journal.record(schema.DemandsNotKept(why=str(error)))
 
 
 async def _autopilot(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from statistics import fmean
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig
+from upwash.config import Document, DroneConfig, waypoints
 from upwash.lab.campaigns.campaign import Fly, fly_sweep
 from upwash.lab.campaigns.sweep import Combination, ParameterSweep
 from upwash.support.confidence import Mean
@@ -51,7 +52,10 @@ def demanding_share(config: DroneConfig) -> float | None:
         return None
     if config.event is None:
         return 0.0
-    return config.event.probability if config.event.every is None else 1 / config.event.every
+    if config.event.every is not None:
+        return 1 / config.event.every
+    chances = [config.event.chance(waypoint.position) for waypoint in waypoints(config.mission)]
+    return fmean(chances) if config.event.areas else config.event.probability
 
 
 def told_share(config: DroneConfig) -> str:

@@ -93,5 +93,5 @@ def eventful(event: EventConfig | None, waypoints: Sequence[Waypoint], chance: C
     return [
         waypoint
         for waypoint in waypoints
-        if chance.stream(f"event/{waypoint.index}").random() < (event.probability or 0.0)
+        if chance.stream(f"event/{waypoint.index}").random() < event.chance(waypoint.position)
     ]

@@ -11,6 +11,7 @@ Laws:
     schedule        the quickest sequence of servers
     order           the order of the waypoints
     stay_or_go      whether to fly on before an answer is there
+    demand_map      the chance of a demand at a place
 
 What is ugly: the search of `schedule` keeps two of many sets of started services, as all of them would be too many.
 """

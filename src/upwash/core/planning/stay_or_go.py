@@ -9,7 +9,8 @@ On a row (drone/rows.py) the drone goes, without a stop at the next spots, by th
 
 Laws:
 - the drone stays at the last waypoint, and at every waypoint without a known successor;
-- the chance is learnt from the last answers alone: (demands + 1) / (answers + 4), a quarter before the first;
+- the chance is learnt from the last answers alone: (demands + 1) / (answers + 4), a quarter before the first; with a
+  map of demands (demand_map.py) it is the chance at the place of the photo;
 - a call that would lose its server on the way is expected to end on the drone.
 """
 
@@ -21,6 +22,8 @@ from typing import Literal, TypeAlias
 
 from msgspec import Struct
 
+from upwash.core.geo import Position
+from upwash.core.planning.demand_map import DemandMap
 from upwash.core.planning.legs import Leg
 
 Manner: TypeAlias = Literal["stay", "go", "learn"]
@@ -94,38 +97,48 @@ class StayVerdict(Struct, frozen=True):
 
 
 class StayRule:
-    """Decides at each waypoint, and learns from each answer."""
+    """Decides at each waypoint, and learns from each answer; with a map of demands by the place of the photo."""
 
-    def __init__(self, manner: Manner) -> None:
+    def __init__(self, manner: Manner, demand_map: DemandMap | None = None) -> None:
         self.manner = manner
+        self.demand_map = demand_map
         self._demands: deque[bool] = deque(maxlen=_WINDOW)
         self._took_s: deque[float] = deque(maxlen=_WINDOW)
 
     @property
     def chance(self) -> float:
         """The chance of a demand, from 0 to 1, by the last 40 answers."""
-        return (sum(self._demands) + _DEMANDS) / (len(self._demands) + _ANSWERS)
+        before = self.demand_map.before if self.demand_map is not None else _DEMANDS / _ANSWERS
+        return (sum(self._demands) + _ANSWERS * before) / (len(self._demands) + _ANSWERS)
 
     @property
     def answer_s(self) -> float | None:
         """The median of the last 40 delays of answers; None before the first."""
         return median(self._took_s) if self._took_s else None
 
-    def answered(self, took_s: float, *, demanded: bool) -> None:
-        """Add an answer, its delay, and whether it had a demand."""
+    def answered(self, took_s: float, *, demanded: bool, place: Position | None = None) -> None:
+        """Add an answer, its delay, whether it had a demand, and where its photo was taken."""
+        if self.demand_map is not None and place is not None:
+            self.demand_map.note(place, demanded=demanded)
         self._demands.append(demanded)
         self._took_s.append(took_s)
 
-    def decide(self, outlook: Outlook | RowOutlook | None) -> StayVerdict:
-        """Decide whether the drone goes; `outlook` is None if no next waypoint is known."""
+    def decide(self, outlook: Outlook | RowOutlook | None, place: Position | None = None) -> StayVerdict:
+        """Decide whether the drone goes; `outlook` is None if no next waypoint is known.
+
+        `place` is where the photo of the open call was taken.
+        """
+        chance = self.chance
+        if self.demand_map is not None and place is not None:
+            chance = self.demand_map.chance(place, chance)
         if self.manner == "stay":
-            return StayVerdict(False, "it always stays", self.chance)
+            return StayVerdict(False, "it always stays", chance)
         if outlook is None:
-            return StayVerdict(False, "no waypoint is known to follow", self.chance)
+            return StayVerdict(False, "no waypoint is known to follow", chance)
         saved_s, lost_s = outlook.saved_s, outlook.lost_s
         if self.manner == "go":
-            return StayVerdict(True, "it always goes", self.chance, saved_s, lost_s)
-        gain_s = (1 - self.chance) * saved_s - self.chance * lost_s
+            return StayVerdict(True, "it always goes", chance, saved_s, lost_s)
+        gain_s = (1 - chance) * saved_s - chance * lost_s
         goes = gain_s > 0
         why = f"going {'gains' if goes else 'costs'} {abs(gain_s):.2f} s on average"
-        return StayVerdict(goes, why, self.chance, saved_s, lost_s)
+        return StayVerdict(goes, why, chance, saved_s, lost_s)

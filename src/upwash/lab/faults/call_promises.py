@@ -11,6 +11,7 @@ import msgspec
 
 from upwash.config import DroneConfig, waypoints
 from upwash.core.geo import Position, ground_distance_m
+from upwash.core.planning.demand_map import DemandMap
 from upwash.drone.resumption import waypoints_done
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -249,11 +250,25 @@ def answers(history: History) -> Iterator[Breach]:
     for event in history.run.events:
         if isinstance(event, schema.StayOrGo) and event.goes and event.waypoint == len(places) - 1:
             yield event, "it flew on from the last waypoint"
+    if history.run.demand_map is not None:
+        yield from _miscounted(history.run.demand_map, history.run.events)
     if history.run.result.completed:
         done = sorted(action.done for _, action in _done(history.run.events))
         wanted = [number for number in range(len(places)) if demands_something(program, number)]
         if done != wanted:
             yield None, f"actions {wanted} were demanded, and {done} done"
+
+
+def _miscounted(known: DemandMap, events: Sequence[Event]) -> Iterator[Breach]:
+    """A mission that ends between the count and its event has one more answer in its map."""
+    taken = [event for event in events if isinstance(event, schema.AnswerTaken)]
+    places = list(known.places())
+    for what, count, logged in (
+        ("answers", sum(place.answers for place in places), len(taken)),
+        ("demands", sum(place.demands for place in places), sum(event.demanded for event in taken)),
+    ):
+        if not logged <= count <= logged + 1:
+            yield None, f"the map of demands counts {count:g} {what}, and the log {logged}"
 
 
 def _done_elsewhere(events: Sequence[Event], places: Sequence[Position], near_m: float) -> Iterator[Breach]:

@@ -26,6 +26,7 @@ _SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full",
 _USELESS_KINDS = ("hung", "poisoned", "unstartable")
 _MOVING_KINDS = ("off", "stuck", "slow", "flapping")
 _LIES = get_args(Lie)
+_NO_MAP = "no such folder/demands.json"  # of demands: as before the first flight
 _LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
 _INCIDENTS = {  # how long each lasts, in seconds
     "diverted": (_LONGEST_FAULT_S,),
@@ -287,8 +288,14 @@ def _with_pending_calls(document: Document, chance: random.Random) -> Document:
     return {
         **document,
         "mission": {**document["mission"], "program": f"{probing.__name__}:look_later"},
-        "policy": {**document["policy"], "stay_or_go": chance.choice(("stay", "go", "learn"))},
+        "policy": _that_goes(document, chance),
     }
+
+
+def _that_goes(document: Document, chance: random.Random) -> Document:
+    """The policy of a drone that may fly on before answers; in half of the worlds by the place."""
+    policy = {**document["policy"], "stay_or_go": chance.choice(("stay", "go", "learn"))}
+    return policy if document["seed"] % 2 else {**policy, "demand_map": _NO_MAP}
 
 
 def _with_radios(document: Document, chance: random.Random) -> Document:
@@ -315,7 +322,7 @@ def _with_rows(document: Document, chance: random.Random) -> Document:
             "waypoints_m": _rows(chance),
             "photos": photos,
         },
-        "policy": {**document["policy"], "stay_or_go": chance.choice(("stay", "go", "learn"))},
+        "policy": _that_goes(document, chance),
     }
 
 
