@@ -72,14 +72,15 @@ def fly(
     after: Part | None = None,
     killed_at_s: float = 1e6,
     mission: Callable[[Drone], None] = survey,
-    autopilot: type[ModelAutopilot] = ModelAutopilot,
+    autopilot: Callable[..., ModelAutopilot] = ModelAutopilot,
     runtime: type[ModelRuntime] = ModelRuntime,
     camera: type[ModelCamera] = ModelCamera,
     shows: Sequence[Position] = (),
+    stopped_at_s: float | None = None,
 ) -> Part:
     """Flies from the beginning, or on from where an earlier part was killed, until it ends or is killed.
 
-    The photos of the places that it `shows` have something to see.
+    The photos of the places that it `shows` have something to see. At `stopped_at_s` a person ends the mission.
     """
     earlier = after.events if after else []
     part = Part(earlier, after.position if after else None)
@@ -117,6 +118,8 @@ def fly(
             order=order_begun(earlier, config) if after else None,
         )
         life = asyncio.create_task(flight.run())
+        if stopped_at_s is not None:
+            asyncio.get_running_loop().call_at(stopped_at_s, flight.stop, "Ctrl-C")
         await asyncio.wait([life], timeout=killed_at_s)
         part.events = [
             *earlier,

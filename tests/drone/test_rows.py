@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 from unittest.mock import patch
 
 import pytest
+from msgspec.structs import replace
 from tests.drone.test_pending import in_the_air, of
 from tests.drone.test_resume import Part, fly, scenario
 
 from upwash import Drone, Position, Waypoint
+from upwash.config import FaultConfig
 from upwash.core.geo import ground_distance_m
 from upwash.drone.decisions import Decisions
-from upwash.errors import CameraError
+from upwash.errors import AutopilotOverruled, CameraError, MissionStopped, ReserveReached
 from upwash.eventlog import schema
 from upwash.ports import Photo
 from upwash.rpc.service import Method
 from upwash.services import Detector
+from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera
 
 # Two rows of 100 m, 20 m apart, a photo each 20 m at 4 m/s: 12 spots, from 0 to 5 and from 6 to 11. A call on the
@@ -234,6 +239,88 @@ def test_killed_on_a_row_it_takes_again_the_photos_without_an_answer(killed_at_s
 
 def after_resumption(both: Part, first: Part) -> list[Any]:
     return both.events[len(first.events) :]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """A moment after an event, and the waypoints whose answers are open then, and whose demands are not met."""
+
+    kind: type[schema.Event]
+    waypoint: int | None
+    later_s: float
+    open: list[int]
+    demanding: list[int]
+    at_most: int = 100
+
+
+# Answers are 10 s late, and those of spots 2 and 8 have a demand, met in 5 s.
+ENDINGS = {
+    "on a row": Ending(schema.Arrived, 3, 2.0, [1, 2, 3], []),
+    "on a detour": Ending(schema.TurnedBack, 2, 2.0, [3, 4, 5], [2]),
+    "at an action": Ending(schema.Notified, None, 2.0, [3, 4, 5], [2]),
+    "at a wait": Ending(schema.PhotosWait, None, 3.0, [0, 1], [], at_most=2),
+    "at the last answers": Ending(schema.Acted, 8, 1.0, [11], []),
+}
+
+
+@pytest.mark.parametrize("moment", ENDINGS)
+@pytest.mark.parametrize("by", ["Ctrl-C", "the reserve", "the pilot"])
+def test_a_flight_ended_on_a_row_names_what_is_open_and_is_taken_up_again(moment: str, by: str) -> None:
+    shows = [PLAN[2], PLAN[8]]
+    ending = ENDINGS[moment]
+    config = scenario(waypoints_m=ROWS, photos={"every_m": 20.0, "at_most": ending.at_most}, action_s=5.0)
+    whole = of(fly(config, shows=shows).events, ending.kind)
+    began = [event for event in whole if ending.waypoint in (None, getattr(event, "waypoint", None))]
+    at_s = began[0].t + ending.later_s
+    first = ended(config, by, at_s, shows)
+    assert not first.result.completed
+    assert (first.result.not_looked_at, first.result.not_acted_on) == (ending.open, ending.demanding)
+    assert first.result.failed_calls == []
+    ended_s = max(at_s, max((event.t for event in of(first.events, schema.Stopping)), default=0.0))
+    after = [event for event in first.events if event.t > ended_s]
+    assert not [
+        event for event in after if isinstance(event, schema.Call | schema.AnswerTaken | schema.PhotoTaken)
+    ]
+    assert of(after, schema.SetOff) == []
+    assert first.position is not None and first.position.altitude_m == 0.0
+    both = fly(config, after=first, shows=shows)
+    assert both.error is None and both.result.completed and both.result.undone == []
+    assert sorted(event.waypoint for event in of(both.events, schema.Acted)) == [2, 8]
+
+
+def test_an_action_that_goes_on_after_the_stop_is_not_noted_as_done() -> None:
+    def program(drone: Drone, detector: Detector) -> None:
+        def act(_: object) -> None:
+            with contextlib.suppress(MissionStopped):
+                drone.autopilot.hover(5.0)
+
+        def at_spot(_: Waypoint, photo: bytes) -> None:
+            drone.stay_or_go(drone.start(detector.process_photo, photo, mode="light"), act)
+
+        photograph_each(drone, at_spot)
+
+    whole = fly(rows(), mission=in_the_air(program), shows=[PLAN[2]])
+    arrived_s = next(event.t for event in of(whole.events, schema.AnswerTaken) if event.demanded)
+    part = fly(rows(), mission=in_the_air(program), shows=[PLAN[2]], stopped_at_s=arrived_s + 1.0)
+    assert isinstance(part.error, MissionStopped)
+    assert part.result.not_acted_on == [2] and of(part.events, schema.Acted) == []
+
+
+def ended(config: Any, by: str, at_s: float, shows: list[Position]) -> Part:
+    match by:
+        case "the reserve":  # is looked at once a second
+            percent = 100.0 - 100.0 * (at_s - 0.5) / 1e3
+            config = replace(config, mission=replace(config.mission, reserve_percent=percent))
+            part = fly(config, shows=shows, autopilot=partial(ModelAutopilot, endurance_s=1e3))
+            assert isinstance(part.error, ReserveReached)
+        case "the pilot":
+            takes = FaultConfig(target="autopilot", kind="pilot", from_s=at_s)
+            part = fly(config, shows=shows, autopilot=partial(ModelAutopilot, incidents=[takes]))
+            assert isinstance(part.error, AutopilotOverruled)
+        case _:
+            part = fly(config, shows=shows, stopped_at_s=at_s)
+            assert isinstance(part.error, MissionStopped)
+    return part
 
 
 def test_a_resumed_row_with_gaps_is_flown_without_stops() -> None:
