@@ -170,7 +170,7 @@ class Legs:
                 east_m=position.east_m,
                 north_m=position.north_m,
                 passing=position != end,
-                hold_s=place.hold_s if isinstance(place, Waypoint) else 0.0,
+                **({"hold_s": place.hold_s} if isinstance(place, Waypoint) and place.hold_s else {}),
             )
         )
         return True

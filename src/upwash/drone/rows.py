@@ -19,6 +19,7 @@ import itertools
 import math
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from msgspec.structs import asdict
@@ -165,11 +166,11 @@ class Rows:
             row_end = None if self._stays else self._row_end_from_here(place)
             self._set_off(row_end or position_of(place), _speed_of(place))
         notes = self._vehicle.turn if flown else self._vehicle.head_for
-        self._thread.post(lambda: notes(place))
+        self._thread.post(partial(notes, place))
         self._reach(
             place,
-            lambda: self._vehicle.fly_on(place, self._open),
-            lambda: self._vehicle.head_for(place),
+            partial(self._vehicle.fly_on, place, self._open),
+            partial(self._vehicle.head_for, place),
         )
         self._last = place if isinstance(place, Waypoint) else self._last
         if self._end == position_of(place) or self._vehicle.rests():
@@ -190,33 +191,27 @@ class Rows:
             return False
         for number, via in enumerate(place.via):
             notes = self._vehicle.turn if number else self._vehicle.head_for
-            self._fly_to(via, place, notes, place.via[number:])
+            fly_on = partial(self._vehicle.fly_through, via.position, self._open)
+            self._fly_to(via, fly_on, partial(notes, place, place.via[number:]))
         return bool(place.via)
 
     def leave(self, places: Sequence[Via]) -> None:
         """Fly to the places after the last waypoint."""
         for via in places:
-            self._fly_to(via, via.position, self._vehicle.head_for, ())
+            fly_on = partial(self._vehicle.fly_on, via.position, self._open)
+            self._fly_to(via, fly_on, partial(self._vehicle.head_for, via.position))
 
     def _fly_to(
-        self,
-        via: Via,
-        place: Place,
-        notes: Callable[[Place, tuple[Via, ...]], None],
-        left: tuple[Via, ...],
+        self, via: Via, fly_on: Callable[[], Coroutine[Any, Any, bool]], notes: Callable[[], None]
     ) -> None:
-        """Fly a leg on the way to a place, which `notes` logs."""
+        """Fly a leg to a place without a photo."""
         position = via.position
         if self._end != position or not self._vehicle.passes(position):
             self.stop()
         if self._end is None:
             self._set_off(position, via.ground_speed_m_s)
-        self._thread.post(lambda: notes(place, left))
-        self._reach(
-            position,
-            lambda: self._vehicle.fly_through(position, self._open),
-            lambda: self._vehicle.head_for(place, left),
-        )
+        self._thread.post(notes)
+        self._reach(position, fly_on, notes)
         self._end, self._left_at = None, position
         if via.hold_s:
             self._thread.call(self._vehicle.arrive())
