@@ -6,14 +6,16 @@ import asyncio
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 from tests.ports.memory import HOME, Bench, bench, driven
 from tests.ports.steps import take_off
 from tests.scenarios import scenario
+from tests.surveys import SPOTS, transects, written
 
-from upwash.config import DroneConfig, waypoints
+from upwash.config import DroneConfig, read_drone_config, waypoints
 from upwash.core.geo import Position, Velocity
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork
@@ -140,9 +142,11 @@ def fly(config: DroneConfig, **at: Callable[[Bench], object]) -> Flown:
 
 
 def vehicle_of(config: DroneConfig) -> VehicleSettings | Px4Settings:
+    assert config.mission.home is not None
+    home = config.mission.home.place
     if config.vehicle.profile == "px4":
-        return Px4Settings(HOME, home_altitude_m=488.0, parameters={"COM_OBL_RC_ACT": 3.0})
-    return VehicleSettings(HOME, armable_after_s=0.0)
+        return Px4Settings(home, home_altitude_m=488.0, parameters={"COM_OBL_RC_ACT": 3.0})
+    return VehicleSettings(home, armable_after_s=0.0)
 
 
 @pytest.mark.parametrize("speed_m_s", [4.0, 8.0])
@@ -249,3 +253,20 @@ def test_spots_that_were_passed_in_a_silence_are_flown_back_to(silent_s: float) 
     for number, (shot, spot) in enumerate(zip(flown.shots, waypoints(config.mission), strict=True)):
         at = shot.place.east_m, shot.place.north_m
         assert math.dist(at, (spot.position.east_m, spot.position.north_m)) < 1.0, number
+
+
+@pytest.mark.parametrize("firmware", ["arducopter", "px4"])
+def test_a_survey_is_flown_as_simulated(firmware: Firmware, tmp_path: Path) -> None:
+    """With turn-arounds, in which there is no photo; the eighth photo has a demand."""
+    more = f'[vehicle]\nprofile = "{firmware}"\n[event]\nevery = 100\noffset = {DEMANDING}\n'
+    file = written(
+        tmp_path, transects(), photo_s=0.1, heavy_s=1.5, more=more + '[policy]\nname = "local-only"'
+    )
+    config = read_drone_config(file)
+    flown, simulated = fly(config), simulate(config)
+    assert flown.result.completed and simulated.result.completed, flown.error
+    assert flown.result.mission_time_s == pytest.approx(simulated.result.mission_time_s, rel=0.05)
+    assert len(flown.shots) == len(SPOTS)
+    for shot, spot in zip(flown.shots, SPOTS, strict=True):
+        assert math.dist((shot.place.east_m, shot.place.north_m), spot) < 0.3
+        assert shot.velocity.speed_m_s > 3.5, "at speed from the first photo on"
