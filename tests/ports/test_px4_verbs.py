@@ -60,12 +60,12 @@ async def follow(
     script: Script,
     verb: asyncio.Future[None],
     *,
-    off_m: float = 0.0,
+    off_m: Callable[[float], float] = lambda _: 0.0,
     within_s: float = 30.0,
-    drifts: Callable[[int], float] = lambda _: 0.0,
+    errs_m_s: float = 0.0,
     beats: Callable[[int], int] = lambda _: 0,
 ) -> int:
-    """It reports eight times a second that it is at the setpoint, or off it, with the setpoint's velocity and more.
+    """It reports eight times a second that it is at the setpoint or off it, with its velocity or a wrong one.
 
     Returns the number of reports until the verb was done.
     """
@@ -74,7 +74,7 @@ async def follow(
         if verb.done():
             return number
         setpoint = script.of_kind(SETPOINT)[-1]
-        place = FRAME.geo(Position(0.0, off_m))
+        place = FRAME.geo(Position(0.0, off_m(script.now_s)))
         await script.say(
             mavlink.MAVLink_global_position_int_message(
                 round(script.now_s * 1e3),
@@ -82,7 +82,7 @@ async def follow(
                 setpoint.lon_int,
                 round(setpoint.alt * 1e3),
                 round((setpoint.alt - 488.0) * 1e3),
-                vx=round((setpoint.vx + drifts(number)) * 100),
+                vx=round((setpoint.vx + errs_m_s) * 100),
                 vy=round(setpoint.vy * 100),
                 vz=round(setpoint.vz * 100),
                 hdg=0,
@@ -176,7 +176,10 @@ async def test_setpoints_come_before_the_mode_and_lead_to_the_target(script: Scr
     last, place = sent[-1][1], FRAME.geo(THERE)
     assert (last.target_system, last.target_component) == (SYSTEM, 1)
     assert last.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_INT
-    assert last.type_mask == 1024 | 2048  # neither a heading nor its rate
+    assert (last.type_mask, last.yaw) == (
+        2048,
+        pytest.approx(0.0, abs=1e-3),
+    )  # it flies north, nose first, at its own rate of turning
     assert (last.lat_int, last.lon_int) == (round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7))
     assert last.alt == pytest.approx(498.0)
     assert (last.vx, last.vy, last.vz, last.afx, last.afy, last.afz) == (0.0,) * 6
@@ -185,26 +188,32 @@ async def test_setpoints_come_before_the_mode_and_lead_to_the_target(script: Scr
     assert (fastest.vy, fastest.vz) == pytest.approx((0.0, 0.0), abs=0.01)
 
 
+def drifting(speed_m_s: float) -> Callable[[float], float]:
+    """From 0.9 m south of the setpoint to 0.9 m north of it, over and over, at that speed."""
+    return lambda now_s: (speed_m_s * now_s) % 1.8 - 0.9
+
+
 @pytest.mark.parametrize(
-    ("off_m", "drifts", "arrives"),
+    ("off_m", "errs_m_s", "arrives"),
     [
-        (0.97, lambda _: 0.0, True),
-        (1.03, lambda _: 0.0, False),
-        (0.0, lambda _: 0.49, True),
-        (0.0, lambda _: 0.5, False),
-        (0.0, lambda number: 0.9 * (-1) ** number, True),  # noise, of a vehicle that hovers
+        (lambda _: 0.97, 0.0, True),
+        (lambda _: 1.03, 0.0, False),
+        (drifting(0.45), 0.0, True),
+        (drifting(0.55), 0.0, False),
+        (drifting(0.55), -0.55, False),
+        (lambda _: 0.9, 0.6, True),  # as a real one after a turn, for four seconds
     ],
 )
 @played(tell)
 async def test_a_leg_ends_within_a_metre_at_rest_over_a_second(
-    script: Script, *, off_m: float, drifts: Callable[[int], float], arrives: bool
+    script: Script, *, off_m: Callable[[float], float], errs_m_s: float, arrives: bool
 ) -> None:
     leg = await begun(script.autopilot.goto(THERE))
-    await follow(script, leg, off_m=off_m, drifts=drifts)
+    await follow(script, leg, off_m=off_m, errs_m_s=errs_m_s)
     assert leg.done() is arrives
     leg.cancel()
     hold = await begun(script.autopilot.hold())
-    await follow(script, hold, off_m=off_m, drifts=drifts)
+    await follow(script, hold, off_m=off_m, errs_m_s=errs_m_s)
     assert hold.done() is arrives
     hold.cancel()
 
@@ -226,17 +235,25 @@ async def test_a_leg_that_ends_before_its_mode_is_there_does_not_hinder_the_next
 
 
 @played(tell)
-async def test_a_vehicle_is_at_rest_by_its_velocities_of_a_second(script: Script) -> None:
+async def test_a_vehicle_is_at_rest_by_its_places_of_a_second(script: Script) -> None:
     leg = await begun(script.autopilot.goto(THERE))
-    drifts, says = (lambda number: 3.9 if number < 100 else 0.0), (lambda number: 50 * (number == 100))
-    reports = await follow(script, leg, drifts=drifts, beats=says)
-    assert reports == 108, "of nine reports one says 3.9 m/s"
+    there_s = script.now_s + 100.5 / 8
+    reports = await follow(
+        script,
+        leg,
+        off_m=lambda now_s: 1.03 if now_s < there_s else 0.0,
+        beats=lambda number: 50 * (number == 100),
+    )
+    assert reports == 109, "it came to its place a second ago"
 
 
 @played(tell)
 async def test_a_turn_is_held_until_the_next_leg(script: Script) -> None:
     turn = await begun(script.autopilot.turn_to(270.0))
-    await asyncio.sleep(1.0)
+    await asyncio.sleep(1.6)
+    slowly = script.of_kind(SETPOINT)[-1]
+    assert math.radians(-75.0) < slowly.yaw < math.radians(-20.0), "at 45 degrees a second"
+    await asyncio.sleep(1.5)
     await script.say(script.place(HERE, heading_deg=264.9))
     await asyncio.sleep(0.125)
     assert not turn.done()
@@ -245,12 +262,19 @@ async def test_a_turn_is_held_until_the_next_leg(script: Script) -> None:
     assert turn.done()
     held = script.of_kind(SETPOINT)[-1]
     assert (held.type_mask, held.yaw) == (2048, pytest.approx(math.radians(-90.0)))
-    leg = await begun(script.autopilot.goto(THERE))
-    await script.say(script.place(HERE))
-    await asyncio.sleep(0.125)
-    assert script.of_kind(SETPOINT)[-1].type_mask == 1024 | 2048
+    for place, nose_deg in (
+        (Position(34.9, 40.0, 10.0), -90.0),
+        (Position(35.1, 40.0, 10.0), 90.0),
+        (THERE, 0.0),
+    ):
+        leg = await begun(script.autopilot.goto(place))
+        for _ in range(40):
+            await script.say(script.place(HERE))
+            await asyncio.sleep(0.125)
+        last = script.of_kind(SETPOINT)[-1]
+        assert (last.type_mask, last.yaw) == (2048, pytest.approx(math.radians(nose_deg), abs=1e-3)), place
+        leg.cancel()
     assert len(modes(script)) == 1, "it follows a course already"
-    leg.cancel()
 
 
 # --- holds --------------------------------------------------------------------------------------------------

@@ -164,7 +164,9 @@ def test_rows_are_flown_as_simulated(firmware: Firmware, speed_m_s: float) -> No
         most_m = 1.1 if number == LAST else 0.5  # at the last one it rests, as at a stop
         assert math.dist(at, (spot.position.east_m, spot.position.north_m)) < most_m, number
         if number not in ROW_ENDS and number != DEMANDING + 1:
-            assert shot.velocity.speed_m_s > 0.7 * speed_m_s, number
+            assert shot.velocity.speed_m_s > 0.85 * speed_m_s, number
+            along_deg = 270.0 if shot.velocity.east_m_s < 0 else 90.0
+            assert math.remainder(shot.heading_deg - along_deg, 360.0) == pytest.approx(0.0, abs=10.0)
     (acted,) = flown.of(schema.Acted)
     assert acted.waypoint == DEMANDING
     (told,) = flown.of(schema.Notified)

@@ -115,14 +115,25 @@ def test_a_target_nearby_is_taken_at_once_and_one_out_of_reach_is_not() -> None:
     assert fast.position != target(0.5), "it is more than a step away"
 
 
-@pytest.mark.parametrize(("behind_m", "share"), [(0.0, 1.0), (3.0, 1.0), (4.5, 0.5), (6.0, 0.0), (9.0, 0.0)])
-def test_it_waits_for_a_vehicle_that_falls_behind(behind_m: float, share: float) -> None:
-    point = course(Velocity(east_m_s=5.0))
-    point.aim(target(50.0), ground_speed_m_s=5.0)
+@pytest.mark.parametrize(
+    ("speed_m_s", "behind_m", "share"),
+    [
+        (5.0, 0.0, 1.0),
+        (5.0, 3.0, 1.0),
+        (5.0, 4.5, 0.5),
+        (5.0, 6.0, 0.0),
+        (5.0, 9.0, 0.0),
+        (10.0, 6.0, 1.0),  # 0.6 s behind
+        (10.0, 9.0, 0.5),
+    ],
+)
+def test_it_waits_for_a_vehicle_that_falls_behind(speed_m_s: float, behind_m: float, share: float) -> None:
+    point = course(Velocity(east_m_s=speed_m_s))
+    point.aim(target(99.0), ground_speed_m_s=speed_m_s)
     point.advance(1.0, vehicle=target(-behind_m))
-    assert point.position == target(5.0 * share)
-    assert point.setpoint_velocity == Velocity(east_m_s=5.0 * share)
-    assert point.velocity == Velocity(east_m_s=5.0)
+    assert point.position == target(speed_m_s * share)
+    assert point.setpoint_velocity == Velocity(east_m_s=speed_m_s * share)
+    assert point.velocity == Velocity(east_m_s=speed_m_s)
 
 
 def test_the_push_is_the_change_of_the_velocity() -> None:

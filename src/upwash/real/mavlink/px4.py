@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import Position, Velocity
+from upwash.core.geo import Position, distance_m
 from upwash.core.vehicle.way_home import PX4 as PX4_WAY_HOME
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.packets import Message
@@ -41,7 +41,7 @@ _MODE_WITHIN_S = 1.5
 _ENDS_BELOW_M = 2.0  # a take-off to 10 m ended 0.5 to 1.2 m below it
 _LEAST_CLIMB_M, _UP_M = 4.0, 0.5  # OFFBOARD comes before the end of the lowest take-off, and in the air
 _TAKES_OVER_S = 1.2  # from the request for OFFBOARD until the mode
-_MEAN_OVER_S = 1.0  # of its velocity: hovering, it reports 0.28 m/s in the median, and 0.6 m/s at times
+_STANDS_OVER_S, _LEAST_STANDS_S = 1.0, 0.5  # the times between two places that show whether it moves
 _SETTLES_S = 1.0  # more than COM_FAIL_ACT_T
 
 
@@ -57,7 +57,7 @@ class Px4Autopilot(MavlinkAutopilot):
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._stream = SetpointStream(self.vehicle, self._tracker)
-        self._velocities: deque[tuple[float, Velocity]] = deque()
+        self._places: deque[tuple[float, Position]] = deque()
         self._listening.enter_context(self.vehicle.listening(self._hear_position))
         self._holds = False
 
@@ -141,7 +141,7 @@ class Px4Autopilot(MavlinkAutopilot):
     async def _fly_to(self, step: str, position: Position) -> None:
         self._require_flying(step)
         course = await self._enter_offboard(step)
-        self._stream.heading_deg = None
+        self._stream.look_at(position)
         course.aim(position, ground_speed_m_s=self._ground_speed_m_s)
         await self._while_ours(step, lambda: course.ended and self._arrived(position))
 
@@ -234,20 +234,18 @@ class Px4Autopilot(MavlinkAutopilot):
     # --- whether it moves -----------------------------------------------------------------------------------
 
     def _hear_position(self, message: Message) -> None:
-        velocity = self._telemetry.velocity
-        if message.get_type() != "GLOBAL_POSITION_INT" or velocity is None:
+        if message.get_type() != "GLOBAL_POSITION_INT":
             return
         now_s = self.vehicle.now_s
-        self._velocities.append((now_s, velocity))
-        while self._velocities[0][0] < now_s - _MEAN_OVER_S:
-            self._velocities.popleft()
+        self._places.append((now_s, self._tracker.position))
+        while self._places[0][0] < now_s - _STANDS_OVER_S:
+            self._places.popleft()
 
     def _at_rest(self) -> bool:
-        """Whether the mean of its last velocities is small, as single reports of a hover are mostly noise."""
-        velocities = [velocity for _, velocity in self._velocities]
-        if not velocities:
+        """Whether its place has hardly changed in a second: its velocity can be off by 0.6 m/s for seconds."""
+        if not self._places:
             return False
-        east_m_s = sum(velocity.east_m_s for velocity in velocities)
-        north_m_s = sum(velocity.north_m_s for velocity in velocities)
-        up_m_s = sum(velocity.up_m_s for velocity in velocities)
-        return math.hypot(east_m_s, north_m_s, up_m_s) / len(velocities) < self._settings.arrival_speed_m_s
+        (from_s, start), (until_s, end) = self._places[0], self._places[-1]
+        passed_s = until_s - from_s
+        at_most_m = self._settings.arrival_speed_m_s * passed_s
+        return passed_s >= _LEAST_STANDS_S and distance_m(start, end) < at_most_m

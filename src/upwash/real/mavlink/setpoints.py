@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import Position, Velocity, ahead, distance_m
+from upwash.core.geo import Position, Velocity, ahead, distance_m, ground_distance_m
 from upwash.real.mavlink.tracker import PositionTracker
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.support.background import end, start
@@ -27,9 +27,15 @@ from upwash.support.background import end, start
 _AT_TARGET_M = 0.1
 _CLOSES_IN_PER_S = 0.7  # of the rest of the way, at its end: what held the vehicle against the air can fade
 _AT_REST_M_S = 0.05
-_LAG_ALLOWED_M = 3.0  # behind the point, beyond which it waits for the vehicle
+_LAG_ALLOWED_M, _LAG_ALLOWED_S = (
+    3.0,
+    0.6,
+)  # behind the point; beyond, it waits. A PX4 is 0.4 s behind without wind
 _CATCHES_UP = 2.0  # times the acceleration, so that the point keeps to its own braking curve
 _USED = 0.4  # of the acceleration, as a reserve for wind
+
+_TURNS_DEG_S = 45.0  # a vehicle that is told to turn at once turns with all its might
+_LOOKS_AHEAD_M = 5.0  # a shorter leg does not turn the nose, as with an ArduCopter
 
 _PERIOD_S = 0.05
 _SILENT_AFTER_S = 0.6  # its position comes ten times a second; below COM_OF_LOSS_T, which is 1 s by default
@@ -82,7 +88,8 @@ class SetpointCourse:
 
     def advance(self, passed_s: float, *, vehicle: Position) -> None:
         """Move the point on by `passed_s`, more slowly the farther the vehicle is behind, and finally not at all."""
-        share = min(1.0, max(0.0, 2.0 - distance_m(self.position, vehicle) / _LAG_ALLOWED_M))
+        allowed_m = max(_LAG_ALLOWED_M, _LAG_ALLOWED_S * self.velocity.speed_m_s)
+        share = min(1.0, max(0.0, 2.0 - distance_m(self.position, vehicle) / allowed_m))
         self.setpoint_velocity, self.setpoint_acceleration = Velocity(), Velocity()
         if share > 0 and passed_s > 0:
             self._move(passed_s * share)
@@ -149,7 +156,12 @@ class SetpointStream:
     def __init__(self, vehicle: MavlinkVehicle, tracker: PositionTracker) -> None:
         self.abilities = Abilities()
         self.course: SetpointCourse | None = None
-        self.heading_deg: float | None = None  # to be kept; None: PX4's own
+        self.heading_deg: float | None = (
+            None  # where the nose turns, and stays; None: where it points already
+        )
+        self._nose_deg: float | None = (
+            None  # as it is sent: a PX4 without a heading drifted by 35 degrees in 3 minutes
+        )
         self._vehicle = vehicle
         self._tracker = tracker
         self._silence_seen_s = vehicle.now_s
@@ -159,6 +171,8 @@ class SetpointStream:
         """Begin to send setpoints; return the new course, which starts at the vehicle's place and velocity."""
         velocity = self._vehicle.telemetry.velocity or Velocity()
         self.course = SetpointCourse(self._tracker.position, velocity, self.abilities)
+        if self._nose_deg is None:
+            self._nose_deg = self._vehicle.telemetry.heading_deg
         if self._task is None:
             # Without setpoints PX4 leaves OFFBOARD, as COM_OBL_RC_ACT says, and the flight ends.
             self._task = start(self._run(), name="setpoints", failed=lambda _: self.end())
@@ -166,7 +180,15 @@ class SetpointStream:
 
     def end(self) -> None:
         """Stop sending setpoints; `begin` starts again."""
-        self.course = self.heading_deg = None
+        self.course = self.heading_deg = self._nose_deg = None
+
+    def look_at(self, target: Position) -> None:
+        """Turn the nose to a target; where it points now, if the target is near."""
+        here = self._tracker.position
+        self.heading_deg = None
+        if ground_distance_m(here, target) >= _LOOKS_AHEAD_M:
+            east_m, north_m = target.east_m - here.east_m, target.north_m - here.north_m
+            self.heading_deg = math.degrees(math.atan2(east_m, north_m)) % 360
 
     async def close(self) -> None:
         """Stop sending setpoints for good, and end the task."""
@@ -180,10 +202,18 @@ class SetpointStream:
             passed_s = min(vehicle.now_s - sent_s, _LONGEST_STEP_S)
             sent_s = vehicle.now_s
             if self.course is not None and self._is_linked():
-                self.course.advance(passed_s, vehicle=self._tracker.position)
+                self._turn(passed_s)
+                self.course.advance(passed_s, vehicle=self._tracker.present_position)
                 self._send(self.course)
             await asyncio.sleep(_PERIOD_S)
         self.end()  # for good: nothing makes a vehicle ours again
+
+    def _turn(self, passed_s: float) -> None:
+        if self.heading_deg is None:
+            return
+        nose_deg = self.heading_deg if self._nose_deg is None else self._nose_deg
+        left_deg, most_deg = math.remainder(self.heading_deg - nose_deg, 360), _TURNS_DEG_S * passed_s
+        self._nose_deg = nose_deg + max(-most_deg, min(most_deg, left_deg))
 
     def _is_linked(self) -> bool:
         """Whether the vehicle is not silent, and has reported its mode since its last silence."""
@@ -203,13 +233,13 @@ class SetpointStream:
             0,
             *self._vehicle.ids,
             mavlink.MAV_FRAME_GLOBAL_INT,
-            _WITHOUT_YAW if self.heading_deg is None else _YAW_RATE_IGNORED,
+            _WITHOUT_YAW if self._nose_deg is None else _YAW_RATE_IGNORED,
             round(place.latitude_deg * 1e7),
             round(place.longitude_deg * 1e7),
             place.altitude_m,
             *(velocity.north_m_s, velocity.east_m_s, -velocity.up_m_s),
             *(push.north_m_s, push.east_m_s, -push.up_m_s),
-            math.radians(math.remainder(self.heading_deg or 0.0, 360)),
+            math.radians(math.remainder(self._nose_deg or 0.0, 360)),
             0.0,
         )
         self._vehicle.steer("setpoint", message)
