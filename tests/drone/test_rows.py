@@ -325,8 +325,8 @@ def ended(config: Any, by: str, at_s: float, shows: list[Position]) -> Part:
 
 def test_a_resumed_row_with_gaps_is_flown_without_stops() -> None:
     """The newest photos were computed first."""
-    first = fly(rows(first="newest"), killed_at_s=47.0)
-    both = fly(rows(first="newest"), after=first)
+    first = fly(rows(order="newest"), killed_at_s=47.0)
+    both = fly(rows(order="newest"), after=first)
     assert both.error is None
     again = after_resumption(both, first)
     photos = [event.waypoint for event in of(again, schema.CallStarted)]

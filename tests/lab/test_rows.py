@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from tests.programs import ROOT
 
+from upwash.errors import ConfigError
 from upwash.eventlog import schema
 from upwash.lab.simulation import Simulation, simulate
 
@@ -52,6 +53,12 @@ def test_photos_are_taken_in_flight_at_their_spots_and_only_row_ends_are_stops()
     assert stops - demanding == {row + column for row in range(0, 121, 11) for column in (0, 10)} - demanding
 
 
+def test_a_time_between_photos_is_a_distance_at_the_speed_of_the_rows() -> None:
+    timed, spaced = (survey(mission__photos=photos) for photos in ({"every_s": 5.0}, {"every_m": 20.0}))
+    assert timed.mission_time_s == spaced.mission_time_s
+    assert [call.at_s for call in timed.calls] == [call.at_s for call in spaced.calls]
+
+
 def test_every_demand_is_met_at_its_place_once() -> None:
     run = survey()
     assert sorted(event.waypoint for event in of(run, schema.Acted)) == list(range(5, 121, 10))
@@ -71,7 +78,7 @@ def test_demands_that_come_together_are_one_detour() -> None:
 
 
 def test_the_newest_photo_is_computed_first_where_only_now_counts() -> None:
-    run = survey(**{"policy__name": "local-only", "mission__photos": {"every_m": 20.0, "first": "newest"}})
+    run = survey(**{"policy__name": "local-only", "mission__photos": {"every_m": 20.0, "order": "newest"}})
     order = [call.waypoint for call in run.calls]
     assert order[:4] == [0, 1, 3, 5]
 
@@ -95,6 +102,13 @@ def test_too_many_photos_without_an_answer_stop_the_drone() -> None:
 
 
 def test_a_slow_photo_is_refused_with_the_speed_that_it_allows() -> None:
+    for photos, problem in (
+        ({"every_s": 0.5}, r"every_s.*0.5 s, and a photo takes camera.photo_s = 1 s: make it larger"),
+        ({"every_s": 2.0, "every_m": 20.0}, r"every_m and every_s both say when"),
+        ({"every_s": 1e-5}, r"every_s.*more than 100,000 photos of"),
+    ):
+        with pytest.raises(ConfigError, match=problem):
+            survey(mission__photos=photos, camera__photo_s=0.0 if "100" in problem else 1.0)
     with pytest.raises(Exception, match=r"at most 10 m/s: fly slower, or make photos.every_m larger"):
         survey(**{"camera__photo_s": 2.0, "mission__ground_speed_m_s": 12.0})
 

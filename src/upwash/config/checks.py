@@ -136,18 +136,22 @@ def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
         yield "mission.order", 'rows are flown in the order of the file: leave it out, or set "given"'
     if not (_has_rows(mission) or any(map(_has_rows, config.drones))):
         return
-    if photos.every_m is None:
-        problem = "missing: add a number above 0; only a plan has triggers of its own"
-        yield "mission.photos.every_m", problem
+    step_m, key = photos.step_m(mission.ground_speed_m_s), "mission.photos.every_m"
+    if step_m is None:
+        yield key, "missing: add a number above 0; only a plan has triggers of its own"
         return
     rows_m = sum(ground_distance_m(*row) for row in row_ends(mission))
-    if rows_m / photos.every_m > MOST_SPOTS:
+    if rows_m / step_m > MOST_SPOTS:
+        key = key if photos.every_s is None else "mission.photos.every_s"
+        yield key, f"more than {MOST_SPOTS:,} photos of {rows_m:g} m of rows: make it larger"
+    if photos.every_s is not None and photos.every_s < config.camera.photo_s:
         yield (
-            "mission.photos.every_m",
-            f"more than {MOST_SPOTS:,} photos of {rows_m:g} m of rows: make it larger",
+            "mission.photos.every_s",
+            f"{photos.every_s:g} s, and a photo takes camera.photo_s = {config.camera.photo_s:g} s: make it larger",
         )
-    fastest_m_s = photos.every_m / config.camera.photo_s if config.camera.photo_s else math.inf
-    if mission.ground_speed_m_s > fastest_m_s:
+        return
+    fastest_m_s = step_m / config.camera.photo_s if config.camera.photo_s else math.inf
+    if photos.every_m is not None and mission.ground_speed_m_s > fastest_m_s:
         yield (
             "mission.ground_speed_m_s",
             f"a photo takes camera.photo_s = {config.camera.photo_s:g} s, so that one every {photos.every_m:g} m "

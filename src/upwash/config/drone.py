@@ -61,12 +61,22 @@ class PhotosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Photos that are taken in flight, along rows that the drone flies without stopping: [rows](rows.md)."""
 
     every_m: values.Positive | None = None
-    """The distance along a row from one photo to the next, in metres; the first is at its start. Needed, except with
-    a plan, whose triggers have distances."""
-    first: Literal["oldest", "newest"] = "oldest"
+    """The distance along a row from one photo to the next, in metres; the first is at its start. This or `every_s` is
+    needed, except with a plan, whose triggers have distances."""
+    every_s: values.Positive | None = None
+    """The time from one photo to the next at the speed of the row, in seconds, in place of `every_m`."""
+    order: Literal["oldest", "newest"] = "oldest"
     """Which of the photos without an answer is computed next."""
     at_most: values.PhotoCount = 100
     """With this number of photos without an answer the drone stops and waits."""
+
+    def step_m(self, ground_speed_m_s: float) -> float | None:
+        """The distance from one photo to the next at that speed; None where a plan's triggers have it."""
+        return self.every_m if self.every_s is None else self.every_s * ground_speed_m_s
+
+    def __post_init__(self) -> None:
+        if self.every_m is not None and self.every_s is not None:
+            raise ValueError("every_m and every_s both say when the next photo is taken: give one of them")
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

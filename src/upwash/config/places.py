@@ -40,10 +40,10 @@ def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     if mission.plan is not None:
         plan = mission.plan.plan
         return corners(mission, plan) if mission.photos is None else planned_photos(mission, plan).waypoints
-    every_m = None if mission.photos is None else mission.photos.every_m
-    if every_m is None:
+    step_m = None if mission.photos is None else mission.photos.step_m(mission.ground_speed_m_s)
+    if step_m is None:
         return tuple(Waypoint(index, place) for index, place in enumerate(_places(mission)))
-    spots = ((spot, end) for start, end in row_ends(mission) for spot in _spots(start, end, every_m))
+    spots = ((spot, end) for start, end in row_ends(mission) for spot in _spots(start, end, step_m))
     return tuple(Waypoint(index, spot, row_end=end) for index, (spot, end) in enumerate(spots))
 
 

@@ -80,9 +80,9 @@ def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
     mission, key = config.mission, "mission.photos"
     if mission.plan is None or mission.photos is None:
         return
-    file, plan, every_m = mission.plan.file, mission.plan.plan, mission.photos.every_m
+    file, plan, step_m = mission.plan.file, mission.plan.plan, mission.photos.step_m(mission.ground_speed_m_s)
     triggers = [trigger for waypoint in plan.waypoints for trigger in waypoint.triggers]
-    for trigger in triggers if every_m is None else ():
+    for trigger in triggers if step_m is None else ():
         what = f"{file}: item {trigger.item}: takes a photo each"
         if trigger.every_m is not None and not 0 < trigger.every_m < math.inf:
             yield key, f"{what} {trigger.every_m:g} m: expected a distance above 0"
@@ -122,7 +122,7 @@ class _Course:
     def __init__(self, mission: MissionConfig, plan: FlightPlan) -> None:
         assert mission.photos is not None and mission.home is not None  # noqa: S101 - the callers saw to it
         self._photo_s = plan.photo_s
-        self._every_m = mission.photos.every_m
+        self._photos = mission.photos
         frame = LocalFrame(mission.home.place)
         self.corners = _without_repeats(
             _Corner(
@@ -181,8 +181,9 @@ class _Course:
                 yield _Leg(number, self._step_m(on, self.corners[number].ground_speed_m_s), on)
 
     def _step_m(self, trigger: PhotoTrigger, ground_speed_m_s: float) -> float:
-        if self._every_m is not None:
-            return self._every_m
+        step_m = self._photos.step_m(ground_speed_m_s)
+        if step_m is not None:
+            return step_m
         return trigger.every_m or (trigger.every_s or 0.0) * ground_speed_m_s
 
     def _shots(self) -> list[_Shot]:

@@ -483,7 +483,7 @@ def _offloading(
         onboard=onboard,
         journal=ports.journal,
         hedging=make_hedging(config, selection.estimates),
-        first=config.mission.photos.first if config.mission.photos else None,
+        first=config.mission.photos.order if config.mission.photos else None,
     )
 
 

@@ -101,10 +101,10 @@ def _out_of_line(history: History) -> Iterator[Breach]:
         elif isinstance(event, schema.Decided) and event.waypoint in in_line:
             began_s = in_line.pop(event.waypoint)
             others_s = [at_s for at_s in in_line.values() if at_s < event.t - ROUNDING_S]
-            if any(at_s < began_s if photos.first == "oldest" else at_s > began_s for at_s in others_s):
+            if any(at_s < began_s if photos.order == "oldest" else at_s > began_s for at_s in others_s):
                 yield (
                     event,
-                    f"waypoint {event.waypoint} was not the {photos.first} in line: {list(in_line)}",
+                    f"waypoint {event.waypoint} was not the {photos.order} in line: {list(in_line)}",
                 )
             for waypoint, from_s, to_s in urgent:
                 if from_s + ROUNDING_S < event.t < to_s - ROUNDING_S:

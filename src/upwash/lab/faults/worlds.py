@@ -311,7 +311,7 @@ def _with_rows(document: Document, chance: random.Random) -> Document:
     program = chance.choices(programs, (5, 2) if both else (5, 3, 2))[0]
     photos = {
         "every_m": chance.choice((15.0, 20.0, 33.0)),
-        "first": chance.choice(("oldest", "newest")),
+        "order": chance.choice(("oldest", "newest")),
         "at_most": chance.choice((1, 2, 3, 5, 100)),
     }
     return {
