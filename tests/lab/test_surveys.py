@@ -141,6 +141,20 @@ def test_demands_in_turns_are_met_and_each_spot_has_its_photo(tmp_path: Path) ->
     assert max(map(math.dist, taken, SPOTS)) < 0.5
 
 
+def test_a_demand_behind_a_fence_is_met_along_the_planned_way(tmp_path: Path) -> None:
+    """The photos of the first leg are answered on the third, with an obstacle between."""
+    items = [at(0, 10), begin(), at(0, 110), at(60, 110), at(60, 10), END]
+    fence: list[Place] = [(20, 0), (40, 0), (40, 90), (20, 90)]
+    more = "[event]\nevery = 100\noffset = 1\n"
+    run = simulate(written(tmp_path, items, fence=fence, heavy_s=28.0, more=more))
+    assert run.completed
+    (back,) = of(run, schema.TurnedBack)
+    assert back.position.east_m == pytest.approx(60, abs=0.1)
+    (acted,) = of(run, schema.Acted)
+    assert acted.waypoint == 1
+    assert len(of(run, schema.PhotoTaken)) == 14
+
+
 def test_without_photos_a_drone_stops_at_each_waypoint_of_the_plan(tmp_path: Path) -> None:
     run = simulate(written(tmp_path, transects(), mission=""))
     assert run.completed and len(of(run, schema.PhotoTaken)) == 12

@@ -106,6 +106,10 @@ class Legs:
         await self.arrive()
         return True
 
+    def allows(self, start: Position, target: Position) -> bool:
+        """Whether no fence forbids the leg."""
+        return self._site.allows_leg(self.limits, start, target)
+
     async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
         """Set off for the end of a leg, once the present leg is flown, and do not wait for the arrival."""
         before, start = self._leg, self._leg_end

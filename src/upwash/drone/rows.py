@@ -88,6 +88,9 @@ class LegVerbs(Protocol):
     def fly(self, place: Place, *, back: bool = False) -> bool:
         """Fly to a place, from rest to rest."""
 
+    def allows(self, start: Position, target: Position) -> bool:
+        """Whether no fence forbids the straight way."""
+
     async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
         """Set off for the end of a leg; a leg that is flown is first flown to its end."""
 
@@ -149,6 +152,7 @@ class Rows:
         self._end: Position | None = None  # of the leg that is flown
         self._leg_m_s: float | None = None
         self._last: Waypoint | None = None  # that the mission flew to
+        self._flown: list[Position] = []  # the ends of legs, the first one's start before them
         self._left_at: Position | None = None  # where the last leg ends, if nothing else was flown since
         self._stays = False  # at rest, until its answer is there
         self._acts = False
@@ -271,6 +275,10 @@ class Rows:
             self._left_at = position_of(place)
 
     def _set_off(self, end: Position, ground_speed_m_s: float | None) -> None:
+        if not self._flown:
+            self._flown.append(self._vehicle.position())
+        if self._flown[-1] != end:
+            self._flown.append(end)
         self._thread.call(self._vehicle.set_off(end, ground_speed_m_s))
         self._end, self._leg_m_s = end, ground_speed_m_s
 
@@ -339,6 +347,7 @@ class Rows:
         last = self._meet(demanding)
         keeps_way = spot != end or self._is_planned
         if keeps_way and not (last is not None and lies_on(spot, position_of(last), end)):
+            self.fly_around(left)
             self._vehicle.fly(left)
         self._set_off(end, self._leg_m_s)
         self._thread.post(goes_on)
@@ -359,6 +368,29 @@ class Rows:
         finally:
             self._acts = acted
         return answer.place
+
+    def fly_around(self, target: Position) -> None:
+        """Fly along the way of before towards a place, where a fence forbids the straight way there."""
+        here = self._vehicle.position()
+        if self._vehicle.allows(here, target):
+            return
+        first, last = self._leg_over(here), self._leg_over(target)
+        if first is None or last is None:
+            return
+        ends = self._flown[last:first][::-1] if first > last else self._flown[first:last]
+        places = [here, *ends, target]
+        number = 0
+        while not self._vehicle.allows(places[number], target):
+            ahead = range(len(places) - 2, number, -1)
+            number = next((far for far in ahead if self._vehicle.allows(places[number], places[far])), 0)
+            if not number:
+                return
+            self._vehicle.fly(places[number])
+
+    def _leg_over(self, place: Position) -> int | None:
+        """The number of the last leg that passes the place."""
+        numbers = range(len(self._flown) - 1, 0, -1)
+        return next((leg for leg in numbers if lies_on(place, self._flown[leg - 1], self._flown[leg])), None)
 
     def _take_next(self) -> bool:
         """Wait at rest for an answer and meet its demand; return whether the drone left its place."""

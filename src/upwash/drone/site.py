@@ -71,6 +71,14 @@ class Site(Struct, frozen=True):
             raise AutopilotRefused(step, f"{fence.name} is in the way; nothing was sent")
         require_altitude(limits, target.altitude_m, step=step)
 
+    def allows_leg(self, limits: VehicleLimits, start: Position, target: Position) -> bool:
+        """Whether no fence forbids the leg."""
+        try:
+            self.require_leg(limits, start, target)
+        except AutopilotRefused:
+            return False
+        return True
+
     def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
         """Warnings for a person about a flight that is allowed."""
         yield from self.home.doubts(limits, vehicle)

@@ -233,6 +233,8 @@ class Vehicle:
         self, place: Waypoint | Position, *, unless: Demand[Any] | None = None, back: bool = False
     ) -> bool:
         """As `goto`, without settling the open answer."""
+        if back and self._rows is not None:
+            self._rows.fly_around(position_of(place))
         self._legs.place = place
         if isinstance(place, Waypoint):
             verb = self._legs.goto(
@@ -361,6 +363,7 @@ class VehicleHandle:
         self.take_up = vehicle._take_up
         self.fly = vehicle._fly
         self.settle_for_call = vehicle._settle_for_call
+        self.allows = legs.allows
         self.set_off = legs.set_off
         self.passes = legs.passes
         self.head_for = legs.head_for
