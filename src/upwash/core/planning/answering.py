@@ -1,0 +1,167 @@
+"""When photos are expected to be answered that a drone takes in flight: on the drone, or on one server at a time.
+
+    in line     photos that neither place computes; the oldest first, or the newest
+    its place   where a photo is answered first, as in core/selection/call_placement.py: it waits until that is free
+    a server    the fastest in range, used after its check, until the drone leaves its range
+
+Calls take their estimates and nothing fails. A photo that a server had when its range ended is first in line again.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from msgspec import Struct
+
+from upwash.core.geo import Reach
+
+_LEAST_S = 1e-6  # of a call
+Stay = tuple[float, float]  # in range, from one time to another
+
+
+class ServerBelief(Struct, frozen=True):
+    """A server's range, the seconds of a photo there, and of its check, with services that are started or run."""
+
+    area: Reach
+    call_s: float
+    check_s: float
+    check_running_s: float
+
+
+class _Computed(NamedTuple):
+    """A photo that is computed, and when its answer is there."""
+
+    photo: int
+    end_s: float
+
+
+class Answering:
+    """Answers photos, as time goes on.
+
+    `could` counts the answers that the drone and its servers could have given until `now_s`.
+    """
+
+    def __init__(
+        self, local_s: float, servers: Mapping[str, ServerBelief], *, gain_switch: float, newest: bool = False
+    ) -> None:
+        self.now_s = 0.0
+        self.could = 0.0
+        self._local_s = local_s
+        self._servers = {name: server for name, server in servers.items() if server.call_s < local_s}
+        self._switch_s = gain_switch * local_s
+        self._newest = newest
+        self._coming: deque[tuple[float, int]] = deque()
+        self._line: list[int] = []
+        self._drone: _Computed | None = None
+        self._remote: _Computed | None = None
+        self._server: str | None = None
+        self._ready_s = math.inf
+        self._running: set[str] = set()
+        self._stays: Mapping[str, Stay] = {}
+
+    @property
+    def servers(self) -> Mapping[str, ServerBelief]:
+        """The servers that are faster than the drone."""
+        return self._servers
+
+    def moves(self, stays: Mapping[str, Stay]) -> None:
+        """From now on these servers are in range, each from one time to another."""
+        self._stays = stays
+
+    def take(self, photo: int, at_s: float) -> None:
+        """A photo that is there at that time."""
+        self._coming.append((at_s, photo))
+
+    def next_answer(self, until_s: float) -> int | None:
+        """Go on to the next answer, and return its photo; None at `until_s`, or where no photo is left."""
+        while True:
+            self._use_server()
+            self._compute()
+            due_s = self._next_s()
+            if due_s > until_s or due_s == math.inf:
+                if until_s < math.inf:
+                    self._go_on(until_s)
+                return None
+            self._go_on(due_s)
+            while self._coming and self._coming[0][0] <= self.now_s:
+                bisect.insort(self._line, self._coming.popleft()[1])
+            if self._drone is not None and self._drone.end_s <= self.now_s:
+                answered, self._drone = self._drone, None
+                return answered.photo
+            if self._remote is not None and self._remote.end_s <= self.now_s:
+                answered, self._remote = self._remote, None
+                return answered.photo
+
+    def _go_on(self, to_s: float) -> None:
+        passed_s = to_s - self.now_s
+        if passed_s > 0:
+            self.could += passed_s / max(_LEAST_S, self._local_s)
+            if (server := self._ready_server()) is not None:
+                self.could += passed_s / max(_LEAST_S, server.call_s)
+        self.now_s = max(self.now_s, to_s)
+
+    def _use_server(self) -> None:
+        in_range = {name: stay[1] for name, stay in self._stays.items() if stay[0] <= self.now_s < stay[1]}
+        if self._server is not None and self._server not in in_range:
+            self._server = None
+            if self._remote is not None:
+                bisect.insort(self._line, self._remote.photo)
+                self._remote = None
+        best = min(in_range, key=lambda name: (self._servers[name].call_s, -in_range[name]), default=None)
+        if best is None or best == self._server or not self._is_worth(best):
+            return
+        server = self._servers[best]
+        self._server = best
+        self._ready_s = self.now_s + (server.check_running_s if best in self._running else server.check_s)
+        self._running.add(best)
+
+    def _is_worth(self, server: str) -> bool:
+        """Whether the drone may use that server in place of the present one."""
+        if self._server is None:
+            return True
+        gain_s = self._servers[self._server].call_s - self._servers[server].call_s
+        return self._remote is None and gain_s > self._switch_s
+
+    def _compute(self) -> None:
+        """Start the first photos in line, as far as their places are free."""
+        server = self._ready_server()
+        while self._line:
+            if server is not None and self._remote_end_s(server) < self._local_end_s():
+                if self._remote is not None:
+                    return
+                self._remote = _Computed(self._first(), self._remote_end_s(server))
+            elif self._drone is None:
+                self._drone = _Computed(self._first(), self._local_end_s())
+            else:
+                return
+        if server is not None and self._drone is not None and self._remote is None:
+            sooner_s = min(self._drone.end_s, self._remote_end_s(server))
+            self._drone = _Computed(self._drone.photo, sooner_s)  # it is sent there too
+
+    def _ready_server(self) -> ServerBelief | None:
+        if self._server is None or self._ready_s > self.now_s:
+            return None
+        return self._servers[self._server]
+
+    def _remote_end_s(self, server: ServerBelief) -> float:
+        return (self.now_s if self._remote is None else self._remote.end_s) + server.call_s
+
+    def _local_end_s(self) -> float:
+        return (self.now_s if self._drone is None else self._drone.end_s) + self._local_s
+
+    def _first(self) -> int:
+        return self._line.pop(-1 if self._newest else 0)
+
+    def _next_s(self) -> float:
+        times_s = [self._coming[0][0]] if self._coming else []
+        times_s += [computed.end_s for computed in (self._drone, self._remote) if computed is not None]
+        if not times_s and not self._line:
+            return math.inf
+        if self._server is not None and self._ready_s > self.now_s:
+            times_s.append(self._ready_s)
+        times_s += [time_s for stay in self._stays.values() for time_s in stay if time_s > self.now_s]
+        return min(times_s)

@@ -1,0 +1,362 @@
+"""How long a mission of rows takes at a ground speed, and whether its answers keep up with its photos.
+
+The drone flies as drone/rows.py has it: each row is one leg, from rest to rest; with too many open answers it stops
+until there are fewer; a demand turns it back. Photos are answered as in answering.py.
+
+Left out: heat, noise, faults, other drones, and stops that `policy.stay_or_go = "learn"` would make.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import operator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from msgspec import Struct
+
+from upwash.core.geo import Circle, Position, Reach, Waypoint, distance_m
+from upwash.core.planning.answering import Answering, ServerBelief, Stay
+from upwash.core.planning.legs import Leg, Pace
+
+_THERE_M = 1.0  # from a place that need not be flown to
+_ON_WAY_M = 1e-6
+_ANY_M_S = 1000.0
+
+
+class RowMission(Struct, frozen=True, kw_only=True):
+    """What is known of a mission of rows before take-off.
+
+    The vehicle starts over `start`. A photo takes `photo_s`, and its answer `local_s` on the drone. The answers to
+    the `demanding` photos turn the drone back, each for an action of `action_s`. With `at_most` open answers it
+    stops. `home_s` is the time from the last photo to the ground.
+    """
+
+    plan: Sequence[Waypoint]
+    start: Position
+    pace: Pace
+    takeoff_s: float
+    home_s: float
+    photo_s: float
+    local_s: float
+    servers: Mapping[str, ServerBelief] = {}
+    gain_switch: float = 0.25
+    newest: bool = False
+    at_most: int = 100
+    demanding: frozenset[int] = frozenset()
+    action_s: float = 0.0
+
+
+class RowAnswers(Struct, frozen=True, kw_only=True):
+    """One row: its photos, those taken a second, answers that could be given a second, and the most open answers."""
+
+    row: int
+    photos: int
+    photos_per_s: float
+    answers_per_s: float
+    most_open: int
+
+
+class RowForecast(Struct, frozen=True, kw_only=True):
+    """A forecast at one ground speed: the mission's time, each row, and how often the drone stops for answers.
+
+    `waited_s` is the time that it waits for answers, at these stops and at the end.
+    """
+
+    ground_speed_m_s: float
+    mission_s: float
+    rows: tuple[RowAnswers, ...]
+    most_open: int
+    stops: int
+    waited_s: float
+    turns_back: int
+
+    @property
+    def photos_per_s(self) -> float:
+        """Photos that are taken a second on the rows, on average."""
+        return self._over_rows([row.photos_per_s for row in self.rows])
+
+    @property
+    def answers_per_s(self) -> float:
+        """Answers a second that the drone and its servers could give on the rows, on average."""
+        return self._over_rows([row.answers_per_s for row in self.rows])
+
+    @property
+    def keeps_up_m_s(self) -> float:
+        """The highest ground speed with no more photos a second than answers; infinite if any speed has."""
+        taken_per_s, answered_per_s = self.photos_per_s, self.answers_per_s
+        speed_m_s = self.ground_speed_m_s * answered_per_s / taken_per_s if taken_per_s > 0 else math.inf
+        return speed_m_s if speed_m_s < _ANY_M_S else math.inf
+
+    def _over_rows(self, rates_per_s: Sequence[float]) -> float:
+        """The mean of rates, each row by its photos."""
+        legs = [row.photos - 1 for row in self.rows]
+        return sum(map(operator.mul, rates_per_s, legs)) / sum(legs) if any(legs) else 0.0
+
+
+def forecast_rows(mission: RowMission, ground_speed_m_s: float) -> RowForecast:
+    """The forecast of a mission with at least one row."""
+    return _Flight(mission, ground_speed_m_s).flown()
+
+
+class _Motion(NamedTuple):
+    """A straight leg that is flown."""
+
+    start: Position
+    end: Position
+    leg: Leg
+    begun_s: float
+
+    def place(self, now_s: float) -> Position:
+        length_m = self.leg.length_m
+        share = min(1.0, self.leg.travelled_m(now_s - self.begun_s) / length_m) if length_m else 1.0
+        return _between(self.start, self.end, share)
+
+    def passes_s(self, spot: Position) -> float | None:
+        """When it passes the spot, or arrives there; None if the spot is not on its way."""
+        if spot == self.end:
+            return self.begun_s + self.leg.duration_s
+        if not _passes(self.start, self.end, spot):
+            return None
+        return self.begun_s + self.leg.reached_s(distance_m(self.start, spot))
+
+
+class _Flight:
+    """One mission, flown step by step."""
+
+    def __init__(self, mission: RowMission, ground_speed_m_s: float) -> None:
+        self._mission = mission
+        self._speed_m_s = ground_speed_m_s
+        self._answering = Answering(
+            mission.local_s, mission.servers, gain_switch=mission.gain_switch, newest=mission.newest
+        )
+        self._here = mission.start
+        self._motion: _Motion | None = None
+        self._open: set[int] = set()
+        self._demanding: list[int] = []  # photos whose answers are there
+        self._most_open = self._row_open = self._stops = self._turns_back = 0
+        self._waited_s = 0.0
+
+    def flown(self) -> RowForecast:
+        plan, rows = self._mission.plan, []
+        self._hover(self._mission.takeoff_s)
+        for number, row in enumerate(_rows(plan)):
+            begun_s, could = 0.0, 0.0
+            for index in row:
+                self._reach(index)
+                if index == row[0]:
+                    begun_s, could, self._row_open = self._now_s, self._answering.could, 0
+                    ended_s, could_later = begun_s, could
+                else:
+                    ended_s, could_later = self._now_s, self._answering.could
+                self._take_photo(index)
+            length_m = distance_m(plan[row[0]].position, plan[row[-1]].position)
+            rows.append(
+                RowAnswers(
+                    row=number,
+                    photos=len(row),
+                    photos_per_s=self._speed_m_s * (len(row) - 1) / length_m if length_m else 0.0,
+                    answers_per_s=(could_later - could) / (ended_s - begun_s) if ended_s > begun_s else 0.0,
+                    most_open=self._row_open,
+                )
+            )
+        self._wait_below(1)
+        return RowForecast(
+            ground_speed_m_s=self._speed_m_s,
+            mission_s=self._now_s + self._mission.home_s,
+            rows=tuple(rows),
+            most_open=self._most_open,
+            stops=self._stops,
+            waited_s=self._waited_s,
+            turns_back=self._turns_back,
+        )
+
+    @property
+    def _now_s(self) -> float:
+        return self._answering.now_s
+
+    def _reach(self, index: int) -> None:
+        """Pass the waypoint, or rest there and set off for the following one."""
+        spot = self._mission.plan[index].position
+        if self._motion is not None and self._motion.passes_s(spot) is None:
+            self._brake()
+        if self._motion is None:
+            self._set_off(self._row_end(index) or spot)
+        while True:
+            motion = self._motion
+            assert motion is not None  # noqa: S101 - a leg is flown
+            reached_s = motion.passes_s(spot)
+            if reached_s is None:  # it was braking when it passed the spot
+                self._fly(spot)
+                break
+            if self._goes_on(reached_s):
+                break
+            self._detour(spot)
+        if self._motion is not None and spot == self._motion.end:
+            self._rest(spot)
+        if self._motion is None and index + 1 < len(self._mission.plan):
+            self._set_off(self._row_end(index + 1) or self._mission.plan[index + 1].position)
+
+    def _row_end(self, index: int) -> Position | None:
+        """The end of the waypoint's row, if the drone is on that row, and the waypoint is ahead."""
+        waypoint, end = self._mission.plan[index], self._mission.plan[index].row_end
+        if end is None or index == 0 or self._mission.plan[index - 1].row_end != end:
+            return None
+        return end if _passes(self._here, end, waypoint.position) else None
+
+    def _take_photo(self, photo: int) -> None:
+        self._open.add(photo)
+        self._row_open = max(self._row_open, len(self._open))
+        self._most_open = max(self._most_open, len(self._open))
+        self._answering.take(photo, self._now_s + self._mission.photo_s)
+        if len(self._open) >= self._mission.at_most:
+            self._stops += 1
+            self._brake()
+            self._wait_below(self._mission.at_most)
+
+    def _wait_below(self, least: int) -> None:
+        """Wait at rest until fewer answers are open, and meet their demands."""
+        while len(self._open) >= least:
+            begun_s = self._now_s
+            self._goes_on(math.inf)
+            self._waited_s += self._now_s - begun_s
+            self._meet()
+
+    def _goes_on(self, until_s: float) -> bool:
+        """Go on to that time and return True, or False where a demand is there before."""
+        while (photo := self._answering.next_answer(max(self._now_s, until_s))) is not None:
+            self._open.remove(photo)
+            if photo in self._mission.demanding:
+                self._demanding.append(photo)
+                return False
+            if until_s == math.inf:
+                return False
+        return True
+
+    def _detour(self, spot: Position) -> None:
+        motion = self._motion
+        assert motion is not None  # noqa: S101 - a leg is flown
+        left, end = motion.place(self._now_s), motion.end
+        self._brake()
+        last = self._meet()
+        if spot != end and not (last is not None and _passes(last, end, spot)):
+            self._fly(left)
+        self._set_off(end)
+
+    def _meet(self) -> Position | None:
+        """Fly to the photos with a demand, the nearest first, and act there; return the last place."""
+        last = None
+        while self._demanding:
+            places = {photo: self._mission.plan[photo].position for photo in self._demanding}
+            photo = min(places, key=lambda photo: distance_m(self._here, places[photo]))
+            self._demanding.remove(photo)
+            last = places[photo]
+            if distance_m(self._here, last) >= _THERE_M:
+                self._turns_back += 1
+                self._fly(last)
+            self._hover(self._mission.action_s)
+        return last
+
+    def _set_off(self, end: Position) -> None:
+        mission = self._mission
+        leg = Leg(
+            distance_m(self._here, end),
+            self._speed_m_s,
+            mission.pace.acceleration_m_s2,
+            mission.pace.settling_s,
+        )
+        self._motion = _Motion(self._here, end, leg, self._now_s)
+        self._answering.moves(
+            {
+                name: stay
+                for name, server in self._answering.servers.items()
+                if (stay := _stay(self._motion, server.area)) is not None
+            }
+        )
+
+    def _brake(self) -> None:
+        motion = self._motion
+        if motion is None:
+            return
+        flown_s = self._now_s - motion.begun_s
+        acceleration_m_s2 = motion.leg.acceleration_m_s2
+        along_m = motion.leg.travelled_m(flown_s)
+        left_s = max(0.0, motion.leg.duration_s - motion.leg.settling_s - flown_s)
+        speed_m_s = min(self._speed_m_s, acceleration_m_s2 * min(flown_s, left_s))
+        way_m = along_m + speed_m_s**2 / (2 * acceleration_m_s2)
+        if way_m >= motion.leg.length_m - _ON_WAY_M:
+            self._finish(motion.begun_s + motion.leg.duration_s)
+            self._rest(motion.end)
+            return
+        self._finish(self._now_s + speed_m_s / acceleration_m_s2)
+        self._rest(_between(motion.start, motion.end, way_m / motion.leg.length_m))
+
+    def _fly(self, end: Position) -> None:
+        """Fly to a place, from rest to rest."""
+        self._brake()
+        self._set_off(end)
+        assert self._motion is not None  # noqa: S101 - it was set off
+        self._finish(self._now_s + self._motion.leg.duration_s)
+        self._rest(end)
+
+    def _rest(self, place: Position) -> None:
+        self._here, self._motion = place, None
+        self._answering.moves(
+            {
+                name: (-math.inf, math.inf)
+                for name, server in self._answering.servers.items()
+                if server.area.contains(place)
+            }
+        )
+
+    def _hover(self, duration_s: float) -> None:
+        self._rest(self._here)
+        self._finish(self._now_s + duration_s)
+
+    def _finish(self, at_s: float) -> None:
+        """Go on to that time, and keep demands for later."""
+        while not self._goes_on(at_s):
+            pass
+
+
+def _rows(plan: Sequence[Waypoint]) -> Iterator[list[int]]:
+    """The indices of the waypoints of each row."""
+    for _, row in itertools.groupby(range(len(plan)), key=lambda index: plan[index].row_end or index):
+        yield list(row)
+
+
+def _between(start: Position, end: Position, share: float) -> Position:
+    return Position(
+        start.east_m + share * (end.east_m - start.east_m),
+        start.north_m + share * (end.north_m - start.north_m),
+        start.altitude_m + share * (end.altitude_m - start.altitude_m),
+    )
+
+
+def _passes(start: Position, end: Position, spot: Position) -> bool:
+    return distance_m(start, spot) + distance_m(spot, end) <= distance_m(start, end) + _ON_WAY_M
+
+
+def _stay(motion: _Motion, area: Reach) -> Stay | None:
+    """When the leg is in the area, up to for ever if it ends there; None if it never is."""
+    if not isinstance(area, Circle):
+        return -math.inf, math.inf
+    way = (motion.end.east_m - motion.start.east_m, motion.end.north_m - motion.start.north_m)
+    off = (motion.start.east_m - area.centre.east_m, motion.start.north_m - area.centre.north_m)
+    square = way[0] ** 2 + way[1] ** 2
+    if square == 0:
+        return (-math.inf, math.inf) if area.contains(motion.start) else None
+    along = -(off[0] * way[0] + off[1] * way[1]) / square
+    beside_m2 = (off[0] + along * way[0]) ** 2 + (off[1] + along * way[1]) ** 2
+    if beside_m2 > area.radius_m**2:
+        return None
+    half = math.sqrt((area.radius_m**2 - beside_m2) / square)
+    first, last = along - half, along + half
+    if last < 0 or first > 1:
+        return None
+    length_m = motion.leg.length_m
+    return (
+        -math.inf if first <= 0 else motion.begun_s + motion.leg.reached_s(first * length_m),
+        math.inf if last >= 1 else motion.begun_s + motion.leg.reached_s(last * length_m),
+    )
