@@ -1,7 +1,8 @@
 """What flying rows without stopping gains, in minutes: `python -m bench.rows`.
 
 The field of scenarios/on-the-move.toml, with 3 % noise on calls and 2 % on legs. An answer demands 5 s at its place
-with some probability. The second table maps the same field at 75 % overlap, 1,485 photos without a demand.
+with some probability. The second table maps the same field at 75 % overlap, 1,485 photos without a demand; its last
+line has the speed that each drone chooses by itself (`mission.speed = "auto"`).
 Each figure is the mean of missions with the same seeds.
 """
 
@@ -21,7 +22,8 @@ from upwash.lab.simulation import simulate
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "on-the-move.toml"
 CHANCES, QUICK_CHANCES = (0.0, 0.05, 0.1, 0.2, 0.5), (0.1,)
-SPEEDS, QUICK_SPEEDS = (2.0, 4.0, 6.0, 8.0), (4.0,)
+AUTO_M_S = 0.0
+SPEEDS, QUICK_SPEEDS = (2.0, 4.0, 6.0, 8.0, AUTO_M_S), (4.0,)
 NOISE = {"call": 0.03, "leg": 0.02}
 SEEDS = 10
 FIELD_M, ROWS, EVERY_M = 200.0, 33, 4.5  # 75 % overlap of photos of 24 by 18 m, nearly
@@ -37,7 +39,7 @@ MANNERS: Mapping[str, tuple[str, str, bool]] = {  # policy, stay_or_go, whether 
 
 
 class Flight(NamedTuple):
-    """One mission to be flown."""
+    """One mission to be flown; at AUTO_M_S it chooses its speed."""
 
     manner: str
     speed_m_s: float
@@ -52,6 +54,9 @@ def scenario(flight: Flight) -> dict[str, Any]:
     policy, stay_or_go, in_rows = MANNERS[flight.manner]
     mission = document["mission"]
     mission["ground_speed_m_s"] = flight.speed_m_s
+    if flight.speed_m_s == AUTO_M_S:
+        del mission["ground_speed_m_s"]
+        mission["speed"] = "auto"
     if flight.maps:
         del mission["grid"]
         mission["photos"] = {"every_m": EVERY_M}
@@ -98,7 +103,7 @@ def main() -> None:
     maps = [
         Flight(manner, speed_m_s, 0.0, True, 1)
         for manner, speed_m_s in itertools.product(MANNERS, speeds)
-        if not options.quick or manner == "rows"
+        if manner == "rows" or (not options.quick and (MANNERS[manner][2] or speed_m_s != AUTO_M_S))
     ]
     with in_processes(fly, [*wanted, *maps]) as results:
         flown = dict(results)
@@ -121,7 +126,7 @@ def main() -> None:
     print("1,485 photos |", " | ".join(MANNERS))
     for speed_m_s in speeds:
         cells = (minutes(manner, speed_m_s, 0.0, maps=True) for manner in MANNERS)
-        print(f"{speed_m_s:g} m/s |", " | ".join(cells))
+        print(f"{speed_m_s:g} m/s |" if speed_m_s else "auto |", " | ".join(cells))
 
 
 if __name__ == "__main__":

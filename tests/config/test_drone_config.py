@@ -333,6 +333,13 @@ REFUSED = [
     ("photo_s = 1.0", "device = -1", "camera.device", "a video device's number, such as 0, or its path"),
     ("photo_s = 1.0", "device = true", "camera.device", "a video device's number, such as 0, or its path"),
     ("photo_s = 1.0", "fov_deg = 200", "camera.fov_deg", "a number from 1 to 170, in degrees"),
+    ("photo_s = 1.0", "photo_px = [4000, 0]", "camera.photo_px[1]", "an integer from 1 to 100,000"),
+    (
+        "altitude_m = 20.0",
+        'speed = "auto"',
+        "mission.speed",
+        "without mission.photos the drone stops at each waypoint",
+    ),
     ("photo_s = 1.0", "park_seed = 1.5", "camera.park_seed", "an integer of at least 0"),
     (
         "photo_s = 1.0",

@@ -27,6 +27,7 @@ from upwash.cli.arguments import (
 )
 from upwash.cli.exit_codes import MEANINGS
 from upwash.config import DroneConfig, never_offloaded, read_drone_config, refuse_several, waypoints
+from upwash.drone.speed import photo_doubts
 from upwash.errors import MissionStopped, NotKept, UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog.results import read_result
@@ -86,6 +87,8 @@ def run(options: argparse.Namespace) -> None:
     warn_of_plans(config)
     for problem in never_offloaded(config):
         sys.stderr.write(f"upwash: warning: {problem}\n")
+    for _, doubt in photo_doubts(config):
+        sys.stderr.write(f"upwash: warning: {doubt}\n")
     fly_with_progress(
         config,
         program=options.mission,

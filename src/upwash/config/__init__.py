@@ -40,6 +40,7 @@ from upwash.config.drone import (
     unsigned_port,
 )
 from upwash.config.drone_file import (
+    FASTEST_M_S,
     Presence,
     drone_config,
     fleet_of,
@@ -55,6 +56,7 @@ from upwash.config.flight_times import (
     told_pace,
     usable_s,
 )
+from upwash.config.photo_ground import PhotoGround, photo_ground
 from upwash.config.places import (
     AltitudesAboveSea,
     altitudes_above_sea,

@@ -50,6 +50,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     if not config.drones:
         yield from _way_problems("mission", config.mission)
     yield from _mission_problems(config.mission, config.services)
+    yield from _speed_problems(config)
     yield from _photos_problems(config)
     yield from _autopilot_problems(config.autopilot)
     yield from _lighter_problems(config)
@@ -125,6 +126,28 @@ def _mission_problems(mission: MissionConfig, services: Sequence[ServiceConfig])
         yield "mission.mode", unknown("profile key", mission.mode, keys)
 
 
+def _speed_problems(config: DroneConfig) -> Iterator[Problem]:
+    mission, key = config.mission, "mission.speed"
+    if mission.speed == "given":
+        return
+    if mission.photos is None:
+        yield (
+            key,
+            '"auto" is for rows, and without mission.photos the drone stops at each waypoint, where the highest '
+            "speed is the quickest: leave it out, and give ground_speed_m_s",
+        )
+    elif mission.plan is not None or any(drone.plan is not None for drone in config.drones):
+        yield (
+            key,
+            "a plan has speeds of its own: leave it out, or give a grid or waypoints_m in place of the plan",
+        )
+    elif mission.photos.every_s is not None:
+        yield (
+            key,
+            "with photos.every_s the speed decides how far photos lie apart: give photos.every_m, or a speed",
+        )
+
+
 def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
     mission, photos = config.mission, config.mission.photos
     if photos is None:
@@ -151,7 +174,7 @@ def _photos_problems(config: DroneConfig) -> Iterator[Problem]:
         )
         return
     fastest_m_s = step_m / config.camera.photo_s if config.camera.photo_s else math.inf
-    if photos.every_m is not None and mission.ground_speed_m_s > fastest_m_s:
+    if mission.speed == "given" and photos.every_m is not None and mission.ground_speed_m_s > fastest_m_s:
         yield (
             "mission.ground_speed_m_s",
             f"a photo takes camera.photo_s = {config.camera.photo_s:g} s, so that one every {photos.every_m:g} m "

@@ -23,6 +23,10 @@ PlacesInMetres = Annotated[
 ]
 SecondOfADay = Annotated[float, Meta(ge=0, le=86_400, description="a number from 0 to 86400, in seconds")]
 SystemId = Annotated[int, Meta(ge=1, le=255, description="a whole number from 1 to 255")]
+PhotoSize = Annotated[
+    tuple[values.PixelCount, values.PixelCount],
+    Meta(description="a pair [width, height] of whole numbers above 0, in pixels"),
+]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
 SafeEnd = Literal["return", "hold", "land"]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
@@ -89,7 +93,9 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     altitude_m: values.Positive = 20.0
     """The altitude of the take-off above home, in metres."""
     ground_speed_m_s: values.Positive = 4.0
-    """The ground speed of legs, in metres per second."""
+    """The ground speed of legs, in metres per second; with `speed = "auto"` the highest one, 10 by default."""
+    speed: Literal["given", "auto"] = "given"
+    """`auto`: before take-off the drone chooses [the speed of its rows](rows.md#which-speed)."""
     home: HomeConfig | None = None
     """The place where east and north are 0; needed to fly."""
     grid: GridConfig | None = None
@@ -196,6 +202,11 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """How far below the horizon the camera of a level vehicle looks: 90 is straight down, 0 ahead."""
     yaw_deg: values.Turn = 0.0
     """How far right of the nose the camera looks."""
+    photo_px: PhotoSize | None = None
+    """The width and the height of a photo, in pixels: with the lens they tell what of a row [a photo
+    shows](rows.md#which-speed)."""
+    exposure_s: values.Positive | None = None
+    """The exposure of a photo taken in flight, in seconds, such as 0.001: with the lens it tells the blur."""
     gimbal: bool = False
     """The camera hangs on a gimbal that keeps it level; `tilt_deg` and `yaw_deg` hold until it is pointed."""
     terrain: values.FilePath | None = None

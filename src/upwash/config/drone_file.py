@@ -20,6 +20,7 @@ from upwash.core.planning.order import SWEEPS
 from upwash.errors import ConfigError
 
 _MOST_PAIRS = 20_000  # of a service and a server
+FASTEST_M_S = 10.0  # of chosen speeds, where the file names no limit: of an ArduCopter as delivered
 _SEED_BYTES = 6  # of a derived seed: it fits every integer
 _OF_A_DAEMON = {"listen", "runtime", "lease_s", "allow_without_certificates"}
 
@@ -43,6 +44,8 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
         photo_s = config.camera.photo_s
         mission = as_planned(mission, mission.plan, named=document["mission"], photo_s=photo_s)
         config = replace(config, mission=mission)
+    if mission.speed == "auto" and "ground_speed_m_s" not in document["mission"]:
+        config = replace(config, mission=replace(mission, ground_speed_m_s=FASTEST_M_S))
     refuse_first(file, problems(config))
     for drone in fleet_of(config):
         plan = drone.mission.plan

@@ -108,6 +108,7 @@ Range = Annotated[
 ]
 GridCount = Annotated[int, Meta(ge=1, le=1000, description="an integer from 1 to 1000")]
 PhotoCount = Annotated[int, Meta(ge=1, le=10_000, description="an integer from 1 to 10,000")]
+PixelCount = Annotated[int, Meta(ge=1, le=100_000, description="an integer from 1 to 100,000")]
 VideoSource = Annotated[
     Annotated[int, Meta(ge=0)] | Annotated[str, Meta(min_length=1)],
     Meta(description="a video device's number, such as 0, or its path, the URL of a stream, or a pipeline"),

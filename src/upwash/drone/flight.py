@@ -96,7 +96,7 @@ class Flight:
 
     `done` resumes an interrupted mission: these waypoints are complete, the plan has the others, and the vehicle may
     be in the air. If no waypoint is left, the vehicle is brought to the ground. `order` is the order of the
-    waypoints, decided here if None.
+    waypoints, decided here if None. `speed_why` is the reason of a ground speed that was chosen.
     """
 
     def __init__(
@@ -109,6 +109,7 @@ class Flight:
         ports: Ports,
         done: frozenset[int] | None = None,
         order: Order | None = None,
+        speed_why: str = "",
     ) -> None:
         self._mission = mission
         self._config = config
@@ -116,6 +117,7 @@ class Flight:
         self._thread = MissionThread()
         specs = {name: spec_of(cls) for name, cls in services.items()}
         self._order = order or order_of(config, specs)
+        self._speed_why = speed_why
         self._done = done
         self._plan = tuple(
             waypoint for waypoint in self._order.waypoints if waypoint.index not in (done or ())
@@ -169,6 +171,9 @@ class Flight:
             async with self._ending_safely():
                 await self._onboard.start()
             journal.record(self._planned())
+            if self._speed_why:
+                speed_m_s = config.mission.ground_speed_m_s
+                journal.record(schema.SpeedChosen(ground_speed_m_s=speed_m_s, why=self._speed_why))
             journal.record(
                 schema.MissionStarted(
                     drone=config.name,

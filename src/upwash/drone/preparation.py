@@ -271,7 +271,7 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
         {} if config.policy.name == "local-only" else server_areas(config),
         gain_wait=config.policy.gain_wait,
         stands=start,
-        home_s=lambda place: _home_s(config, place, start),
+        home_s=lambda place: home_s(config, place, start),
     )
     sweeps = sweeps_of(mission)
     allowed = [
@@ -286,7 +286,7 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
     return best
 
 
-def _home_s(config: DroneConfig, place: Position, start: Position) -> float:
+def home_s(config: DroneConfig, place: Position, start: Position) -> float:
     """Seconds of the simulated vehicle from `place` to the ground; without a profile the same from everywhere."""
     profile = config.vehicle.profile
     if profile is None or ending(config.mission) == "land":

@@ -263,6 +263,8 @@ def _sentence(event: Event) -> Sentence | None:
             return Sentence(f"told the user: {in_one_line(message)}", Tone.FOUND)
         case schema.Planned(order_why=str(why)) if why:
             return Sentence(f"order of the waypoints: {why}")
+        case schema.SpeedChosen(why=why):
+            return Sentence(f"ground speed: {why}")
         case schema.Demanded(waypoint=waypoint, failed=failed):
             if failed:
                 return Sentence(f"the call at {named(waypoint)} failed: {failed}", Tone.TROUBLE)

@@ -214,6 +214,13 @@ class Planned(Event, frozen=True, kw_only=True):
         return self.order if sorted(self.order) == list(given) else given
 
 
+class SpeedChosen(Event, frozen=True, kw_only=True):
+    """The ground speed by `mission.speed = "auto"`, and why."""
+
+    ground_speed_m_s: Number
+    why: Text
+
+
 class MissionStarted(Event, frozen=True, kw_only=True):
     """The drone, the policy, the number of planned waypoints, and in a resumed flight the indices already `done`."""
 

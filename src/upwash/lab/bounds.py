@@ -158,7 +158,20 @@ def _least_of_rows_s(run: Run, config: DroneConfig) -> float:
         )
         for service in config.services
     )
-    alone = replace(config, servers=(), services=services, event=None, heat=None, energy=None, faults=())
+    mission = config.mission
+    for event in run.events:
+        if isinstance(event, schema.SpeedChosen):
+            mission = replace(mission, speed="given", ground_speed_m_s=event.ground_speed_m_s)
+    alone = replace(
+        config,
+        mission=mission,
+        servers=(),
+        services=services,
+        event=None,
+        heat=None,
+        energy=None,
+        faults=(),
+    )
     acted = sum(isinstance(event, schema.Acted) for event in run.events)
     return simulate(alone).result.mission_time_s + acted * config.mission.action_s
 

@@ -116,6 +116,9 @@ def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> 
 
 def explain(events: Iterable[Event], replayed: Replay, wanted: CallChoice) -> Iterator[str]:
     """The explanation of the wanted calls, line by line."""
+    if chosen_speed := _first(schema.SpeedChosen, events):
+        yield f"the ground speed was chosen: {chosen_speed.why}"
+        yield ""
     result = read_result(events)
     chosen = wanted.of(explained_calls(events))
     for text in chosen:

@@ -32,12 +32,13 @@ from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NetworkCell, PositionNetwork
+from upwash.drone.speed import with_speed
 from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
 from upwash.lab.observer import Observation, RangeInterval, drone_observer, observe_ranges
-from upwash.missions.bundled import load_mission, load_services
+from upwash.missions.bundled import load_mission, load_services, load_specs
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera, RenderedCamera, eventful
@@ -146,6 +147,7 @@ class _Drone:
     def __init__(self, config: DroneConfig, presence: Presence) -> None:
         replace = msgspec.structs.replace
         servers = tuple(replace(server, address=daemon_address(server.name)) for server in config.servers)
+        config, self.speed_why = with_speed(config, load_specs(config.services))
         self.config = replace(config, servers=servers)
         self.presence = presence
         self.chance, self.faults = Chance(config.seed), Faults(config.faults)
@@ -205,6 +207,7 @@ async def _fly_one(
         services=software.classes,
         programs=software.programs,
         ports=_ports(drone, autopilot, radios, software, observe),
+        speed_why=drone.speed_why,
     )
     try:
         async with beside(observe_ranges(autopilot, areas, drone.range_intervals), name="observer of ranges"):

@@ -23,6 +23,7 @@ from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.home import above_home
 from upwash.drone.resumption import order_begun, waypoints_done
+from upwash.drone.speed import with_speed
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
 from upwash.launch.cameras import NoCamera, needs_camera, opened_camera
@@ -35,7 +36,7 @@ from upwash.launch.drone import (
     server_finder,
 )
 from upwash.launch.readiness import require_ready
-from upwash.missions.bundled import load_mission, load_services
+from upwash.missions.bundled import load_mission, load_services, load_specs
 from upwash.ports import Autopilot, Camera, Journal
 from upwash.real.camera.album import FolderAlbum
 from upwash.real.camera.terrain import Terrain
@@ -84,6 +85,7 @@ async def fly(
     require_ready(config)
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
+    config, speed_why = with_speed(config, load_specs(config.services))
     done = waypoints_done(read_events(log), config) if resumes else None
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
@@ -113,6 +115,7 @@ async def fly(
             programs={name: service.program for name, service in services.items()},
             done=done,
             order=order_begun(read_events(log), config) if resumes else None,
+            speed_why=speed_why,
         )
         await stack.enter_async_context(_tracking(flight, journal))
         stack.enter_context(stopping_politely(flight.stop))

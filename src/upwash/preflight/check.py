@@ -22,6 +22,7 @@ from upwash.config import (
 )
 from upwash.core.planning.order import Order
 from upwash.drone.preparation import make_estimates, order_of
+from upwash.drone.speed import with_speed
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
 from upwash.lab.campaigns.campaign import Fly
@@ -29,6 +30,7 @@ from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
 from upwash.preflight.placement import SuggestedPlace
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
+from upwash.preflight.speed import SpeedCheck, check_speed
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
 from upwash.preflight.waypoints import Farthest, ServerCoverage, coverage, farthest, uncovered
 
@@ -48,7 +50,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     energy above it; None if the file does not say. `farthest` is the waypoint with the longest way home. `order` is
     the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
     plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
-    them.
+    them. `speed` is the check of the ground speed, if photos are taken in flight.
     """
 
     config: str
@@ -64,6 +66,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     notices: tuple[str, ...] = ()
     places: tuple[SuggestedPlace, ...] = ()
     demanding_share: float | UnsetType = UNSET
+    speed: SpeedCheck | UnsetType = UNSET
 
 
 def read_plan(file: Path) -> CheckInput:
@@ -85,7 +88,9 @@ def check(
     Raises UpwashError for a mission that is not completed even with every call on the drone.
     """
     places = [waypoint.position for waypoint in waypoints(plan.config.mission)]
-    order = order_of(plan.config, load_specs(plan.config.services))
+    specs = load_specs(plan.config.services)
+    order = order_of(plan.config, specs)
+    config, speed_why = with_speed(plan.config, specs)
     alone = _flown_alone(plan, order)
     covered = coverage(
         places,
@@ -106,13 +111,14 @@ def check(
         predictions=tuple(predictions),
         usable_s=usable_s(plan.config),
         usable_wh=usable_wh(plan.config),
-        farthest=farthest(plan.config),
+        farthest=farthest(config),
         warnings=(
-            *warnings(plan.config, covered, list(beliefs(plan.config, alone)), predictions),
+            *warnings(config, covered, list(beliefs(plan.config, alone)), predictions),
             *_refusals(plan.config, alone),
         ),
         notices=tuple(plan_notices(plan.config)),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
+        speed=check_speed(config, speed_why) or UNSET,
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 
 import msgspec
+from msgspec import UNSET
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 from rich.table import Table
@@ -19,6 +20,7 @@ from upwash.lab.figures import FigureFiles
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
 from upwash.preflight.placement import missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
+from upwash.preflight.speed import told_speed
 from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
 from upwash.sim.chance import plays_a_part
@@ -100,6 +102,10 @@ def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, cons
         say(_NO_PACE, console)
     if share := told_share(config):
         say(share, console)
+    if found.speed is not UNSET:
+        console.print()
+        for line in told_speed(found.speed):
+            say(line, console)
     if config.mission.reserve_s is not None:
         say(_farthest_line(found.farthest, config), console)
     for site in found.places:

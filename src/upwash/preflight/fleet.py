@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct
+from msgspec import UNSET, Struct, UnsetType
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -23,6 +23,7 @@ from upwash.config import (
     waypoints,
 )
 from upwash.drone.preparation import order_of
+from upwash.drone.speed import with_speed
 from upwash.eventlog import schema
 from upwash.eventlog.narration import spans
 from upwash.lab import processes
@@ -40,6 +41,7 @@ from upwash.preflight.prediction import (
     prediction_of,
     told_share,
 )
+from upwash.preflight.speed import SpeedCheck, check_speed, told_speed
 from upwash.preflight.warnings import PreflightWarning, warnings
 from upwash.preflight.waypoints import coverage, uncovered
 from upwash.sim.chance import plays_a_part
@@ -52,12 +54,13 @@ from upwash.support.text import counted
 class DroneForecast(Struct, frozen=True, kw_only=True):
     """One drone's mission among the others; no `mission_time_s` if the drone vanishes.
 
-    `order` is as in `MissionCheck`.
+    `order` and `speed` are as in `MissionCheck`.
     """
 
     drone: str
     waypoints: int
     order: str = ""
+    speed: SpeedCheck | UnsetType = UNSET
     uncovered: tuple[int, ...]
     predictions: tuple[Prediction, ...]
     warnings: tuple[PreflightWarning, ...]
@@ -132,6 +135,8 @@ def _fly(flight: _Flight) -> Runs:
 
 
 def _forecast(config: DroneConfig, flown: Mapping[str, Sequence[Runs]]) -> DroneForecast:
+    specs = load_specs(config.services)
+    flown_config, speed_why = with_speed(config, specs)
     cases = (LOCAL_ONLY,) if config.policy.name == LOCAL_ONLY else (LOCAL_ONLY, AS_CONFIGURED)
     runs = {case: [by_drone[config.name] for by_drone in flown[case]] for case in cases}
     alone = runs[LOCAL_ONLY][0]
@@ -144,11 +149,12 @@ def _forecast(config: DroneConfig, flown: Mapping[str, Sequence[Runs]]) -> Drone
         known=coverage_of(config),
     )
     predictions = tuple(_prediction(config, case, its_runs) for case, its_runs in runs.items())
-    found = warnings(config, covered, list(beliefs(config, alone)), predictions)
+    found = warnings(flown_config, covered, list(beliefs(config, alone)), predictions)
     return DroneForecast(
         drone=config.name,
         waypoints=len(places),
-        order=order_of(config, load_specs(config.services)).why,
+        order=order_of(config, specs).why,
+        speed=check_speed(flown_config, speed_why) or UNSET,
         uncovered=uncovered(len(places), covered),
         predictions=predictions,
         warnings=tuple(found),
@@ -208,6 +214,9 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
     for drone in found.drones:
         if drone.order:
             say(Text(f"order of {drone.drone}'s waypoints: {drone.order}"), console)
+        if drone.speed is not UNSET:
+            for line in told_speed(drone.speed):
+                say(f"{drone.drone}: {line}", console)
     for server in found.servers:
         say(
             f"{server.server}: in range of {server.in_range_of} of {counted(len(found.drones), 'drone')}, "

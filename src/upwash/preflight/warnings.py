@@ -19,6 +19,7 @@ from upwash.config import (
 )
 from upwash.config.values import MDNS
 from upwash.core.policies.policy import WaitRule
+from upwash.drone.speed import photo_doubts
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
 from upwash.preflight.waypoints import PX4_LOW_PERCENT, ServerCoverage, farthest
 
@@ -70,6 +71,7 @@ def warnings(
         if not config.mission.lighter:  # else each case takes the time that it may
             found += _gain_concerns(config, predictions)
     found += _failure_concerns(predictions)
+    found += (PreflightWarning(kind, text) for kind, text in photo_doubts(config))
     found += _time_concerns(config, predictions)
     found += _battery_concerns(config, predictions)
     found += _energy_concerns(config, predictions)

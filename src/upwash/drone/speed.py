@@ -1,0 +1,140 @@
+"""The ground speed of a mission of rows: what limits it, what it leads to, and `mission.speed = "auto"`.
+
+A speed that is chosen moves the ground by half a pixel at most during an exposure: the finest detail that a photo can
+have keeps 90 % of its contrast then. A speed that a person chose is warned of above one pixel, which keeps 64 %. With
+a blur of b pixels the contrast of the finest detail is sin(pi b / 2) / (pi b / 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+from msgspec.structs import replace
+
+from upwash.config import DroneConfig, demand_map_of, photo_ground, server_areas, stands, waypoints
+from upwash.core.geo import Waypoint
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.operation import Operation
+from upwash.core.planning.answering import ServerBelief
+from upwash.core.planning.ground_speed import ChosenSpeed, SpeedLimit, choose_speed
+from upwash.core.planning.row_forecast import RowForecast, RowMission, forecast_rows
+from upwash.drone.preparation import home_s, make_estimates, mission_beliefs
+from upwash.rpc.service import ServiceSpec
+
+SHARP_PX, BLURRED_PX = 0.5, 1.0
+
+
+def with_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> tuple[DroneConfig, str]:
+    """The configuration with a ground speed, and why it was chosen; "" for a speed that is given."""
+    if config.mission.speed == "given":
+        return config, ""
+    chosen = chosen_speed(config, specs)
+    mission = replace(config.mission, speed="given", ground_speed_m_s=chosen.ground_speed_m_s)
+    return replace(config, mission=mission), chosen.why
+
+
+def chosen_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> ChosenSpeed:
+    """The speed with the shortest forecast, for a mission of rows."""
+    mission = row_mission(config, specs)
+    return choose_speed(list(speed_limits(config)), lambda speed_m_s: forecast_rows(mission, speed_m_s))
+
+
+def forecast_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowForecast:
+    """The forecast of a mission of rows at its ground speed."""
+    return forecast_rows(row_mission(config, specs), config.mission.ground_speed_m_s)
+
+
+def speed_limits(config: DroneConfig) -> Iterator[SpeedLimit]:
+    """The limits of a speed that is chosen, for a mission of rows."""
+    photos, camera = config.mission.photos, config.camera
+    pixel_m = photo_ground(config).pixel_m
+    if pixel_m is not None and camera.exposure_s is not None:
+        yield SpeedLimit("blur", SHARP_PX * pixel_m / camera.exposure_s)
+    if photos is not None and photos.every_m is not None and camera.photo_s > 0:
+        yield SpeedLimit("the camera", photos.every_m / camera.photo_s)
+    yield SpeedLimit("mission.ground_speed_m_s", config.mission.ground_speed_m_s)
+
+
+def photo_doubts(config: DroneConfig) -> Iterator[tuple[str, str]]:
+    """Warnings of photos taken in flight, each a kind and a sentence; of blur only where the speed is given."""
+    mission, camera, ground = config.mission, config.camera, photo_ground(config)
+    if mission.photos is None:
+        return
+    if ground.pixel_m is not None and camera.exposure_s is not None and mission.speed == "given":
+        moved_px = mission.ground_speed_m_s * camera.exposure_s / ground.pixel_m
+        if moved_px > BLURRED_PX:
+            allowed_m_s = BLURRED_PX * ground.pixel_m / camera.exposure_s
+            yield (
+                "blur",
+                f"the ground moves by {moved_px:.1f} pixels during an exposure of {camera.exposure_s:g} s: at "
+                f"{allowed_m_s:.2g} m/s it is one pixel; fly slower, or expose for a shorter time",
+            )
+    step_m = mission.photos.step_m(mission.ground_speed_m_s)
+    if ground.along_m is not None and step_m is not None and step_m > ground.along_m:
+        yield (
+            "gaps",
+            f"a photo shows {ground.along_m:.1f} m of a row, so that one every {step_m:g} m leaves gaps of "
+            f"{step_m - ground.along_m:.1f} m: take photos more often, or fly higher, unless spots are enough",
+        )
+
+
+def row_mission(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowMission:
+    """What is known of a mission of rows before take-off."""
+    mission, photos = config.mission, config.mission.photos
+    if photos is None:
+        raise ValueError("a mission without photos has no rows")
+    plan, start, estimates = waypoints(mission), stands(mission), make_estimates(config, specs)
+    beliefs = mission_beliefs(config, specs, estimates, plan)
+    operations = [call.operation for call in beliefs.stop]
+    areas = {} if config.policy.name == "local-only" else server_areas(config)
+    return RowMission(
+        plan=plan,
+        start=start.at_altitude(mission.altitude_m),
+        pace=beliefs.pace,
+        takeoff_s=beliefs.pace.takeoff_s(mission.altitude_m),
+        home_s=home_s(config, plan[-1].position, start),
+        photo_s=config.camera.photo_s,
+        local_s=sum(estimates.local_s(operation) or 0.0 for operation in operations),
+        servers={
+            name: ServerBelief(
+                area,
+                sum(_call_s(estimates, name, operation) for operation in operations),
+                estimates.check_s(name, running=False),
+                estimates.check_s(name, running=True),
+            )
+            for name, area in areas.items()
+        },
+        gain_switch=config.policy.gain_switch,
+        newest=photos.order == "newest",
+        at_most=photos.at_most,
+        demanding=frozenset(_demanding(config, plan)),
+        action_s=mission.action_s,
+    )
+
+
+def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
+    """A call there, or on the drone if the server does not offer it."""
+    remote_s = estimates.remote_s(server, operation)
+    return (estimates.local_s(operation) or 0.0) if remote_s is None else remote_s
+
+
+def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> Iterator[int]:
+    """The photos whose answers demand an action: as many as is likely, evenly spread.
+
+    By `[event]`, or else by the demands that earlier flights met; none if neither is known.
+    """
+    event, known = config.event, demand_map_of(config, plan)
+    expected = 0.0
+    for index, waypoint in enumerate(plan):
+        if event is not None and event.every is not None:
+            chance = float(index % event.every == event.offset)
+        elif event is not None:
+            chance = event.chance(waypoint.position)
+        elif known is not None and any(known.places()):
+            chance = known.chance(waypoint.position, known.before)
+        else:
+            return
+        before, expected = expected, expected + chance
+        if math.floor(expected + 0.5) > math.floor(before + 0.5):
+            yield index

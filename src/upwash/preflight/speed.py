@@ -1,0 +1,201 @@
+"""What is known before take-off of the ground speed of a mission of rows: four limits, each with its figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from upwash.config import FASTEST_M_S, DroneConfig, photo_ground
+from upwash.core.planning.row_forecast import RowAnswers, RowForecast
+from upwash.drone.speed import SHARP_PX, chosen_speed, forecast_speed
+from upwash.eventlog.narration import spans
+from upwash.missions.bundled import load_specs
+from upwash.rpc.service import ServiceSpec
+from upwash.support.text import counted
+
+_QUICKER = 0.95
+
+
+class Blur(Struct, frozen=True, kw_only=True):
+    """How far the ground moves in a photo during its exposure; half a pixel `allows_m_s`."""
+
+    exposure_s: float | None = None
+    pixel_m: float | None = None
+    moved_px: float | None = None
+    allows_m_s: float | None = None
+    unknown: str = ""
+
+
+class Overlap(Struct, frozen=True, kw_only=True):
+    """The share of a photo that the next one on the row shows too; below 0 there are gaps."""
+
+    every_m: float
+    photo_m: float | None = None
+    overlap: float | None = None
+    unknown: str = ""
+
+
+class Interval(Struct, frozen=True, kw_only=True):
+    """The time from one photo to the next at full speed; None where the camera takes no time."""
+
+    between_s: float
+    photo_s: float
+    allows_m_s: float | None
+
+
+class Answers(Struct, frozen=True, kw_only=True):
+    """Photos taken a second on the rows, and answers that the drone and its servers could give; from a forecast.
+
+    The drone stops `stops` times for answers, as `at_most` may be open, and waits for them `waited_s` in all, with
+    the wait before the way home.
+    """
+
+    photos_per_s: float
+    answers_per_s: float
+    keeps_up: bool
+    allows_m_s: float | None
+    most_open: int
+    at_most: int
+    stops: int
+    waited_s: float
+    mission_time_s: float
+    rows: tuple[RowAnswers, ...]
+
+
+class SpeedCheck(Struct, frozen=True, kw_only=True):
+    """The ground speed against its limits; `why` it was chosen, "" for a speed that is given.
+
+    For a given speed, `auto` is the choice of `mission.speed = "auto"` where that saves 5 % or more.
+    """
+
+    ground_speed_m_s: float
+    why: str
+    auto: str
+    blur: Blur
+    overlap: Overlap
+    interval: Interval
+    answers: Answers
+
+
+def check_speed(config: DroneConfig, why: str) -> SpeedCheck | None:
+    """The check of a mission of rows at its ground speed; None for a plan, and for a mission that stops."""
+    photos, speed_m_s, photo_s = config.mission.photos, config.mission.ground_speed_m_s, config.camera.photo_s
+    step_m = None if photos is None or config.mission.plan is not None else photos.step_m(speed_m_s)
+    if photos is None or step_m is None:
+        return None
+    specs = load_specs(config.services)
+    forecast = forecast_speed(config, specs)
+    return SpeedCheck(
+        ground_speed_m_s=speed_m_s,
+        why=why,
+        auto="" if why or photos.every_m is None else _quicker(config, specs, forecast),
+        blur=_blur(config),
+        overlap=_overlap(config, step_m),
+        interval=Interval(
+            between_s=step_m / speed_m_s,
+            photo_s=photo_s,
+            allows_m_s=photos.every_m / photo_s if photo_s > 0 and photos.every_m else None,
+        ),
+        answers=_answers(forecast, photos.at_most),
+    )
+
+
+def _quicker(config: DroneConfig, specs: Mapping[str, ServiceSpec], given: RowForecast) -> str:
+    mission = replace(config.mission, ground_speed_m_s=FASTEST_M_S)
+    chosen = chosen_speed(replace(config, mission=mission), specs)
+    return chosen.why if chosen.forecast.mission_s <= _QUICKER * given.mission_s else ""
+
+
+def _blur(config: DroneConfig) -> Blur:
+    ground, exposure_s = photo_ground(config), config.camera.exposure_s
+    unknown = [ground.why_no_pixel, "" if exposure_s else "the exposure is unknown: give camera.exposure_s"]
+    if ground.pixel_m is None or exposure_s is None:
+        return Blur(exposure_s=exposure_s, pixel_m=ground.pixel_m, unknown="; ".join(filter(None, unknown)))
+    return Blur(
+        exposure_s=exposure_s,
+        pixel_m=ground.pixel_m,
+        moved_px=config.mission.ground_speed_m_s * exposure_s / ground.pixel_m,
+        allows_m_s=SHARP_PX * ground.pixel_m / exposure_s,
+    )
+
+
+def _overlap(config: DroneConfig, every_m: float) -> Overlap:
+    ground = photo_ground(config)
+    if ground.along_m is None:
+        return Overlap(every_m=every_m, unknown=ground.why_no_length)
+    return Overlap(every_m=every_m, photo_m=ground.along_m, overlap=1 - every_m / ground.along_m)
+
+
+def _answers(forecast: RowForecast, at_most: int) -> Answers:
+    keeps_up_m_s = forecast.keeps_up_m_s
+    return Answers(
+        photos_per_s=forecast.photos_per_s,
+        answers_per_s=forecast.answers_per_s,
+        keeps_up=forecast.ground_speed_m_s <= keeps_up_m_s,
+        allows_m_s=keeps_up_m_s if math.isfinite(keeps_up_m_s) else None,
+        most_open=forecast.most_open,
+        at_most=at_most,
+        stops=forecast.stops,
+        waited_s=forecast.waited_s,
+        mission_time_s=forecast.mission_s,
+        rows=forecast.rows,
+    )
+
+
+def told_speed(found: SpeedCheck) -> Iterator[str]:
+    """The check in sentences."""
+    given = f"{found.ground_speed_m_s:g} m/s, {found.answers.mission_time_s / 60:.1f} min by forecast"
+    yield f"ground speed: {found.why or given}"
+    if found.auto:
+        yield f'mission.speed = "auto" would choose {found.auto}'
+    yield f"blur: {_told_blur(found.blur)}"
+    yield f"overlap along a row: {_told_overlap(found.overlap)}"
+    interval = found.interval
+    limit = "" if interval.allows_m_s is None else f", which allows {interval.allows_m_s:.3g} m/s"
+    yield f"interval: a photo every {interval.between_s:.2g} s; the camera takes {interval.photo_s:g} s{limit}"
+    yield f"answers: {_told_answers(found.answers)}"
+
+
+def _told_blur(blur: Blur) -> str:
+    if blur.moved_px is None or blur.pixel_m is None or blur.allows_m_s is None:
+        return f"unknown, as {blur.unknown}"
+    return (
+        f"the ground moves by {blur.moved_px:.2f} pixels of {1000 * blur.pixel_m:.3g} mm during an exposure of "
+        f"{blur.exposure_s:g} s; half a pixel allows {blur.allows_m_s:.3g} m/s"
+    )
+
+
+def _told_overlap(overlap: Overlap) -> str:
+    if overlap.overlap is None or overlap.photo_m is None:
+        return f"unknown, as {overlap.unknown}"
+    shows = f"a photo shows {overlap.photo_m:.1f} m, and there is one every {overlap.every_m:g} m"
+    if overlap.overlap < 0:
+        return f"none, {shows}: gaps of {overlap.every_m - overlap.photo_m:.1f} m"
+    return f"{100 * overlap.overlap:.0f} %, {shows}"
+
+
+def _told_answers(answers: Answers) -> str:
+    behind = [row.row for row in answers.rows if row.photos > 1 and row.photos_per_s > row.answers_per_s]
+    rates = (
+        f"on the rows {answers.photos_per_s:.2g} photos a second are taken, and {answers.answers_per_s:.2g} could be "
+        "answered"
+    )
+    limit = "" if answers.allows_m_s is None else f" (up to {answers.allows_m_s:.2g} m/s)"
+    if not answers.keeps_up:
+        keeps = f"they do not keep up{limit}"
+    elif behind:
+        keeps = f"they keep up on average{limit}, and not on {_rows(behind)}"
+    else:
+        keeps = f"they keep up on each row{limit}"
+    stops = "never stops" if not answers.stops else f"stops {counted(answers.stops, 'time')}"
+    return (
+        f"{rates}: {keeps}. At most {answers.most_open} are open of {answers.at_most} (at_most), so "
+        f"that the drone {stops} for them; it waits for answers {answers.waited_s:.0f} s in all"
+    )
+
+
+def _rows(numbers: list[int]) -> str:
+    return f"row {numbers[0]}" if len(numbers) == 1 else f"rows {spans(tuple(numbers))}"
