@@ -16,6 +16,7 @@ from tests.ports.scripted import SYSTEM, Px4Script, Script, scripted
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition
+from upwash.core.vehicle.course import Abilities
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
 from upwash.errors import AutopilotTimeout
 from upwash.eventlog.schema import VehicleSetting
@@ -23,7 +24,6 @@ from upwash.mavlink.version import Version
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.parameters import read_parameters, read_quantities, set_parameter
-from upwash.real.mavlink.setpoints import Abilities
 from upwash.real.mavlink.way_home import PX4_QUANTITIES, px4_abilities
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.settings import VehicleSettings

@@ -10,10 +10,10 @@ from tests.core.test_energy import recorded_returns
 
 from upwash.core.geo import Position, Velocity
 from upwash.core.planning.legs import ARDUCOPTER, PX4, Leg, Pace
+from upwash.core.vehicle.course import Abilities, SetpointCourse
 from upwash.core.vehicle.way_home import ARDUCOPTER as ARDUCOPTER_HOME
 from upwash.core.vehicle.way_home import PX4 as PX4_HOME
 from upwash.core.vehicle.way_home import WayHome, time_home_s
-from upwash.real.mavlink.setpoints import Abilities, SetpointCourse
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.body.kinematics import duration_s
 from upwash.vehicle.px4 import airframe as px4

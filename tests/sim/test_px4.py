@@ -1,4 +1,4 @@
-"""The vehicle of profile "px4" flies a leg in the time of a recorded one, and its phases join."""
+"""The vehicle of profile "px4" flies rows and holds in the times of flown ones, and its phases join."""
 
 from __future__ import annotations
 
@@ -23,14 +23,34 @@ PROFILED: dict[str, Any] = {"policy": {"name": "local-only"}, "vehicle": {"profi
 def joined(phases: tuple[Phase, ...], end: Position) -> None:
     for before, after in pairwise(phases):
         assert distance_m(before.end, after.start) < 1e-6
-    assert distance_m(phases[-1].end, end) < 0.1
+    assert distance_m(phases[-1].end, end) < 0.001, "or a simulated drone flies there again"
 
 
-@pytest.mark.parametrize(("speed_m_s", "took_s"), [(4.0, 14.79), (8.0, 11.68)])
-def test_a_leg_of_40_m_takes_as_long_as_recorded(speed_m_s: float, took_s: float) -> None:
-    leg = airframe.waypoint_leg(Position(0, 0, 10), Position(40, 0, 10), ground_speed_m_s=speed_m_s)
-    assert airframe.arrival_s(leg) == pytest.approx(took_s, rel=0.05)
-    assert 0.5 < max(phase.end.east_m for phase in leg) - 40 < 1.6  # it overshoots
+def passed_s(phases: tuple[Phase, ...], way_m: float) -> float:
+    """The second in which it passes that place east of its start."""
+    elapsed_s = 0.0
+    for phase in phases:
+        if phase.end.east_m >= way_m:
+            share = (way_m - phase.start.east_m) / (phase.end.east_m - phase.start.east_m)
+            return elapsed_s + share * phase.duration_s
+        elapsed_s += phase.duration_s
+    raise AssertionError(way_m)
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "passes_s", "arrives_s", "hold_s"),
+    [(4.0, (6.9, 11.9, 16.9, 23.0), 25.9, 6.0), (8.0, (6.2, 8.7, 11.2, 15.5), 20.9, 11.0)],
+)
+def test_a_row_is_flown_as_upwash_flew_a_real_one(
+    speed_m_s: float, passes_s: tuple[float, ...], arrives_s: float, hold_s: float
+) -> None:
+    row = airframe.waypoint_leg(Position(0, 0, 10), Position(80, 0, 10), ground_speed_m_s=speed_m_s)
+    spots_m = (20.0, 40.0, 60.0, 80.0)
+    assert [passed_s(row, way_m) for way_m in spots_m] == pytest.approx(passes_s, abs=0.6)
+    assert airframe.arrival_s(row) == pytest.approx(arrives_s, rel=0.06)
+    assert 0.5 < max(phase.end.east_m for phase in row) - 80 < 2.0  # it overshoots
+    held = airframe.hold(Position(0, 0, 10), Velocity(east_m_s=speed_m_s))
+    assert airframe.arrival_s(held) == pytest.approx(hold_s, rel=0.1)
 
 
 @pytest.mark.parametrize(("away_m", "took_s"), [(144.0, 77.95), (80.0, 62.89)])

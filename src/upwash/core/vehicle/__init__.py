@@ -8,6 +8,7 @@ Laws:
     control      claims, commands and heartbeats → the owner
     continuity   reported positions → how far they can be wrong
     geofence     areas to stay in or keep out of
+    course       a target or a stop → the moving point that leads a PX4
     way_home     times of a return and a landing
     energy       battery, wind and way home → the margin
     telemetry    what a mission reads of the vehicle

@@ -11,6 +11,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, distance_m
+from upwash.core.vehicle.course import SetpointCourse
 from upwash.core.vehicle.way_home import PX4 as PX4_WAY_HOME
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.packets import Message
@@ -30,7 +31,7 @@ from upwash.real.mavlink.px4_firmware import (
     failsafe,
     words_of,
 )
-from upwash.real.mavlink.setpoints import SetpointCourse, SetpointStream
+from upwash.real.mavlink.setpoints import SetpointStream
 from upwash.real.mavlink.way_home import PX4_QUANTITIES, px4_abilities, px4_energy
 
 _POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT

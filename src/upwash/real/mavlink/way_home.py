@@ -10,9 +10,9 @@ from collections.abc import Mapping
 
 from msgspec.structs import replace
 
+from upwash.core.vehicle.course import Abilities
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
 from upwash.real.mavlink.parameters import QuantityValues, VehicleQuantity
-from upwash.real.mavlink.setpoints import Abilities
 
 _CENTI = 0.01
 _SLOWEST_M_S, _WEAKEST_M_S2 = 0.01, 0.01

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import TypeAlias
 
 from upwash.core.geo import Position, Velocity, distance_m
+from upwash.core.vehicle.course import Abilities, SetpointCourse
 from upwash.core.vehicle.way_home import PX4
-from upwash.vehicle.body.kinematics import Phase, along, cruise_m_s, heading_of, pause
+from upwash.vehicle.body.kinematics import Phase, along, cruise_m_s, direction_of, heading_of, pause
 from upwash.vehicle.px4.body import (
     CLIMB_M_S,
     CLIMB_RETURNING_M_S,
@@ -25,6 +27,7 @@ from upwash.vehicle.px4.body import (
 returning = PX4
 
 REACTION_S, FOLLOWING_LAG_S = 0.22, 0.34  # of repositions, of setpoints in OFFBOARD
+_LATE_STEPS = round(FOLLOWING_LAG_S / STEP_S)
 BELIEVES_GROUND_S = 4.7  # after contact, until it counts as landed
 ALTITUDE_REACHED_M = 0.8  # NAV_MC_ALT_RAD
 LANDS_WITHIN_M = 2.0  # of home, on the way there
@@ -39,12 +42,12 @@ _RETURN_M_S, _RETURN_ALTITUDE_M = 5.0, 30.0  # MPC_XY_CRUISE, RTL_RETURN_ALT
 
 
 def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-    """The motion of a leg from rest to rest, with the overshoot and the way back."""
+    """The motion of a leg that upwash's setpoints lead from rest to rest, with the overshoot and the way back."""
     length_m = distance_m(start, end)
     if length_m == 0:
         return ()
     cap_m_s = cruise_m_s(start, end, ground_speed_m_s, climb_m_s=CLIMB_RETURNING_M_S, descent_m_s=SINKING_M_S)
-    return _along(start, heading_of(start, end), _leg_samples(length_m, cap_m_s))
+    return _along(start, heading_of(start, end), _led_samples(length_m, cap_m_s))
 
 
 def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
@@ -52,15 +55,13 @@ def brake(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
     speed_m_s = velocity.speed_m_s
     if speed_m_s <= _TURNS_AT_ONCE_M_S:
         return ()
-    ahead = Position(
-        start.east_m + velocity.east_m_s,
-        start.north_m + velocity.north_m_s,
-        start.altitude_m + velocity.up_m_s,
-    )
-    return _along(start, heading_of(start, ahead), _brake_samples(speed_m_s))
+    return _along(start, direction_of(velocity), _brake_samples(speed_m_s))
 
 
-hold = brake
+def hold(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+    """The motion of a hold that upwash's setpoints lead; empty at rest."""
+    speed_m_s = velocity.speed_m_s
+    return _along(start, direction_of(velocity), _held_samples(speed_m_s)) if speed_m_s > 0 else ()
 
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
@@ -133,6 +134,50 @@ def _leg_samples(length_m: float, cap_m_s: float, *, within_m: float = 0.0) -> t
     return (_AT_REST, *samples, (ends_s + last_s, length_m, 0.0))
 
 
+@lru_cache(maxsize=512)
+def _led_samples(length_m: float, cap_m_s: float) -> tuple[_Sample, ...]:
+    """A leg from rest to rest behind a course."""
+    course = SetpointCourse(Position(0.0, 0.0), Velocity(), Abilities())
+    course.aim(Position(length_m, 0.0), ground_speed_m_s=cap_m_s)
+    return (_AT_REST, *_led(Body(), course))
+
+
+@lru_cache(maxsize=64)
+def _held_samples(speed_m_s: float) -> tuple[_Sample, ...]:
+    """A hold behind a course."""
+    course = SetpointCourse(Position(_LATE_STEPS * STEP_S * speed_m_s, 0.0), Velocity(speed_m_s), Abilities())
+    course.stop()
+    body = Body()
+    body.cruise(speed_m_s)
+    return ((0.0, 0.0, speed_m_s), *_led(body, course))
+
+
+def _led(body: Body, course: SetpointCourse) -> Iterator[_Sample]:
+    """The way and the speed of a body that follows a course until both rest; it follows late."""
+    velocity = Velocity(body.ground_m_s.real)
+    ways_m = [velocity.east_m_s * STEP_S * step for step in range(1, _LATE_STEPS + 1)]
+    waiting = deque(_follow(Position(way_m, 0.0), velocity) for way_m in ways_m)
+
+    def steering(body: Body) -> Steering:
+        course.advance(STEP_S, vehicle=body.position)
+        waiting.append(_follow(course.position, course.setpoint_velocity))
+        return waiting.popleft()
+
+    def rests(body: Body) -> bool:
+        left_m, speed_m_s = course.position.east_m - body.place_m.real, body.ground_m_s.real
+        return course.ended and abs(left_m) <= _STILL_M and abs(speed_m_s) <= _STILL_M_S
+
+    last_s = 0.0
+    for sample in _flown(body, steering, rests, lambda body: (body.place_m.real, body.ground_m_s.real)):
+        last_s = sample[0]
+        yield sample
+    yield last_s + STEP_S, course.position.east_m, 0.0
+
+
+def _follow(place: Position, velocity: Velocity) -> Steering:
+    return Steering(place=place, cap_m_s=Abilities().ground_speed_m_s, stiffly=True, velocity=velocity)
+
+
 @lru_cache(maxsize=64)
 def _brake_samples(speed_m_s: float) -> tuple[_Sample, ...]:
     body, steering = Body(), Steering()
@@ -185,9 +230,11 @@ def _along(start: Position, heading: Velocity, samples: Sequence[_Sample]) -> tu
 def _stretches(before: _Sample, after: _Sample) -> Iterator[tuple[float, float, float, float]]:
     (begins_s, begins_m, from_m_s), (ends_s, ends_m, to_m_s) = before, after
     lasts_s = ends_s - begins_s
+    way_m = ends_m - begins_m
     if from_m_s * to_m_s < 0:
         until_s = lasts_s * from_m_s / (from_m_s - to_m_s)
-        yield from_m_s * until_s / 2, from_m_s, 0.0, until_s
-        yield to_m_s * (lasts_s - until_s) / 2, 0.0, to_m_s, lasts_s - until_s
+        there_m = from_m_s * until_s / 2
+        yield there_m, from_m_s, 0.0, until_s
+        yield way_m - there_m, 0.0, to_m_s, lasts_s - until_s
     else:
-        yield ends_m - begins_m, from_m_s, to_m_s, lasts_s
+        yield way_m, from_m_s, to_m_s, lasts_s

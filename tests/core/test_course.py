@@ -8,7 +8,7 @@ import math
 import pytest
 
 from upwash.core.geo import Position, Velocity, distance_m
-from upwash.real.mavlink.setpoints import Abilities, SetpointCourse
+from upwash.core.vehicle.course import Abilities, SetpointCourse
 
 STEP_S = 0.05
 USED_M_S2 = 0.4 * 3.0
