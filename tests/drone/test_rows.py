@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -14,9 +15,10 @@ import pytest
 from msgspec.structs import replace
 from tests.drone.test_pending import in_the_air, of
 from tests.drone.test_resume import Part, fly, scenario
+from tests.surveys import transects, written
 
 from upwash import Drone, Position, Waypoint
-from upwash.config import FaultConfig
+from upwash.config import FaultConfig, read_drone_config, waypoints
 from upwash.core.geo import ground_distance_m
 from upwash.drone.decisions import Decisions
 from upwash.errors import AutopilotOverruled, CameraError, MissionStopped, ReserveReached
@@ -235,6 +237,26 @@ def test_killed_on_a_row_it_takes_again_the_photos_without_an_answer(killed_at_s
     assert sorted({event.waypoint for event in of(both.events, schema.Acted)}) == [2, 8]
     assert max(offs_m(again, PLAN)) < 1.0
     assert both.result.undone == []
+
+
+@pytest.mark.parametrize("killed_at_s", [12.0, 30.0, 44.0, 52.0, 57.0, 63.0, 75.0, 100.0, 130.0, 150.0])
+def test_killed_in_a_survey_it_takes_again_the_photos_without_an_answer(
+    tmp_path: Path, killed_at_s: float
+) -> None:
+    """On transects and in turn-arounds; answers are late, and that of spot 8 has a demand."""
+    config = read_drone_config(written(tmp_path, transects(), heavy_s=4.0))
+    plan = {waypoint.index: waypoint.position for waypoint in waypoints(config.mission)}
+    first = fly(config, killed_at_s=killed_at_s, shows=[plan[8]])
+    taken = {event.waypoint for event in of(first.events, schema.AnswerTaken) if not event.demanded}
+    acted = {event.waypoint for event in of(first.events, schema.Acted)}
+    both = fly(config, after=first, shows=[plan[8]])
+    assert both.error is None
+    again = after_resumption(both, first)
+    photos = [event.waypoint for event in again if isinstance(event, schema.CallStarted)]
+    assert photos == sorted(plan.keys() - taken - acted)
+    assert [event.waypoint for event in of(both.events, schema.Acted)] == [8]
+    assert max(offs_m(again, plan), default=0.0) < 1.0
+    assert both.result.completed and both.result.undone == []
 
 
 def after_resumption(both: Part, first: Part) -> list[Any]:
