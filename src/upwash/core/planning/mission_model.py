@@ -312,7 +312,7 @@ class MissionModel:
         """The legs over these places, from the waypoint of that index if it is one."""
         legs: list[PlannedLeg] = []
         for place in via:
-            row = self._rest_of_row(index, place.position) if index is not None and not legs else None
+            row = self._rest_of_row(index, place) if index is not None and not legs else None
             leg = row or self._leg(distance_m(start, place.position), place.ground_speed_m_s)
             legs.append(PlannedLeg(start, place.position, leg, now_s, place.hold_s))
             start = place.position
@@ -327,12 +327,12 @@ class MissionModel:
         before = start if first == index else self._plan[index - 1].position
         return Section(whole, distance_m(start, before), distance_m(before, waypoint.position))
 
-    def _rest_of_row(self, index: int, end: Position) -> Section | None:
+    def _rest_of_row(self, index: int, end: Via) -> Section | None:
         """The part of a row's leg from the waypoint to the row's end; None if the row ends elsewhere."""
         waypoint, (_, start) = self._plan[index], self._row_starts[index]
-        if waypoint.row_end != end:
+        if waypoint.row_end != end.position:
             return None
-        whole = self._leg(distance_m(start, end), waypoint.ground_speed_m_s)
+        whole = self._leg(distance_m(start, end.position), end.ground_speed_m_s)
         flown_m = distance_m(start, waypoint.position)
         return Section(whole, flown_m, whole.length_m - flown_m)
 

@@ -107,6 +107,12 @@ class Timetable:
     _mission: MissionModel
     _settings: SelectionSettings
     home_s: float = 0.0
+    leaving_s: float = 0.0  # from the last waypoint over the places after it
+
+    @property
+    def after_s(self) -> float:
+        """The time from the last waypoint to landed, once it has begun."""
+        return self.leaving_s + self.home_s
 
     def begin(
         self, vehicle: EnergyFacts, found: Pace | None, *, now_s: float, position: Position
@@ -125,7 +131,7 @@ class Timetable:
         )
         takeoff_s = pace.takeoff_s(self._settings.takeoff_m)
         self._mission.begun(found)
-        self.home_s += self._mission.leaving_s()
+        self.leaving_s = self._mission.leaving_s()
         start = Position(position.east_m, position.north_m, first.position.altitude_m)
         self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s, via=first.via)
         calls = self._mission.rest(start, now_s=now_s)
@@ -152,4 +158,7 @@ class Timetable:
             if number % len(stop) == 0:
                 reached_s.append(clock.reached_s - (0.0 if call.hides else stop[0].pause_s))
             clock.end(placing.delay_s(place, call))
-        return reached_s, clock.at_s + self.home_s
+        over_s = clock.at_s
+        if self.leaving_s:  # while the last answers come
+            over_s = max(over_s, clock.reached_s + self.leaving_s)
+        return reached_s, over_s + self.home_s

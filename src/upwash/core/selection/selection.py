@@ -113,7 +113,7 @@ class Selection:
             planning.mission.begun(event.pace)
             foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
             if self._lighter is not None:
-                self._lighter.begun_s, self._lighter.home_s = now_s, self._timetable.home_s
+                self._lighter.begun_s, self._lighter.home_s = now_s, self._timetable.after_s
             return [foreseen] if foreseen else []
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
