@@ -20,7 +20,8 @@ from upwash.lab.run import simulate_fleet
 from upwash.ports import VehicleNews
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.sim.vehicle import Plain
+from upwash.sim.vehicle import Manner, Plain
+from upwash.vehicle.ardupilot import airframe as arducopter
 
 THERE = Position(100.0, 0.0, 20.0)  # 25 s away by a leg at 5 m/s, from 5 s on
 PLAIN = Plain(acceleration_m_s2=1.0, takeoff_s=5.0, return_and_land_s=10.0)
@@ -29,7 +30,12 @@ PLAIN = Plain(acceleration_m_s2=1.0, takeoff_s=5.0, return_and_land_s=10.0)
 class Flight:
     """A vehicle in the air, to which these incidents happen, and what its program hears."""
 
-    def __init__(self, *incidents: FaultConfig, fault: Callable[[], FaultConfig | None] = lambda: None):
+    def __init__(
+        self,
+        *incidents: FaultConfig,
+        fault: Callable[[], FaultConfig | None] = lambda: None,
+        manner: Manner = PLAIN,
+    ):
         self.commands: list[str] = []
         self.taken: list[str] = []
         self.news: list[VehicleNews] = []
@@ -38,7 +44,7 @@ class Flight:
         self.autopilot = ModelAutopilot(
             Position(0.0, 0.0),
             ground_speed_m_s=5.0,
-            manner=PLAIN,
+            manner=manner,
             fault=fault,
             incidents=incidents,
             observe=self._observe,
@@ -243,6 +249,17 @@ async def test_a_vehicle_that_falls_after_a_restart_falls_on_after_a_second_one(
         await autopilot.goto(THERE)
     await autopilot.stood()
     assert autopilot.stands and not autopilot.armed
+
+
+@played(fly)
+async def test_a_vehicle_that_restarts_before_it_lifts_off_stays_on_the_ground() -> None:
+    flight = Flight(befalls("restart", 0.1, 4.0), manner=arducopter)
+    with pytest.raises(AutopilotError):
+        await flight.take_off()
+    async with asyncio.timeout(60.0):
+        await flight.autopilot.stood()
+    await asyncio.sleep(30.0)
+    assert flight.autopilot.stands and not flight.autopilot.armed
 
 
 @played(fly)

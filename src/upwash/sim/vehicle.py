@@ -228,6 +228,8 @@ class ModelVehicle:
         self.is_booting = True
         if self.flies:
             self._come_down(_falling)
+        else:
+            self._move_by_itself((), self.position)
         self._loop.call_later(back_after_s, self._be_back, back_after_s <= _CATCHES_ITSELF_WITHIN_S)
 
     def _be_back(self, soon: bool) -> None:
