@@ -88,6 +88,14 @@ def head(events: Iterable[Event]) -> str:
     return captured.get().splitlines()[0]
 
 
+def test_the_number_of_open_answers_is_shown() -> None:
+    begun = [event("call_started", 2.0, operation="o", waypoint=number) for number in (0, 1)]
+    leg = event("leg", 1.5, waypoint=2, **PLACE)
+    assert head([STARTED, leg, *begun]).startswith("flying to waypoint 2 · 2 answers open · 0 of 4")
+    over = [event("call", 3.0 + number, operation="o", waypoint=number) for number in (0, 1)]
+    assert head([STARTED, leg, *begun, *over]).startswith("flying to waypoint 2 · 0 of 4")
+
+
 def test_a_vehicle_that_cannot_be_armed_is_waited_for_with_its_reasons() -> None:
     said = lines([STARTED, waiting(1.0), waiting(1.5, "GPS 1: Bad fix"), event("arming", 3.0)])
     assert said[1:] == [

@@ -116,6 +116,11 @@ class Narrator:
         """The number of waypoints reached."""
         return len(self._reached)
 
+    @property
+    def open_answers(self) -> int:
+        """The number of answers that the mission does not have yet."""
+        return self._whereabouts.open_calls
+
     def tell(self, event: Event) -> Sentence | None:
         """The sentence of an event; None for an event without one."""
         self._whereabouts.take(event)

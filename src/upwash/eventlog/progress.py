@@ -85,6 +85,11 @@ class CallPlaces:
         """The waypoint of the open call; without one, of a call that begins now."""
         return self._under_way[0] if self._under_way else self.here
 
+    @property
+    def open_calls(self) -> int:
+        """The number of calls that the mission started and that are not over."""
+        return len(self._under_way)
+
     def take(self, event: Event) -> None:
         """Takes in the next event."""
         self.answered = None

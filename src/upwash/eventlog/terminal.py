@@ -115,7 +115,8 @@ class Progress(LiveDisplay):
         waited = "" if since_s is None else f" for {self._now_s - since_s:.0f} s"
         down = "" if now.down_s is None else f", {_down(now.down_s)}"
         reached = f"{now.reached} of {counted(self._waypoints, 'waypoint')} reached"
-        head = Text(f"{now.doing}{waited}{down} · {reached} · {now.where}")
+        answers = f" · {counted(now.open_answers, 'answer')} open" if now.open_answers else ""
+        head = Text(f"{now.doing}{waited}{down}{answers} · {reached} · {now.where}")
         taken = [Text(printable(now.control), style="bold red")] if now.control else []
         return Group(head, *taken, *([self._servers()] if self._states else []))
 
