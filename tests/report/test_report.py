@@ -404,5 +404,22 @@ def test_other_tools_are_told_of_turns_and_hidden_time(going: Record) -> None:
     assert kinds.count("turn") == 3
 
 
+def test_open_answers_of_rows_and_turns_back_to_row_ends_are_told(tmp_path: Path) -> None:
+    rows = survey(
+        mission={"photos": {"every_m": 20.0}},
+        policy={"name": "local-only"},
+        event={"every": 5, "offset": 0},
+    )
+    run = simulate(rows)
+    file = tmp_path / "rows.jsonl"
+    file.write_bytes(run.log())
+    (record,) = read_records([file])
+    turned = [event for event in run.events if isinstance(event, schema.TurnedBack)]
+    assert list(record.turns) == [(event.waypoint, event.position) for event in turned]
+    passed = {event.waypoint for event in run.events if isinstance(event, schema.Arrived) and event.passing}
+    assert {answer.waypoint for answer in record.answers} == passed | {event.waypoint for event in turned}
+    assert all(answer.to_s > answer.from_s for answer in record.answers)
+
+
 def test_of_a_drone_that_stays_nothing_is_told_of_going(records: list[Record]) -> None:
     assert not re.search("gone on|went on|urned back|hidden_s", sheet_of(records) + write_csv(records))

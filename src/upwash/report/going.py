@@ -31,10 +31,14 @@ class OpenAnswers:
     def take(self, event: Event) -> None:
         """Takes in the next event."""
         match event:
-            case schema.StayOrGo(waypoint=waypoint, goes=True):
+            case (
+                schema.StayOrGo(waypoint=waypoint, goes=True)
+                | schema.Arrived(waypoint=waypoint, passing=True)
+            ):
                 self._since_s[waypoint] = event.t - self._began_s
             case schema.TurnedBack(waypoint=waypoint, position=position):
                 self._turned_at[waypoint] = position
+                self._since_s.setdefault(waypoint, event.t - self._began_s)  # of a row's end
             case schema.AnswerTaken(waypoint=waypoint) if waypoint in self._since_s:
                 from_s, turned_at = self._since_s.pop(waypoint), self._turned_at.pop(waypoint, None)
                 self.found.append(OpenAnswer(waypoint, from_s, event.t - self._began_s, turned_at))
