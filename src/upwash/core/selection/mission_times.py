@@ -132,7 +132,10 @@ class Timetable:
         takeoff_s = pace.takeoff_s(self._settings.takeoff_m)
         self._mission.begun(found)
         self.leaving_s = self._mission.leaving_s()
-        start = Position(position.east_m, position.north_m, first.position.altitude_m)
+        height_m = first.position.altitude_m
+        if first.row_end is not None:  # of a survey, whose first leg may climb on
+            height_m = self._settings.takeoff_m or height_m
+        start = Position(position.east_m, position.north_m, height_m)
         self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s, via=first.via)
         calls = self._mission.rest(start, now_s=now_s)
         if not calls:
