@@ -13,17 +13,19 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import upwash
+import upwash.policies
 import upwash.services
 
 PAGE = Path(__file__).parents[1] / "docs" / "api.md"
-PACKAGES = (upwash, upwash.services)  # whose `__all__` is what is public
+PACKAGES = (upwash, upwash.services, upwash.policies)  # whose `__all__` is what is public
 
 _HEAD = """\
 # The Python interface
 
 <!-- written by site/api.py from the docstrings: change those, then run `make docs` -->
 
-Missions, services and notebooks import these names of the packages `upwash` and `upwash.services`. All other modules
+Missions, services, policies and notebooks import these names of the packages `upwash`, `upwash.services` and
+`upwash.policies`. All other modules
 are private and may change at any time. A configuration names the bundled mission `survey` and service `detector`.
 
 A number's name ends in its unit: `_s` for seconds, `_m` for metres. Positions count from the mission's home. Every
@@ -74,6 +76,9 @@ def page() -> str:
     parts += ["## Errors\n", "\n".join(_tree(errors, upwash.UpwashError)) + "\n"]
     parts += ["## upwash.services\n", f"{inspect.getdoc(upwash.services)}\n"]
     parts += [_described(name, getattr(upwash.services, name)) for name in upwash.services.__all__]
+    parts += ["## upwash.policies\n", f"{inspect.getdoc(upwash.policies)}\n"]
+    own = [name for name in upwash.policies.__all__ if name not in upwash.__all__]
+    parts += [_described(name, getattr(upwash.policies, name)) for name in own]
     return "\n".join(parts)
 
 

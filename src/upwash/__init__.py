@@ -1,6 +1,7 @@
 """Runs a drone's heavy computations on the drone or on an edge server, without the mission knowing.
 
-Public are the names in `__all__` here and in `upwash.services`, which docs/api.md describes. All else may change.
+Public are the names in `__all__` here, in `upwash.services` and in `upwash.policies`; docs/api.md has them.
+All else may change.
 """
 
 from __future__ import annotations

@@ -17,13 +17,14 @@ from typing import Any
 import pytest
 
 import upwash
+import upwash.policies
 import upwash.services
 from upwash.cli.main import main
 from upwash.missions import bundled
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-PUBLIC = {package.__name__: set(package.__all__) for package in (upwash, upwash.services)}
+PUBLIC = {package.__name__: set(package.__all__) for package in (upwash, upwash.services, upwash.policies)}
 
 
 def shown() -> Iterator[tuple[str, str]]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from msgspec.structs import replace
 
 from upwash.config import DroneConfig, plan_notices
-from upwash.core.policies.names import POLICIES
+from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UsageError
 from upwash.mavlink.connection import parse_connection
 from upwash.support.loading import extra
@@ -86,7 +86,15 @@ def config_of(whose: str) -> dict[str, Any]:
 
 def policy_instead_of(other: str) -> dict[str, Any]:
     """The option that flies by another policy."""
-    return {"--policy": option(f"instead of {other}", choices=POLICIES)}
+    return {"--policy": option(f"instead of {other}", type=_policy, metavar="NAME")}
+
+
+def _policy(name: str) -> str:
+    if name not in POLICIES and not is_own(name):
+        raise argparse.ArgumentTypeError(
+            f"{name!r} is no policy: choose of {', '.join(POLICIES)}, or name your own, such as mine.py:Class"
+        )
+    return name
 
 
 def seeds_of(what: str, default: int | None = None) -> dict[str, Any]:

@@ -28,6 +28,10 @@ Cell = Callable[[ComparedPolicy], str]
 ARGUMENTS = {
     "scenarios SCENARIO": option("TOML files", type=Path, nargs="*"),
     "--thesis": "the eight cells of the thesis's experiments too",
+    "--policy NAME": repeated(
+        "fly only these policies, and compare them with the first; your own as mine.py:Class (default: all built in)",
+        "policies",
+    ),
     **seeds_of("fly each policy", default=30),
     "--set KEY=VALUE": repeated(
         "fly the files with that value of a key, such as policy.stay_or_go=go", "settings"
@@ -48,6 +52,7 @@ def run(options: argparse.Namespace) -> None:
         task = bar.add_task("missions", total=None)
         rows = compare(
             options.scenarios,
+            policies=options.policies or None,
             overrides=overrides,
             seeds=options.seeds,
             workers=options.workers,

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from upwash.config import values
 from upwash.config.user import UserConfig
 from upwash.config.world import EnergyConfig, EventConfig, FaultConfig, HeatConfig, NoiseConfig, TruthConfig
 from upwash.core.geo import GeoPosition
-from upwash.core.policies.names import PolicyName
+from upwash.core.policies.names import POLICIES, is_own
 
 Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 FieldOfView = Annotated[float, Meta(ge=1, le=170, description="a number from 1 to 170, in degrees")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
+Policy = Annotated[
+    str,
+    Meta(
+        pattern=rf"^({'|'.join(POLICIES)}|[^:]+:[A-Za-z_][A-Za-z_0-9]*)\Z",
+        description=f'{", ".join(POLICIES)}, or a class of your own, such as "mine.py:Class"',
+    ),
+]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
 PlacesInMetres = Annotated[
     tuple[PairInMetres, ...],
@@ -252,8 +262,12 @@ class ProbeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When calls are offloaded, and where to: [policies](policies.md)."""
 
-    name: PolicyName = "look-ahead"
-    """The rule that selects servers and places calls."""
+    name: Policy = "look-ahead"
+    """The rule that selects servers and places calls; a [policy of your own](own-policy.md) as `mine.py:Class`."""
+    settings: Annotated[
+        Mapping[str, str | int | float | bool], Meta(description="a table of what the class takes")
+    ] = {}
+    """The arguments of your own policy's class, by name."""
     gain_switch: values.Fraction = 0.25
     """The share of the local delay that a switch to another server must save."""
     gain_wait: values.Fraction = 0.25
@@ -265,7 +279,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     blacklist_s: AtLeastOneSecond | None = None
     """How long a failed server is not used, in seconds; in place of `probe`."""
     probe: ProbeConfig | None = None
-    """A failed server is probed after these pauses; default of `look-ahead`."""
+    """A failed server is probed after these pauses; default of `look-ahead` and of your own policies."""
     idle_s: values.NotNegative = 180.0
     """How long the services of a server that was left are believed to run, in seconds."""
     retry_s: values.NotNegative = 300.0
@@ -274,24 +288,38 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Whether a service's first call on a server may take as long as a local one."""
     hedge: HedgeConfig | bool | None = None
     """Whether calls that a server answers late are computed on the drone too; `true`, `false` or a table; default:
-    `true` with `look-ahead`."""
+    `true` with `look-ahead` and your own policies."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
     """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
     demand_map: values.DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
 
     def __post_init__(self) -> None:
+        if self.settings and not is_own(self.name):
+            raise ValueError(
+                f"settings are for a policy of your own, and {self.name} has none: leave them out"
+            )
         if self.blacklist_s is not None and self.probe is not None:
             raise ValueError(
                 "blacklist_s leaves a server that failed alone, and probe asks it again: give one of them"
             )
 
     @property
+    def label(self) -> str:
+        """The name as results have it: of an own policy's file without its folder."""
+        file, colon, own = self.name.rpartition(":")
+        return f"{Path(file).name}:{own}" if colon else self.name
+
+    def under(self, name: str) -> PolicyConfig:
+        """The same for the policy of that name, which has no other policy's settings."""
+        return replace(self, name=name, settings=self.settings if name == self.name else {})
+
+    @property
     def probing(self) -> ProbeConfig | None:
         """How a server that failed is probed; None where it is left alone for `left_alone_s`."""
         if self.blacklist_s is not None:
             return None
-        return self.probe or (ProbeConfig() if self.name == "look-ahead" else None)
+        return self.probe or (ProbeConfig() if self._is_of_today else None)
 
     @property
     def left_alone_s(self) -> float:
@@ -303,8 +331,13 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         """How calls are hedged; None if they are not."""
         if isinstance(self.hedge, HedgeConfig):
             return self.hedge
-        wanted = self.name == "look-ahead" if self.hedge is None else self.hedge
+        wanted = self._is_of_today if self.hedge is None else self.hedge
         return HedgeConfig() if wanted else None
+
+    @property
+    def _is_of_today(self) -> bool:
+        """Whether the policy has more than the thesis's defaults."""
+        return self.name == "look-ahead" or is_own(self.name)
 
 
 class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -392,7 +425,7 @@ class FleetDroneConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Its waypoints as a plan."""
     local_call_s: values.SecondsByService = {}
     """A call on its computer, in seconds, by service and profile key."""
-    policy: PolicyName | None = None
+    policy: Policy | None = None
     """Its policy."""
 
 

@@ -109,7 +109,7 @@ def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConf
         name=drone.name,
         seed=config.seed if number == 0 else int.from_bytes(digest[:_SEED_BYTES]),
         mission=_mission(config, drone, number),
-        policy=replace(config.policy, name=drone.policy or config.policy.name),
+        policy=config.policy.under(drone.policy or config.policy.name),
         services=tuple(
             replace(
                 service, local_call_s={**service.local_call_s, **drone.local_call_s.get(service.name, {})}

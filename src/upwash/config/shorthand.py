@@ -23,10 +23,13 @@ def written_out(document: Document, folder: Path) -> Document:
     changes: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         "camera": lambda table: _with_film_from(table, folder),
         "mission": lambda table: _with_program_from(table, folder),
+        "policy": lambda table: _with_path_from(table, "name", folder),
         "service": lambda table: _with_program_from(table, folder) | _by_key(table, *_LOCAL),
         "server": lambda table: _server(table, services, folder),
         "user": lambda table: _with_program_from(table, folder),
-        "drone": lambda table: table | _by_service(table, services, "local_call_s"),
+        "drone": lambda table: (
+            _with_path_from(table, "policy", folder) | _by_service(table, services, "local_call_s")
+        ),
     }
     tables = {name: each_table(document[name], changes[name]) for name in changes if name in document}
     return document | tables
@@ -41,16 +44,20 @@ def each_table(value: object, write_out: Callable[[dict[str, Any]], dict[str, An
 
 def _with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The table with its program's file, and the files that its command names, as paths from the folder."""
-    program, command = table.get("program"), table.get("command")
-    paths: dict[str, Any] = {}
-    if isinstance(program, str) and ".py:" in program:
-        paths["program"] = str(folder / program)
-    if isinstance(command, list):
-        paths["command"] = [
-            str(folder / word) if isinstance(word, str) and word and (folder / word).is_file() else word
-            for word in command
-        ]
-    return table | paths
+    table, command = _with_path_from(table, "program", folder), table.get("command")
+    if not isinstance(command, list):
+        return table
+    words = [
+        str(folder / word) if isinstance(word, str) and word and (folder / word).is_file() else word
+        for word in command
+    ]
+    return table | {"command": words}
+
+
+def _with_path_from(table: dict[str, Any], key: str, folder: Path) -> dict[str, Any]:
+    """The table with the file of a class or function, `file.py:Name`, as a path from the folder."""
+    name = table.get(key)
+    return table | {key: str(folder / name)} if isinstance(name, str) and ".py:" in name else table
 
 
 def _with_film_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -177,7 +177,7 @@ class Flight:
             journal.record(
                 schema.MissionStarted(
                     drone=config.name,
-                    policy=config.policy.name,
+                    policy=config.policy.label,
                     waypoints=len(self._order.waypoints),
                     done=sorted(self._done or ()),
                 )

@@ -30,13 +30,13 @@ from upwash.core.operation import Operation
 from upwash.core.planning.legs import PACES
 from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.order import Forecaster, Order, best_order
-from upwash.core.policies.names import make_policy
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import LighterSettings, SelectionSettings
 from upwash.core.vehicle.geofence import breached_by_way
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
+from upwash.drone.own_policy import policy_of
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Finder
@@ -52,12 +52,7 @@ def make_selection(
     return Selection(
         server_areas(config),
         estimates=estimates,
-        policy=make_policy(
-            policy.name,
-            gain_switch=policy.gain_switch,
-            gain_wait=policy.gain_wait,
-            patient_first_call=policy.patient_first_call,
-        ),
+        policy=policy_of(policy),
         settings=SelectionSettings(
             blacklist_s=policy.left_alone_s,
             idle_s=policy.idle_s,

@@ -29,10 +29,14 @@ _COUNTED = (
         schema.Arrived,
         schema.EnergyUsed,
         schema.LeftHovering,
+        schema.OffloadingFailed,
         *schema.STEPS.values(),
     }
 )
-_RARE = ("hidden_s", "went_on", "turned_back", "never_ready", "not_acted_on", "not_looked_at", "failed_calls")
+_RARE = (
+    "hidden_s", "went_on", "turned_back", "never_ready", "not_acted_on", "not_looked_at", "failed_calls",
+    "offloading_failed",
+)  # fmt: skip
 _LEAST_HIDDEN_S = 0.01  # less is the time between the end of a call and the mission's next step
 
 
@@ -116,7 +120,7 @@ class RunResult:
 
     The mission's time is counted from arming; `arming_s` is how long it had waited for that. `energy` is None
     in real flights: only simulations meter it. `never_ready` says of servers that failed, and never were of use,
-    why they did at last.
+    why they did at last. `offloading_failed` is the defect after which every call ran on the drone, "" for none.
     """
 
     policy: str
@@ -133,6 +137,7 @@ class RunResult:
     not_acted_on: list[int | None] = field(default_factory=list)
     failed_calls: list[int | None] = field(default_factory=list)
     not_looked_at: list[int | None] = field(default_factory=list)
+    offloading_failed: str = ""
 
     def made_the_calls_of(self, other: RunResult) -> bool:
         """Whether the two runs asked for the same calls at the same waypoints, in the same order."""
@@ -186,6 +191,7 @@ class Tally:
         self._waypoints, self._reached, self._left_hovering = 0, set[int | None](), False
         self._waits: list[str] = []
         self._switches = self._fallbacks = self._went_on = self._turned_back = 0
+        self._offloading_failed = ""
         self._energy: EnergyTotals | None = None
         self._open = OpenDemands()
         self._calling: set[int | None] = set()  # where the call was made that is not over
@@ -210,6 +216,8 @@ class Tally:
                 self._went_on += event.passing
             case schema.LeftHovering():
                 self._left_hovering = True
+            case schema.OffloadingFailed():
+                self._offloading_failed = event.why
             case schema.ServerStep():
                 self._take_step(event)
             case schema.EnergyUsed():
@@ -224,10 +232,9 @@ class Tally:
                 self._fallbacks += event.fell_back
             case schema.AnswerTaken() if (number := self._whereabouts.answered) is not None:
                 self._calls[number] = _waited_for(self._calls[number], event.waited_s)
-            case schema.StayOrGo():
-                self._went_on += event.goes
-            case schema.TurnedBack():
-                self._turned_back += 1
+            case schema.StayOrGo() | schema.TurnedBack():
+                self._went_on += isinstance(event, schema.StayOrGo) and event.goes
+                self._turned_back += isinstance(event, schema.TurnedBack)
 
     def _take_step(self, step: schema.ServerStep) -> None:
         self._switches += isinstance(step, schema.Selected)
@@ -280,6 +287,7 @@ class Tally:
             not_acted_on=_in_order(self._open.demands),
             failed_calls=_in_order(self._open.failures),
             not_looked_at=[] if self.completed else _in_order(self._not_looked_at),
+            offloading_failed=self._offloading_failed,
         )
 
 

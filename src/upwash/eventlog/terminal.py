@@ -155,6 +155,9 @@ def print_result(
         say(_energy_line(result.energy), console)
     for server, why in result.never_ready.items():
         say(Text(f"{server} never became ready: {printable(why)}", style="yellow"), console)
+    if result.offloading_failed:
+        why = f"every call ran on the drone after a defect: {printable(result.offloading_failed)}"
+        say(Text(why, style="yellow"), console)
     if calls or len(result.calls) <= _FEW_CALLS:
         if result.calls:
             console.print()

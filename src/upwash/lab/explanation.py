@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from upwash.config import DroneConfig
 from upwash.config.problems import unknown
-from upwash.core.policies.names import POLICIES
+from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
@@ -83,13 +83,15 @@ def replay(events: Iterable[Event], scenario: Path, drone: str | None = None) ->
     named = _first(schema.Simulated, events)
     seed = named.seed if named else None
     config = read_scenario(scenario)
+    own = [config.policy.name] if is_own(config.policy.name) else []
+    policies = [*POLICIES, *own]
     if config.drones:
         name = _drone_of(events, config, scenario, drone)
-        runs = {policy: _among_others(scenario, name, policy, seed) for policy in POLICIES}
+        runs = {policy: _among_others(scenario, name, policy, seed) for policy in policies}
     elif drone is not None:
         raise UsageError(f"--drone {drone}: {scenario} has no [[drone]] tables: leave it out")
     else:
-        runs = {policy: simulate(scenario, policy=policy, seed=seed) for policy in POLICIES}
+        runs = {policy: simulate(scenario, policy=policy, seed=seed) for policy in policies}
     bound = next((run.bound for run in runs.values() if run.bound), None)  # whatever policy flew
     return Replay(runs, bound.free_s if bound else None, others=len(config.drones) > 1)
 

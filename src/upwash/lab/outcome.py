@@ -66,11 +66,11 @@ def fly(config: DroneConfig) -> FlightOutcome:
 
 def _fly_one(config: DroneConfig) -> FlightOutcome:
     run = simulate(config)
-    bound = bound_of(run, config)
+    bound, failure = bound_of(run, config), _failure_of(run)
     return FlightOutcome(
         policy=run.result.policy,
-        completed=run.result.completed and not run.failure,
-        failure=run.failure,
+        completed=run.result.completed and not failure,
+        failure=failure,
         mission_time_s=run.result.mission_time_s,
         totals=run.result.totals,
         bound_s=bound.free_s if bound else None,
@@ -86,7 +86,7 @@ def _fly_fleet(config: DroneConfig) -> FlightOutcome:
     failure = _failure(runs)
     drawn = [run.result.energy for run in runs.values() if run.result.completed and run.result.energy]
     return FlightOutcome(
-        policy=" ".join(dict.fromkeys(drone.policy.name for drone in fleet)),
+        policy=" ".join(dict.fromkeys(drone.policy.label for drone in fleet)),
         completed=bound is not None and not failure,
         failure=failure,
         mission_time_s=found.mean_s,
@@ -98,9 +98,16 @@ def _fly_fleet(config: DroneConfig) -> FlightOutcome:
     )
 
 
+def _failure_of(run: Run) -> str:
+    """Why the mission failed; a mission whose offloading failed says nothing of its policy."""
+    defect = run.result.offloading_failed
+    return run.failure or (f"every call ran on the drone after a defect: {defect}" if defect else "")
+
+
 def _failure(runs: Mapping[str, Run]) -> str:
     """Why drones failed, without those that the scenario has vanish; or that none is left."""
-    failed = [f"{name}: {run.failure}" for name, run in runs.items() if run.failure and not run.vanished]
+    failures = {name: _failure_of(run) for name, run in runs.items() if not run.vanished}
+    failed = [f"{name}: {failure}" for name, failure in failures.items() if failure]
     if not failed and all(run.vanished for run in runs.values()):
         return "every drone vanished"
     return "; ".join(failed)

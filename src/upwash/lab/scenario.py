@@ -114,7 +114,10 @@ def read_scenario(
     seed: int | None = None,
     overrides: Mapping[str, object] | None = None,
 ) -> DroneConfig:
-    """The scenario as `simulate` flies it; a policy that is given is every drone's. Raises ConfigError."""
+    """The scenario as `simulate` flies it; a policy that is given is every drone's. Raises ConfigError.
+
+    The file of a policy that is given counts from the current folder.
+    """
     if isinstance(scenario, Mapping):
         file = _UNNAMED
         document: Document = _plain(dict(scenario), "", file)
@@ -123,6 +126,7 @@ def read_scenario(
         document = read_document(file)
     if policy is not None:
         document = _without_own_policies(document)
+        policy = str(Path(policy).absolute()) if ".py:" in policy else policy
     instead = {"policy.name": policy, "seed": seed}
     changes = {**(overrides or {}), **{key: value for key, value in instead.items() if value is not None}}
     for key, value in changes.items():
@@ -168,7 +172,7 @@ def name_of(scenario: str | os.PathLike[str] | Mapping[str, object]) -> str:
 
 
 def with_policy(config: DroneConfig, name: str) -> DroneConfig:
-    """The same scenario under another policy, which must be one of PolicyConfig's, for all of its drones."""
-    policy = msgspec.convert({**msgspec.structs.asdict(config.policy), "name": name}, type(config.policy))
+    """The same scenario under another policy, for all of its drones."""
+    policy = config.policy.under(name)
     drones = tuple(msgspec.structs.replace(drone, policy=None) for drone in config.drones)
     return msgspec.structs.replace(config, policy=policy, drones=drones)

@@ -76,7 +76,7 @@ def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenari
     """The simulation of that run."""
     result = {field.name: getattr(run.result, field.name) for field in fields(run.result)}
     return Simulation(
-        **result | {"policy": config.policy.name},  # also of a mission that never began
+        **result | {"policy": config.policy.label},  # also of a mission that never began
         scenario=scenario,
         seed=config.seed,
         failure=run.failure,

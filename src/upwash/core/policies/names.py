@@ -1,4 +1,4 @@
-"""The policies by name."""
+"""The policies by name, and what a policy of the user's own is called: `mine.py:Class` or `package.module:Class`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from upwash.core.policies.policy import Deadline, LocalOnly, LocationAware, Oppo
 
 PolicyName = Literal["local-only", "opportunistic", "location-aware", "look-ahead"]
 POLICIES: tuple[str, ...] = get_args(PolicyName)
+
+
+def is_own(name: str) -> bool:
+    """Whether the name is that of a user's own policy."""
+    return ":" in name
 
 
 def make_policy(

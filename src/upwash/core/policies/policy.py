@@ -12,18 +12,24 @@ from typing import Any, Protocol
 from msgspec import Struct
 from msgspec.structs import asdict
 
+from upwash.core.geo import Measured, Position, Reach
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import Operation
 from upwash.core.planning.forecast import Forecast
 
 
 class Option(Struct, frozen=True):
-    """A server in range that may be used, the mean delay of calls with it ready, and whether it has no free slot."""
+    """A server in range that may be used, the mean delay of calls with it ready, and whether it has no free slot.
+
+    `in_range_since_s` is a time like `Situation.now_s`. `area` is where the server is believed to be in range.
+    """
 
     server: str
     mean_call_s: float
     in_range_since_s: float
     full: bool = False
+    state: State = State.AVL
+    area: Reach = Measured()
 
 
 class Situation(Struct, frozen=True):
@@ -32,7 +38,8 @@ class Situation(Struct, frozen=True):
     `options` are in the order of the server table, without blacklisted servers and those that gain too little for a
     slot that others wait for. `current` is the selected server; it is among the options unless the drone has left
     its range or should leave it to others. `local_mean_call_s` is the mean delay on the drone, `under_way` the
-    decision on the open call. A policy with a horizon gets a `forecast`.
+    decision on the open call. A policy with a horizon gets a `forecast`; None while no call is foreseen. `position`
+    is the drone's, at the time `now_s`; None and 0 where a coming call is placed in a forecast.
     """
 
     options: Sequence[Option]
@@ -40,6 +47,8 @@ class Situation(Struct, frozen=True):
     local_mean_call_s: float
     under_way: Decision | None = None
     forecast: Forecast | None = None
+    now_s: float = 0.0
+    position: Position | None = None
 
 
 class Coming(Struct, frozen=True):

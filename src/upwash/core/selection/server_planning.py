@@ -174,6 +174,8 @@ class ServerPlanning:
                 self._estimates.mean_call_s(),
                 under_way=self.under_way,
                 forecast=self._forecast(now_s, position),
+                now_s=now_s,
+                position=position,
             )
         )
         if choice.server is None and self._is_worth_trials(current, now_s):
@@ -222,6 +224,8 @@ class ServerPlanning:
                 self._estimates.mean_call_s(server.name),
                 server.in_range_since_s,
                 full=server.is_full(now_s),
+                state=server.state,
+                area=server.area,
             )
             for server in self._table.in_range
             if server.in_range_since_s is not None

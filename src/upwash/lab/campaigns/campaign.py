@@ -176,7 +176,7 @@ def _fly(chunk: Chunk, seed: int) -> CampaignRow:
     try:
         flown = fly(config)
     except MissionFailed as error:  # this run's failure, not the others'
-        return CampaignRow(chunk.values, seed, config.policy.name, failure=_one_line(str(error)))
+        return CampaignRow(chunk.values, seed, config.policy.label, failure=_one_line(str(error)))
     totals = asdict(flown.totals) | {"remote": sum(flown.totals.remote.values())}
     if not config.mission.lighter:
         del totals["lighter"]

@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ import msgspec
 
 from upwash.config import DroneConfig, NoiseConfig, ServerConfig
 from upwash.config.problems import repeated, unknown
-from upwash.core.policies.names import POLICIES
+from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes
 from upwash.lab.outcome import FlightOutcome, fly
@@ -185,7 +186,8 @@ def thesis_scenarios() -> list[NamedScenario]:
 def _entrants(policies: Sequence[str] | None) -> Sequence[Entrant]:
     if policies is None:
         return ENTRANTS
-    known = {entrant.name: entrant for entrant in ENTRANTS}
+    own = {policy: Entrant(policy, str(Path(policy).absolute())) for policy in policies if is_own(policy)}
+    known = {entrant.name: entrant for entrant in ENTRANTS} | own
     for policy in policies:
         if policy not in known:
             raise UsageError(unknown("policy", policy, known))

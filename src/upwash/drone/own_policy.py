@@ -1,0 +1,191 @@
+"""A policy of the user's own: a class in a file or module, loaded before take-off.
+
+The rest of the drone relies on a policy's answers, and runs on the same thread. So each question has a limit of time,
+and each answer is checked. An own policy that raises, is silent, or names a server that is not there is a defect:
+offloading ends with its reason, and the mission goes on with every call on the drone.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import inspect
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
+from queue import SimpleQueue
+from typing import Any, TypeVar
+
+from upwash.config.drone import PolicyConfig
+from upwash.core.policies.names import is_own, make_policy
+from upwash.core.policies.policy import (
+    CallInputs,
+    Choice,
+    Coming,
+    Decision,
+    Local,
+    Policy,
+    Remote,
+    Situation,
+    Wait,
+)
+from upwash.errors import UsageError
+from upwash.support.background import only_logged, thread
+from upwash.support.loading import load
+
+T = TypeVar("T")
+ANSWERS_WITHIN_S = 5.0
+_FARTHEST_HORIZON = 1000  # calls
+_LONGEST_WHY = 500  # characters
+_LONGEST_S = 3600.0
+
+
+class PolicyDefect(Exception):
+    """Raised for an own policy that raises, does not answer, or answers what cannot be."""
+
+
+def policy_of(settings: PolicyConfig) -> Policy:
+    """The configured policy; raises UsageError if an own one cannot be loaded."""
+    built_in = make_policy(
+        "location-aware" if is_own(settings.name) else settings.name,
+        gain_switch=settings.gain_switch,
+        gain_wait=settings.gain_wait,
+        patient_first_call=settings.patient_first_call,
+    )
+    return _own_policy(settings, otherwise=built_in) if is_own(settings.name) else built_in
+
+
+def _own_policy(settings: PolicyConfig, *, otherwise: Policy) -> Policy:
+    made, name = load(settings.name), settings.name
+    if not callable(made):
+        raise UsageError(f"policy {name}: expected a class, and this is {made!r}: name the class")
+    try:
+        policy = made(**settings.settings)
+    except Exception as error:
+        known = inspect.signature(made) if inspect.isclass(made) else "()"
+        raise UsageError(
+            f"policy {name} cannot be made: {type(error).__name__}: {error}; it takes {known}, and "
+            f"policy.settings has {', '.join(settings.settings) or 'nothing'}"
+        ) from error
+    if not callable(getattr(policy, "choose", None)):
+        raise UsageError(
+            f"policy {name} has no method choose(situation): add it; it returns the server to use"
+        )
+    horizon = getattr(policy, "horizon", 0)
+    if not isinstance(horizon, int) or not 0 <= horizon <= _FARTHEST_HORIZON:
+        raise UsageError(
+            f"policy {name}: its horizon is {horizon!r}: give a number of calls up to {_FARTHEST_HORIZON}"
+        )
+    return OwnPolicy(policy, settings.label, horizon, otherwise)
+
+
+class OwnPolicy:
+    """The user's policy, kept in bounds; where it has no `decide`, calls are placed as by location-aware."""
+
+    def __init__(self, policy: Any, name: str, horizon: int, otherwise: Policy) -> None:
+        self._policy = policy
+        self._otherwise = otherwise
+        self.name = name
+        self.horizon = horizon
+
+    def choose(self, situation: Situation) -> Choice:
+        """The server to select now, if any."""
+        choice = self._asked("choose", self._policy.choose, situation)
+        servers = [option.server for option in situation.options]
+        if isinstance(choice, str) or choice is None:
+            choice = Choice(choice, "its choice")
+        if not isinstance(choice, Choice):
+            raise self._defect(
+                "choose", f"returned {choice!r:.200}, and a server's name, None or a Choice is expected"
+            )
+        if choice.server is not None and choice.server not in servers:
+            raise self._defect(
+                "choose", f"named {choice.server!r:.100}, which is not among the servers {servers}"
+            )
+        if not isinstance(choice.coming, Coming | None):
+            raise self._defect("choose", f"has coming = {choice.coming!r:.200}: None or a Coming is expected")
+        return Choice(choice.server, str(choice.why)[:_LONGEST_WHY], choice.coming)
+
+    def decide(self, call: CallInputs) -> Decision:
+        """Where the call runs: Wait, Remote or Local."""
+        decide = getattr(self._policy, "decide", None)
+        if decide is None:
+            return self._otherwise.decide(call)
+        decision = self._asked("decide", decide, call)
+        match decision:
+            case Local():
+                return Local(str(decision.why)[:_LONGEST_WHY])
+            case Remote(server=call.server, deadline_s=int() | float() as within_s) if (
+                0 < within_s <= _LONGEST_S
+            ):
+                return Remote(call.server, within_s, str(decision.why)[:_LONGEST_WHY], bool(decision.raced))
+            case Wait(server=call.server, at_most_s=int() | float() as within_s) if (
+                0 < within_s <= _LONGEST_S
+            ):
+                return Wait(call.server, within_s, str(decision.why)[:_LONGEST_WHY])
+        raise self._defect(
+            "decide",
+            f"returned {decision!r:.200}: expected Local, or Remote or Wait at {call.server} for up to "
+            f"{_LONGEST_S:g} s",
+        )
+
+    def _asked(self, method: str, question: Callable[[Any], T], about: object) -> T:
+        try:
+            return _ANSWERING.ask(lambda: question(about))
+        except _NoAnswer:
+            raise self._defect(method, f"did not answer within {ANSWERS_WITHIN_S:g} s") from None
+        except Exception as error:
+            raise self._defect(method, f"raised {type(error).__name__}: {error}") from error
+
+    def _defect(self, method: str, what: str) -> PolicyDefect:
+        return PolicyDefect(f"policy {self.name}: {method} {what}")
+
+
+class _Answering:
+    """One thread that own policies answer on; one that does not answer is given up, and has another in its place."""
+
+    def __init__(self) -> None:
+        self._questions: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] | None = None
+        self._thread_id = 0
+
+    def ask(self, question: Callable[[], T]) -> T:
+        """The answer; raises what the question raises, and _NoAnswer."""
+        if self._questions is None:
+            self._questions = SimpleQueue()
+            answering = thread(partial(_answer, self._questions), name="own policy", failed=only_logged)
+            answering.start()
+            self._thread_id = answering.ident or 0
+        answer: Future[T] = Future()
+        self._questions.put((question, answer))
+        try:
+            answer.exception(timeout=ANSWERS_WITHIN_S)
+        except TimeoutError:
+            self._questions = None
+            _interrupt(self._thread_id)
+            raise _NoAnswer from None
+        return answer.result()
+
+
+def _answer(questions: SimpleQueue[tuple[Callable[[], Any], Future[Any]]]) -> None:
+    while True:
+        question, answer = questions.get()
+        try:
+            answer.set_result(question())
+        except _GivenUp:
+            return
+        except BaseException as error:  # noqa: BLE001 - it is raised where the answer is awaited
+            answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
+
+
+class _NoAnswer(Exception):
+    """Raised for a question whose answer is not there in time."""
+
+
+class _GivenUp(BaseException):
+    """Raised in the thread of a policy that does not answer, so that it stops computing."""
+
+
+def _interrupt(thread_id: int) -> None:
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), ctypes.py_object(_GivenUp))
+
+
+_ANSWERING = _Answering()

@@ -1,0 +1,58 @@
+"""What a policy of one's own is written with: docs/own-policy.md.
+
+Public are the names in `__all__`, as those of `upwash`.
+"""
+
+from __future__ import annotations
+
+from upwash.core.geo import Circle, Measured, Position
+from upwash.core.knowledge.servers import State
+from upwash.core.operation import Operation
+from upwash.core.planning.forecast import Forecast
+from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer
+from upwash.core.policies.look_ahead import LookAhead
+from upwash.core.policies.policy import (
+    CallInputs,
+    Choice,
+    Coming,
+    Deadline,
+    Inputs,
+    Lightened,
+    Local,
+    LocationAware,
+    Opportunistic,
+    Option,
+    Policy,
+    Remote,
+    Situation,
+    Wait,
+    WaitRule,
+)
+
+__all__ = [
+    "CallInputs",
+    "CheckTimes",
+    "Choice",
+    "Circle",
+    "Coming",
+    "ComingCall",
+    "Deadline",
+    "Forecast",
+    "Inputs",
+    "Lightened",
+    "Local",
+    "LocationAware",
+    "LookAhead",
+    "Measured",
+    "Offer",
+    "Operation",
+    "Opportunistic",
+    "Option",
+    "Policy",
+    "Position",
+    "Remote",
+    "Situation",
+    "State",
+    "Wait",
+    "WaitRule",
+]
