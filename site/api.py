@@ -5,6 +5,7 @@ A signature that names a class of upwash's that is not public itself is an error
 
 from __future__ import annotations
 
+import enum
 import inspect
 import sys
 import types
@@ -164,7 +165,10 @@ def _signature(name: str, function: Callable[..., object], longest: int = _LONGE
 def _default(parameter: inspect.Parameter | None) -> str:
     if parameter is None or parameter.default is parameter.empty:
         return ""
-    plain = parameter.default is None or isinstance(parameter.default, (str, int, float, tuple))
+    value = parameter.default
+    plain = value is None or (
+        isinstance(value, (str, int, float, tuple)) and not isinstance(value, enum.Enum)
+    )
     return f" = {parameter.default!r}".replace("'", '"') if plain else " = ..."
 
 
