@@ -229,7 +229,7 @@ def _expected(config: DroneConfig, number: int) -> probing.CallReport:
     return probing.expected(config.mission.program, mode, number)
 
 
-_AT_PLACE_M = 1.0  # within which a vehicle counts as arrived
+_AT_PLACE_M = 1.01  # a vehicle counts as arrived within 1 m, and figures are rounded
 _BRAKED_M = 1.5  # a vehicle that braked within this distance of a place counts as arrived there
 _MOST_CRASHES = 12  # that a flight is tested with
 
