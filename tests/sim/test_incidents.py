@@ -192,6 +192,37 @@ async def test_a_leg_that_a_pilot_stopped_and_gave_back_unheard_is_flown_to_its_
     assert flight.off_m == [pytest.approx(0.0, abs=0.01)]
 
 
+@pytest.mark.parametrize(
+    ("verb", "kind", "to_s", "owner"),
+    [
+        ("goto", "pilot", 60.0, Owner.PILOT),
+        ("goto", "diverted", 60.0, Owner.GROUND_STATION),
+        ("goto", "fail-safe", 60.0, Owner.FAILSAFE),
+        ("goto", "restart", 8.5, Owner.UNKNOWN),
+        ("return", "pilot", 9.0, Owner.PILOT),  # in GUIDED again, where RTL was commanded
+        ("arm", "pilot", 9.0, Owner.PILOT),  # armed by the pilot
+    ],
+)
+@played(fly)
+async def test_what_others_leave_behind_after_a_silence_is_heard(
+    *, verb: str, kind: str, to_s: float, owner: Owner
+) -> None:
+    silent = befalls("off", 0.0)
+    flight = Flight(befalls(kind, 8.0, to_s), fault=lambda: silent if 7.0 < now_s() < 10.0 else None)
+    autopilot = flight.autopilot
+    with pytest.raises(AutopilotOverruled):
+        if verb == "arm":
+            await autopilot.claim(resumes=False)
+            await asyncio.sleep(11.0)
+            await autopilot.ready()
+            await autopilot.arm()
+        else:
+            await flight.take_off()
+            await (autopilot.goto(THERE) if verb == "goto" else autopilot.return_home_and_land())
+    assert autopilot.control.owner is owner
+    assert flight.commands[-1:] == ([] if verb == "arm" else [verb])
+
+
 @pytest.mark.parametrize("verb", ["take-off", "turn"])
 @played(fly)
 async def test_what_a_pilot_stopped_and_gave_back_unheard_does_not_count_as_done(*, verb: str) -> None:
