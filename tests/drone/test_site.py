@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from msgspec import structs
 
-from upwash.core.geo import Circle, Position, Waypoint
+from upwash.core.geo import Circle, Position, Via, Waypoint
 from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
 from upwash.drone.home import PlannedHome
 from upwash.drone.site import Site
@@ -51,6 +51,15 @@ def refusal(flown: Site, limits: VehicleLimits, stands: Position = STANDS) -> st
 
 AROUND = site((40.0, 0.0, 15.0), (40.0, 40.0, 15.0), (0.0, 40.0, 15.0))  # home again along the fourth side
 
+TURNING = structs.replace(  # around a corner without a photo, and on to another after the last photo
+    AROUND,
+    waypoints=[
+        AROUND.waypoints[0],
+        Waypoint(1, Position(0.0, 40.0, 15.0), via=(Via(Position(40.0, 40.0, 15.0)),)),
+    ],
+    leaving=[Via(Position(-40.0, 40.0, 15.0))],
+)
+
 
 @pytest.mark.parametrize(
     ("flown", "limits", "said"),
@@ -69,6 +78,22 @@ AROUND = site((40.0, 0.0, 15.0), (40.0, 40.0, 15.0), (0.0, 40.0, 15.0))  # home 
         (AROUND, keep_out(35, -5, 45, 5), "waypoint 0: it lies inside area 1"),
         (AROUND, keep_out(15, 35, 25, 45), "waypoint 2: the way there from waypoint 1 crosses area 1"),
         (AROUND, keep_out(-5, 15, 5, 25), "the way home from waypoint 2: it crosses area 1"),
+        (
+            TURNING,
+            keep_out(35, 35, 45, 45),
+            "a place on the way to waypoint 1 (40 m east, 40 m north): it lies",
+        ),
+        (
+            TURNING,
+            keep_out(15, 35, 25, 45),
+            "waypoint 1: the way there from a place on the way to waypoint 1",
+        ),
+        (
+            TURNING,
+            keep_out(-45, 35, -35, 45),
+            "a place after the last photo (-40 m east, 40 m north): it lies",
+        ),
+        (TURNING, keep_out(-25, 15, -15, 25), "the way home from a place after the last photo"),
         (AROUND, keep_in(box(-5, -5, 45, 30)), "waypoint 1: it lies outside area 1"),
         (AROUND, keep_in(box(10, -5, 45, 45)), "stands (0 m east, 0 m north): it lies outside area 1"),
         (AROUND, keep_in(box(-5, -5, 45, 45), box(-5, -5, 45, 20)), "waypoint 1: it lies outside area 2"),

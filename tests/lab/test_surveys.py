@@ -23,6 +23,7 @@ from tests.surveys import (
 )
 
 from upwash.config import read_drone_config
+from upwash.drone.speed import photo_doubts
 from upwash.errors import ConfigError
 from upwash.eventlog import schema
 from upwash.lab.simulation import Simulation, simulate
@@ -198,6 +199,29 @@ def test_triggers_that_cannot_be_flown_are_refused(
     with pytest.raises(ConfigError, match=refusal):
         read_drone_config(file)
     read_drone_config(written(tmp_path, items, mission=""))
+
+
+def test_blur_and_gaps_are_those_of_the_plans_legs(tmp_path: Path) -> None:
+    """At 25 m a photo shows 22.5 m along the flight and a pixel 7.5 mm; the take-off is at 20 m."""
+    items = [
+        at(0, 10),
+        begin(22.0),
+        at(0, 100),
+        item(178, 1, 8, -1),
+        at(0, 200),
+        END,
+        at(0, 200, 5.0),
+        at(0, 0, 5.0),
+    ]
+    file = written(tmp_path, items)
+    lens = "[camera]\nfov_deg = 62.0\nphoto_px = [4000, 3000]\nexposure_s = "
+    text = file.read_text()
+    file.write_text(text.replace("[camera]\n", f"{lens}0.0009\n"))
+    assert list(photo_doubts(read_drone_config(file))) == []
+    file.write_text(text.replace("[camera]\n", f"{lens}0.001\n").replace("{}", "{ every_m = 23.0 }"))
+    doubts = dict(photo_doubts(read_drone_config(file)))
+    assert doubts["blur"].startswith("the ground moves by 1.1 pixels")
+    assert "a photo shows 22.5 m of a row, so that one every 23 m leaves gaps" in doubts["gaps"]
 
 
 def test_a_grid_needs_a_distance(tmp_path: Path) -> None:

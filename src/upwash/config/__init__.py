@@ -80,6 +80,7 @@ from upwash.config.places import (
     true_range_m,
     waypoints,
 )
+from upwash.config.plan_photos import PhotoLeg, photo_legs
 from upwash.config.problems import impossible_values, repeated, unknown
 from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import RuntimeConfig

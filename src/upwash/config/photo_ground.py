@@ -25,9 +25,9 @@ class PhotoGround(Struct, frozen=True, kw_only=True):
     why_no_length: str = ""
 
 
-def photo_ground(config: DroneConfig) -> PhotoGround:
-    """The ground in a photo at the mission's altitude."""
-    camera, altitude_m = config.camera, config.mission.altitude_m
+def photo_ground(config: DroneConfig, altitude_m: float | None = None) -> PhotoGround:
+    """The ground in a photo at an altitude, by default the mission's."""
+    camera, altitude_m = config.camera, altitude_m or config.mission.altitude_m
     if camera.park_seed is not None:
         return _unknown("photos of camera.park_seed are rendered")
     if camera.calibration is not None:

@@ -75,6 +75,33 @@ def planned_photos(mission: MissionConfig, plan: FlightPlan) -> PlannedPhotos:
     return _Course(mission, plan).photos()
 
 
+@dataclass(frozen=True, slots=True)
+class PhotoLeg:
+    """How photos are taken on a leg: the lowest altitude, the speed, and the distance between two of them."""
+
+    altitude_m: float
+    ground_speed_m_s: float
+    step_m: float | None
+
+
+def photo_legs(mission: MissionConfig) -> list[PhotoLeg]:
+    """The legs with photos of a mission that takes them in flight; all rows that are no plan's are one."""
+    photos, speed_m_s = mission.photos, mission.ground_speed_m_s
+    if photos is None:
+        return []
+    if mission.plan is None:
+        return [PhotoLeg(mission.altitude_m, speed_m_s, photos.step_m(speed_m_s))]
+    course = _Course(mission, mission.plan.plan)
+    return [
+        PhotoLeg(
+            min(corner.position.altitude_m for corner in course.corners[leg.corner - 1 : leg.corner + 1]),
+            course.corners[leg.corner].ground_speed_m_s,
+            leg.step_m,
+        )
+        for leg in course.legs
+    ]
+
+
 def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
     """What keeps the triggers of the mission's plan from being flown; nothing for a mission without photos."""
     mission, key = config.mission, "mission.photos"

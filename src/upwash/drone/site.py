@@ -150,17 +150,17 @@ class Site(Struct, frozen=True):
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
         """Warnings about places nearer to the fence than the vehicle's margin, where it may overshoot."""
         names, margin_m = limits.names, limits.margin_m
-        spots = [(f"waypoint {waypoint.index}", waypoint.position.altitude_m) for waypoint in self.waypoints]
+        spots = [(name, place.altitude_m) for name, place in self._places()]
         for what, altitude_m in [("the take-off", self.takeoff_m), *spots]:
             if limits.highest_m is not None and limits.highest_m - altitude_m < margin_m:
                 yield (
                     f"{what} at {altitude_m:g} m is nearer than {names.margin} = {margin_m:g} m to "
                     f"{names.highest} = {limits.highest_m:g} m: the vehicle may overshoot into its own fence"
                 )
-        for waypoint, fence in itertools.product(self.waypoints, limits.fences):
-            if (clearance_m := fence.clearance_m(waypoint.position)) < margin_m:
+        for (name, place), fence in itertools.product(self._places(), limits.fences):
+            if (clearance_m := fence.clearance_m(place)) < margin_m:
                 yield (
-                    f"waypoint {waypoint.index} is {clearance_m:.1f} m from the border of {fence.name}, nearer than "
+                    f"{name} is {clearance_m:.1f} m from the border of {fence.name}, nearer than "
                     f"{names.margin} = {margin_m:g} m: the vehicle may overshoot into its own fence"
                 )
 

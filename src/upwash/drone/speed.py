@@ -12,7 +12,15 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec.structs import replace
 
-from upwash.config import DroneConfig, demand_map_of, photo_ground, server_areas, stands, waypoints
+from upwash.config import (
+    DroneConfig,
+    demand_map_of,
+    photo_ground,
+    photo_legs,
+    server_areas,
+    stands,
+    waypoints,
+)
 from upwash.core.geo import Waypoint
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.operation import Operation
@@ -58,11 +66,13 @@ def speed_limits(config: DroneConfig) -> Iterator[SpeedLimit]:
 
 def photo_doubts(config: DroneConfig) -> Iterator[tuple[str, str]]:
     """Warnings of photos taken in flight, each a kind and a sentence; of blur only where the speed is given."""
-    mission, camera, ground = config.mission, config.camera, photo_ground(config)
-    if mission.photos is None:
+    legs, camera = photo_legs(config.mission), config.camera
+    if not legs:
         return
-    if ground.pixel_m is not None and camera.exposure_s is not None and mission.speed == "given":
-        moved_px = mission.ground_speed_m_s * camera.exposure_s / ground.pixel_m
+    fastest = max(legs, key=lambda leg: leg.ground_speed_m_s / leg.altitude_m)  # over the ground of a photo
+    ground = photo_ground(config, fastest.altitude_m)
+    if ground.pixel_m is not None and camera.exposure_s is not None and config.mission.speed == "given":
+        moved_px = fastest.ground_speed_m_s * camera.exposure_s / ground.pixel_m
         if moved_px > BLURRED_PX:
             allowed_m_s = BLURRED_PX * ground.pixel_m / camera.exposure_s
             yield (
@@ -70,7 +80,8 @@ def photo_doubts(config: DroneConfig) -> Iterator[tuple[str, str]]:
                 f"the ground moves by {moved_px:.1f} pixels during an exposure of {camera.exposure_s:g} s: at "
                 f"{allowed_m_s:.2g} m/s it is one pixel; fly slower, or expose for a shorter time",
             )
-    step_m = mission.photos.step_m(mission.ground_speed_m_s)
+    widest = max(legs, key=lambda leg: (leg.step_m or 0.0) / leg.altitude_m)
+    ground, step_m = photo_ground(config, widest.altitude_m), widest.step_m
     if ground.along_m is not None and step_m is not None and step_m > ground.along_m:
         yield (
             "gaps",

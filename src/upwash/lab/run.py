@@ -27,7 +27,7 @@ from upwash.config import (
     true_range_m,
     waypoints,
 )
-from upwash.core.geo import Position, Reach
+from upwash.core.geo import Position, Reach, Waypoint
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap
 from upwash.drone.flight import Flight, Ports
@@ -163,7 +163,7 @@ async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Observat
     async with serving(first, software, seen=seen) as switchboard:
         flights = [_fly_one(drone, software, switchboard, seen) for drone in drones]
         longest_s = _LONGEST_S + max(
-            sum(_LONGEST_STOP_S + waypoint.hold_s for waypoint in waypoints(drone.config.mission))
+            sum(_LONGEST_STOP_S + _hold_s(waypoint) for waypoint in waypoints(drone.config.mission))
             for drone in drones
         )
         try:
@@ -174,6 +174,10 @@ async def _fly(drones: Sequence[_Drone], *, computing: bool, seen: list[Observat
                 f"the mission did not end within {longest_s / 3600:.0f} h of virtual time; "
                 "a verb of the mission never returned, or it flies in circles"
             ) from None
+
+
+def _hold_s(waypoint: Waypoint) -> float:
+    return waypoint.hold_s + sum(via.hold_s for via in waypoint.via)
 
 
 async def _fly_one(
