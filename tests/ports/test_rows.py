@@ -113,7 +113,9 @@ def fly(config: DroneConfig, **at: Callable[[Bench], object]) -> Flown:
             sky.program(ground_speed_m_s=config.mission.ground_speed_m_s) as autopilot,
         ):
             spots = waypoints(config.mission)
-            events = ModelCamera(photo_s=0.1, events=[spots[DEMANDING].position], in_flight=True)
+            events = ModelCamera(
+                photo_s=config.camera.photo_s, events=[spots[DEMANDING].position], in_flight=True
+            )
             camera, journal, onboard = Camera(sky, events, happens), MemoryJournal(), Switchboard({})
             journal.begin()
             computer = DroneComputer(
@@ -155,7 +157,7 @@ def test_rows_are_flown_as_simulated(firmware: Firmware, speed_m_s: float) -> No
     config = config_of(firmware, speed_m_s)
     flown, simulated = fly(config), simulate(config)
     assert flown.result.completed and simulated.result.completed, flown.error
-    assert flown.result.mission_time_s == pytest.approx(simulated.result.mission_time_s, rel=0.05)
+    assert flown.result.mission_time_s == pytest.approx(simulated.result.mission_time_s, rel=0.03)
 
     spots = waypoints(config.mission)
     assert len(flown.shots) == len(spots)
@@ -267,7 +269,7 @@ def test_a_survey_is_flown_as_simulated(firmware: Firmware, tmp_path: Path) -> N
     config = read_drone_config(file)
     flown, simulated = fly(config), simulate(config)
     assert flown.result.completed and simulated.result.completed, flown.error
-    assert flown.result.mission_time_s == pytest.approx(simulated.result.mission_time_s, rel=0.05)
+    assert flown.result.mission_time_s == pytest.approx(simulated.result.mission_time_s, rel=0.03)
     assert len(flown.shots) == len(SPOTS)
     for shot, spot in zip(flown.shots, SPOTS, strict=True):
         assert math.dist((shot.place.east_m, shot.place.north_m), spot) < 0.3
