@@ -68,7 +68,7 @@ def fly(flight: Flight) -> tuple[Flight, Flown]:
     }
     run = simulate(read_scenario(SCENARIO, seed=flight.seed, overrides=overrides))
     assert run.result.completed
-    return flight, Flown(run.result.mission_time_s, run.result.totals.turned_back)
+    return flight, Flown(run.result.mission_time_s, run.result.totals.turns_back)
 
 
 def gained(flown: dict[Flight, Flown], chances: Sequence[float], seeds: Sequence[int]) -> Iterator[Gained]:

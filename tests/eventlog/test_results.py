@@ -134,7 +134,7 @@ def test_a_call_that_ends_elsewhere_belongs_to_the_waypoint_where_it_was_made() 
         ]
     )
     assert [(each.waypoint, each.hidden_s) for each in result.calls] == [(0, 9.5), (1, 0.0)]
-    assert (result.totals.went_on, result.totals.turned_back, result.totals.hidden_s) == (1, 1, 9.5)
+    assert (result.totals.went_on, result.totals.turns_back, result.totals.hidden_s) == (1, 1, 9.5)
     assert result.local_only_time_s() is None  # what going lost and saved is not measured
 
 

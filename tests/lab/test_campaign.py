@@ -574,9 +574,9 @@ def test_what_a_drone_that_goes_came_to_has_columns_of_its_own(tmp_path: Path) -
         """
     )
     run_here(read_sweep(file, ["policy.stay_or_go=stay,go"], seeds=1), out)
-    told = [(row["went_on"], row["turned_back"], float(row["hidden_s"])) for row in cells(out)]
+    told = [(row["went_on"], row["turns_back"], float(row["hidden_s"])) for row in cells(out)]
     assert told == [("0", "0", 0.0), ("2", "1", 20.0)]
     out.unlink()
     out.with_suffix(".campaign.json").unlink()
     run_here(read_sweep(file, ["policy.stay_or_go=stay"], seeds=1), out)
-    assert "turned_back" not in cells(out)[0]
+    assert "turns_back" not in cells(out)[0]

@@ -39,7 +39,7 @@ def test_the_second_flight_stays_where_the_first_had_demands(tmp_path: Path) -> 
     first = upwash.simulate(SCENARIO, overrides=overrides, seed=1, keep_demands=True)
     second = upwash.simulate(SCENARIO, overrides=overrides, seed=2)
     assert second.mission_time_s < 0.97 * plain.mission_time_s
-    assert second.totals.turned_back < plain.totals.turned_back
+    assert second.totals.turns_back < plain.totals.turns_back
     assert first.completed
     gone, corner = goes(second), EventAreaConfig(**CORNER).circle
     inside = {waypoint for waypoint in range(121) if corner.contains(Position(*_place(waypoint)))}

@@ -222,7 +222,7 @@ def test_what_a_drone_saves_that_goes_on_before_answers_is_what_servers_save_it(
     goes = tables([], {}, policy={"stay_or_go": "go"}, mission=mission, event=events, seed=3)
     fleet = upwash.simulate_fleet(goes)
     alone = upwash.simulate(goes, policy="local-only")
-    assert alone.totals.turned_back > 0
+    assert alone.totals.turns_back > 0
     assert fleet.saved_s["drone"] == pytest.approx(
         alone.mission_time_s - fleet.drones["drone"].mission_time_s
     )

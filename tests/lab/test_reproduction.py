@@ -238,5 +238,5 @@ def test_the_dot_of_a_call_stands_at_the_waypoint_where_it_was_made() -> None:
 
     goes = {"name": "local-only", "stay_or_go": "go"}
     run = simulate(survey(policy=goes, event={"every": 5, "offset": 2}))
-    assert run.result.totals.turned_back > 0
+    assert run.result.totals.turns_back > 0
     assert [point.waypoint for point in read_call_points(run.events)] == list(range(18))

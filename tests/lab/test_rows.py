@@ -10,6 +10,7 @@ from tests.programs import ROOT
 
 from upwash.errors import ConfigError
 from upwash.eventlog import schema
+from upwash.eventlog.results import as_json
 from upwash.lab.simulation import Simulation, simulate
 
 SCENARIO = ROOT / "scenarios" / "on-the-move.toml"
@@ -57,6 +58,13 @@ def test_a_time_between_photos_is_a_distance_at_the_speed_of_the_rows() -> None:
     timed, spaced = (survey(mission__photos=photos) for photos in ({"every_s": 5.0}, {"every_m": 20.0}))
     assert timed.mission_time_s == spaced.mission_time_s
     assert [call.at_s for call in timed.calls] == [call.at_s for call in spaced.calls]
+
+
+def test_its_totals_have_the_turns_back_also_if_there_was_none() -> None:
+    for every, turns in ((10, 12), (1000, 0)):
+        run = survey(event={"every": every, "offset": 5 if every == 10 else 999})
+        assert as_json(run.totals)["turns_back"] == run.totals.turns_back == turns
+    assert "turns_back" not in as_json(simulate(ROOT / "scenarios/demonstration.toml").totals)
 
 
 def test_every_demand_is_met_at_its_place_once() -> None:

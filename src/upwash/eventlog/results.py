@@ -34,7 +34,7 @@ _COUNTED = (
     }
 )
 _RARE = (
-    "hidden_s", "went_on", "turned_back", "never_ready", "not_acted_on", "not_looked_at", "failed_calls",
+    "hidden_s", "went_on", "turns_back", "never_ready", "not_acted_on", "not_looked_at", "failed_calls",
     "offloading_failed",
 )  # fmt: skip
 _LEAST_HIDDEN_S = 0.01  # less is the time between the end of a call and the mission's next step
@@ -77,7 +77,7 @@ class Totals:
 
     `waits` counts the calls that waited for a server, `waits_failed` the waits for a server that was not ready in
     time, and `switches` the selections of a server. `lighter` counts the calls that ran lighter than the mission
-    asked for, `went_on` the answers before which the drone flew on, and `turned_back` the answers for which it came
+    asked for, `went_on` the answers before which the drone flew on, and `turns_back` the answers for which it came
     back. `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
     """
 
@@ -91,7 +91,7 @@ class Totals:
     service_delay_s: float
     lighter: int = 0
     went_on: int = 0
-    turned_back: int = 0
+    turns_back: int = 0
     hidden_s: float = 0.0
 
 
@@ -271,7 +271,7 @@ class Tally:
                 service_delay_s=sum(call.delay_s for call in self._calls),
                 lighter=sum(bool(call.asked) for call in self._calls),
                 went_on=self._went_on,
-                turned_back=self._turned_back,
+                turns_back=self._turned_back,
                 hidden_s=sum((call.hidden_s for call in self._calls), 0.0),
             ),
             waypoints=self._waypoints,
@@ -296,7 +296,8 @@ def as_json(value: object) -> Any:
     match msgspec.to_builtins(value):
         case dict() as members:
             fields = {name: as_json(field) for name, field in members.items()}
-            return {name: field for name, field in fields.items() if field or name not in _RARE}
+            rare = [name for name in _RARE if name != "turns_back" or not fields.get("went_on")]
+            return {name: field for name, field in fields.items() if field or name not in rare}
         case list() as items:
             return [as_json(item) for item in items]
         case plain:

@@ -199,7 +199,7 @@ def _lighter_line(result: RunResult) -> str:
 
 
 def _going_line(totals: Totals) -> str:
-    back = totals.turned_back or "none"
+    back = totals.turns_back or "none"
     went_on = f"flew on before {counted(totals.went_on, 'answer')}, and turned back for {back}"
     busy = f"did other things during {totals.hidden_s:.1f} s of the calls"
     return "; ".join([*([went_on] if totals.went_on else []), *([busy] if totals.hidden_s else [])])

@@ -87,7 +87,7 @@ def _all(calls: int) -> str:
 def _going(totals: Totals) -> str:
     if not totals.went_on:
         return ""
-    back = totals.turned_back or "none"
+    back = totals.turns_back or "none"
     return (
         f" The drone flew on before {counted(totals.went_on, 'answer')} and turned back for {back}: "
         f"during {lasting(totals.hidden_s)} of the calls it did something else."

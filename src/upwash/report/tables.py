@@ -95,7 +95,7 @@ def totals(records: Sequence[Record]) -> Markup:
     if any(record.answers for record in records):
         rows += [
             ["went on before the answer", *(str(record.result.totals.went_on) for record in records)],
-            ["turned back for the answer", *(str(record.result.totals.turned_back) for record in records)],
+            ["turned back for the answer", *(str(record.result.totals.turns_back) for record in records)],
             ["of the calls' time hidden", *(f"{record.result.totals.hidden_s:.1f} s" for record in records)],
         ]
     if any(record.result.energy for record in records):

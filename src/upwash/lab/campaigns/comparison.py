@@ -250,7 +250,7 @@ def _rows(scenario: NamedScenario, entrants: Sequence[Entrant], results: Results
             energy_half_width_wh=energy_wh.margin if energy_wh else None,
             worst_s=fmean(fleet.worst_s or 0.0 for fleet in fleets) if fleets else None,
             jain=fmean(fleet.fairness for fleet in fleets) if fleets else None,
-            turned_back=fmean(flight.totals.turned_back for flight in completed) if went_on else None,
+            turned_back=fmean(flight.totals.turns_back for flight in completed) if went_on else None,
             hidden_s=fmean(flight.totals.hidden_s for flight in completed) if went_on else None,
             saved_s=saved.value if saved else None,
             saved_half_width_s=saved.margin if saved else None,

@@ -39,7 +39,7 @@ class CampaignRow(msgspec.Struct, frozen=True):
     fallbacks: int | None = None
     service_delay_s: float | None = None
     went_on: int | None = None  # where a drone may go on before answers are there
-    turned_back: int | None = None
+    turns_back: int | None = None
     hidden_s: float | None = None
     bound_s: float | None = None
     bound_with_joins_s: float | None = None
@@ -58,7 +58,7 @@ class CampaignRow(msgspec.Struct, frozen=True):
 ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
 _FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
 _LIGHTER = ("lighter",)
-_GOING = ("went_on", "turned_back", "hidden_s")
+_GOING = ("went_on", "turns_back", "hidden_s")
 _COLUMNS = tuple(
     name for name in CampaignRow.__struct_fields__[1:] if name not in (*ENERGY, *_FLEET, *_LIGHTER, *_GOING)
 )
