@@ -75,6 +75,20 @@ def test_a_corridor_is_photographed_around_its_bends(tmp_path: Path) -> None:
     assert_flown(run, [(float(east_m), float(north_m)) for east_m, north_m in spots])
 
 
+def test_rings_around_a_structure_are_photographed_layer_by_layer(tmp_path: Path) -> None:
+    """Two rings of 160 m, the second after a climb; the triggers end at each ring's end, with a photo."""
+    corners: list[Place] = [(20, 20), (60, 20), (60, 60), (20, 60)]
+    ring: list[Place] = [(20, 20), (50, 20), (60, 40), (50, 60), (20, 60), (20, 30), (20, 20)]
+    items: list[Item] = []
+    for altitude_m in (20.0, 30.0):
+        first, *others = [at(*corner, altitude_m) for corner in [*corners, corners[0]]]
+        items += [first, begin(30.0), *others, END]
+    run = simulate(written(tmp_path, items))
+    assert_flown(run, ring * 2)
+    heights_m = [round(photo.position.altitude_m) for photo in of(run, schema.PhotoTaken)]
+    assert heights_m == [20] * 7 + [30] * 7
+
+
 def test_a_photo_at_each_waypoint_is_taken_at_rest_after_its_hold(tmp_path: Path) -> None:
     places: list[Place] = [(0, 20), (0, 50), (30, 50)]
     items = [part for place in places for part in (at(*place, hold_s=4.0), PHOTO)]
@@ -142,13 +156,17 @@ def test_demands_in_turns_are_met_and_each_spot_has_its_photo(tmp_path: Path) ->
     assert max(map(math.dist, taken, SPOTS)) < 0.5
 
 
-def test_a_demand_behind_a_fence_is_met_along_the_planned_way(tmp_path: Path) -> None:
-    """The photos of the first leg are answered on the third, with an obstacle between."""
+@pytest.mark.parametrize(("at_most", "heavy_s"), [(100, 28.0), (10, 60.0)])
+def test_a_demand_behind_a_fence_is_met_along_the_planned_way(
+    tmp_path: Path, at_most: int, heavy_s: float
+) -> None:
+    """The photos of the first leg are answered on the third, in flight or at a stop, with an obstacle between."""
     items = [at(0, 10), begin(), at(0, 110), at(60, 110), at(60, 10), END]
     fence: list[Place] = [(20, 0), (40, 0), (40, 90), (20, 90)]
     more = "[event]\nevery = 100\noffset = 1\n"
-    run = simulate(written(tmp_path, items, fence=fence, heavy_s=28.0, more=more))
-    assert run.completed
+    mission = f"photos = {{ at_most = {at_most} }}"
+    run = simulate(written(tmp_path, items, fence=fence, heavy_s=heavy_s, more=more, mission=mission))
+    assert run.completed, run.failure
     (back,) = of(run, schema.TurnedBack)
     assert back.position.east_m == pytest.approx(60, abs=0.1)
     (acted,) = of(run, schema.Acted)

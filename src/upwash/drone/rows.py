@@ -237,14 +237,21 @@ class Rows:
         """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
         self._open.append(answer)
         if self._stays:
-            while self._open:
-                self._take_next()
+            self._wait_below(1)
         if len(self._open) >= self._rules.at_most:
             waiting = len(self._open)
             self._note(schema.PhotosWait(waiting=waiting))
             self.stop()
-            while len(self._open) >= self._rules.at_most:
-                self._take_next()
+            self._wait_below(self._rules.at_most)
+
+    def _wait_below(self, count: int) -> None:
+        """Wait at rest until fewer answers are open, and meet their demands; come back where a plan has the way."""
+        here, was_away = self._vehicle.position(), False
+        while len(self._open) >= count:
+            was_away |= self._take_next()
+        if was_away and self._is_planned:
+            self.fly_around(here)
+            self._vehicle.fly(here)
 
     def stop(self) -> None:
         """Brake, if a leg is flown."""
