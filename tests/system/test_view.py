@@ -142,7 +142,7 @@ def test_on_rows_the_open_answers_are_shown_and_what_became_of_each(page: Browse
         page.seek(round(waits_s + 0.5, 1))
         assert page.text(".doing") == "waiting for answers"
         assert "4 answers open" in page.text(".says")
-        assert "Its answer is not there yet." in page.text(".photos")
+        assert "Its answer is not there." in page.text(".photos")
         page.seek(round(ended_s[2] + 0.1, 1))
         assert re.match(
             r"computing on the drone, 0\.\d of about .*; photo at 0:\d\d$", page.text(".now .course")

@@ -15,7 +15,6 @@ export class PhotoCard {
   #current = null; // the one of these that is looked at
   #boxes = "";
   #open = []; // photos whose answers are not there
-  #isOver = false;
   #timer = null;
   #lost = null; // the shot that could not be had
 
@@ -37,7 +36,7 @@ export class PhotoCard {
   show(moment, current) {
     const { story } = moment;
     this.#current = current;
-    [this.#open, this.#isOver] = [moment.open, moment.isOver];
+    this.#open = moment.open;
     this.element.hidden = !(story.keepsPhotos || (story.shot.length && story.told.length));
     const last = moment.last("shot");
     const told = moment.last("told");
@@ -75,7 +74,7 @@ export class PhotoCard {
     const where = shot.waypoint === null ? "before the first waypoint" : `at waypoint ${shot.waypoint}`;
     const said = this.#found.map((finding) => ` Finding ${finding.no}: ${wordsOf(finding)}.`).join("");
     const missing = this.#picture && shot !== this.#lost ? "" : " It was not kept where this page can find it.";
-    const open = this.#open.some(({ waypoint }) => waypoint === shot.waypoint) ? ` Its answer ${this.#isOver ? "was not there at the end" : "is not there yet"}.` : "";
+    const open = this.#open.some(({ waypoint }) => waypoint === shot.waypoint) ? " Its answer is not there." : "";
     return `Photo ${shot.number + 1}, ${where}, from ${shot.source}.${said}${open}${missing}`;
   }
 
