@@ -200,7 +200,8 @@ def test_a_radio_or_a_true_processing_time_replaces_the_believed_delay(tmp_path:
     assert server_truth(by_radio.servers[0], by_radio.services).remote_call_s == {}
     by_processing = read(tmp_path, FULL.replace(truth, "processing_s = { heavy = 7.6 }"))
     told = server_truth(by_processing.servers[0], by_processing.services)
-    assert told.remote_call_s == {"detector": {"light": 0.3}}
+    transfer_s = 8 * 425_500 / 54e6
+    assert told.remote_call_s == {"detector": {"light": 0.3, "heavy": pytest.approx(7.6 + transfer_s)}}
     assert told.processing_s == {"detector": {"light": 0.2, "heavy": 7.6}}
 
 
@@ -351,7 +352,7 @@ REFUSED = [
         'name = "location-aware"',
         'name = "greedy"',
         "policy.name",
-        '"local-only", "location-aware", "look-ahead", "opportunistic", found "greedy"',
+        '"opportunistic", or a class of your own, such as "mine.py:Class", found "greedy"',
     ),
     ("gain_switch = 0.25", "gain_switch = 1.1", "policy.gain_switch", "from 0 to 1, found 1.1"),
     ("gain_wait = 0.25", "gain_wait = -0.1", "policy.gain_wait", "from 0 to 1"),

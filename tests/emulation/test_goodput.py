@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from upwash.emulation.goodput import Measurement, Transfers, write_table
 from upwash.emulation.native import WIFI
 from upwash.errors import UsageError
-from upwash.sim.radio import read_goodput
+from upwash.sim.radio import Spot, read_goodput
 
 LOST = float("inf")
 
@@ -40,7 +40,7 @@ def test_a_table_is_a_radio_and_tells_what_it_depends_on(tmp_path: Path) -> None
     assert radio.at(0) == pytest.approx((20e6 + 16e6) / 2)
     assert radio.at(50) == pytest.approx((18e6 + 8e6) / 2)
     assert radio.at(110) == pytest.approx(1e6), "half of the transfers were lost"
-    assert radio.transfer_s(1, 120) == LOST
+    assert radio.transfer_s(1, Spot(120.0)) == LOST
 
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     assert [row["ok"] for row in rows] == ["2", "2", "1", "0"]

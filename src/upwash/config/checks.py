@@ -30,7 +30,8 @@ from upwash.config.places import (
 )
 from upwash.config.plan_photos import MOST_SPOTS
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
-from upwash.config.truth import ServerTruth, server_truth
+from upwash.config.traces import read_goodput_trace, read_service_times
+from upwash.config.truth import ServerTruth, keys_of, server_truth
 from upwash.config.user import user_problems
 from upwash.config.values import MDNS, is_address
 from upwash.config.world import RADIOS, FaultConfig, TruthConfig
@@ -352,6 +353,17 @@ def _truth_problems(truth: TruthConfig, services: Sequence[ServiceConfig]) -> It
     for image in truth.images or ():
         if image not in names:
             yield "images", unknown("service", image, names)
+    if truth.service_csv is not None:
+        for operation in read_service_times(truth.service_csv):
+            if not any(keys_of(operation, services)):
+                known = listed(
+                    sorted({key or service.name for service in services for key in service.local_call_s})
+                )
+                yield "service_csv", f"{operation} is no operation with a local_call_s: name one of {known}"
+    if truth.goodput_csv is not None:
+        read_goodput_trace(truth.goodput_csv)
+        if truth.radio != "fixed":
+            yield "radio", "goodput_csv says how fast the link is: leave one of the two out"
     if truth.radio not in RADIOS and not _is_file(truth.radio):
         yield "radio", f"no file {truth.radio}: give {listed(RADIOS)} or a csv file of goodput by distance"
 
@@ -377,6 +389,8 @@ def _why_placed(server: ServerConfig) -> str:
         return "range_m"
     if server.truth.range_m is not None:
         return "truth.range_m"
+    if server.truth.goodput_csv is not None:
+        return "truth.goodput_csv"
     return "" if server.truth.radio == "fixed" else "truth.radio"
 
 
@@ -461,8 +475,9 @@ def _true_call_problems(
     if key in truth.remote_call_s.get(service.name, {}):
         return
     if key not in truth.processing_s.get(service.name, {}):
-        yield "truth.processing_s", f'nothing for {operation}, as radio = "{truth.radio}" needs it: add it'
-    elif truth.radio == "fixed" and server.bandwidth_bit_s is None:
+        needs = f'radio = "{truth.radio}"' if truth.goodput is None else "goodput_csv"
+        yield "truth.processing_s", f"nothing for {operation}, as {needs} needs it: add it"
+    elif truth.radio == "fixed" and truth.goodput is None and server.bandwidth_bit_s is None:
         yield "bandwidth_bit_s", f"missing, and {operation} has no truth.remote_call_s: add one of them"
 
 

@@ -23,7 +23,8 @@ Policy = Annotated[
     str,
     Meta(
         pattern=rf"^({'|'.join(POLICIES)}|[^:]+:[A-Za-z_][A-Za-z_0-9]*)\Z",
-        description=f'{", ".join(POLICIES)}, or a class of your own, such as "mine.py:Class"',
+        description=", ".join(['one of "local-only"', *(f'"{name}"' for name in sorted(POLICIES)[1:])])
+        + ', or a class of your own, such as "mine.py:Class"',
     ),
 ]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from statistics import fmean
 from typing import Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from upwash.config.drone import ServerConfig, ServiceConfig
+from upwash.config.traces import GoodputTrace, read_goodput_trace, read_service_times
+from upwash.core.operation import Operation
 
 Times = Mapping[str, Mapping[str, float]]  # seconds, by service and profile key
 
@@ -21,7 +25,8 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     `processing_s` and the transfer: by the radio's goodput at the drone's distance, or else by the bandwidth.
 
     An instance computes `lanes` calls at a time; None: as many as its service declares. A call of `remote_call_s`
-    occupies a lane for its `occupying_s`, if that is known, or else for all of its time.
+    occupies a lane for its `occupying_s`, if that is known, or else for all of its time. `processing_s` has the
+    means of `service_times`, which are by operation as the trace names it.
     """
 
     join_s: float
@@ -33,6 +38,8 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     first_extra_s: float
     bandwidth_bit_s: float | None
     radio: str
+    goodput: GoodputTrace | None
+    service_times: Mapping[str, Sequence[float]]
     slots: int | Literal["auto"]
     turn_s: float
     lanes: int | None
@@ -41,24 +48,53 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
 
 
 def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> ServerTruth:
-    """What is true of the server in simulation."""
+    """What is true of the server in simulation; raises ConfigError for a trace that is none."""
     truth = server.truth
+    times = read_service_times(truth.service_csv) if truth.service_csv is not None else {}
+    truth = replace(truth, processing_s=_merged(truth.processing_s, _means(times, services)))
+    server = replace(server, truth=truth)
     return ServerTruth(
         join_s=server.check_running_s if truth.join_s is None else truth.join_s,
         leave_s=truth.leave_s,
         start_s=server.check_s - server.check_running_s if truth.start_s is None else truth.start_s,
         processing_s=_merged(server.processing_s, truth.processing_s),
-        remote_call_s=_merged(_remote_calls_still_believed(server), truth.remote_call_s),
+        remote_call_s=_merged(_remote_calls_still_believed(server, services), truth.remote_call_s),
         occupying_s=_occupying(server),
         first_extra_s=truth.first_extra_s,
         bandwidth_bit_s=server.bandwidth_bit_s,
         radio=truth.radio,
+        goodput=None if truth.goodput_csv is None else read_goodput_trace(truth.goodput_csv),
+        service_times=times,
         slots=truth.slots,
         turn_s=_TURN_S if truth.turn_s is None else truth.turn_s,
         lanes=truth.lanes,
         images=tuple(service.name for service in services) if truth.images is None else truth.images,
         peers=truth.peers,
     )
+
+
+def times_of(operation: Operation, times: Mapping[str, Sequence[float]]) -> Sequence[float]:
+    """The operation's measured times, by its name, its profile key or its method; empty where there are none."""
+    names = (str(operation), operation.key, operation.method)
+    return next((times[name] for name in names if name and name in times), ())
+
+
+def _means(times: Mapping[str, Sequence[float]], services: Sequence[ServiceConfig]) -> Times:
+    found: dict[str, dict[str, float]] = {}
+    for name, seconds in times.items():
+        for service, key in keys_of(name, services):
+            found.setdefault(service, {})[key] = fmean(seconds)
+    return found
+
+
+def keys_of(name: str, services: Sequence[ServiceConfig]) -> Iterator[tuple[str, str]]:
+    """The services and keys of a trace's operation: `service.method[key]`, `service.method`, a key or a method."""
+    path, _, key = name.removesuffix("]").partition("[")
+    named, dot, method = path.rpartition(".")
+    keys = (key,) if key else (method, "") if dot else (method,)
+    for service in services:
+        if not dot or service.name == named:
+            yield from ((service.name, one) for one in keys if one in service.local_call_s)
 
 
 def _merged(belief: Times, truth: Times) -> Times:
@@ -83,12 +119,21 @@ def _occupying(server: ServerConfig) -> Times:
     }
 
 
-def _remote_calls_still_believed(server: ServerConfig) -> Times:
-    """The believed delays, without those of operations whose processing time or radio is true."""
-    if server.truth.radio != "fixed":
+def _remote_calls_still_believed(server: ServerConfig, services: Sequence[ServiceConfig]) -> Times:
+    """The believed delays, without those of operations whose processing time or radio is true.
+
+    An operation with a true processing time, among others with a believed delay, has its transfer added.
+    """
+    if server.truth.radio != "fixed" or server.truth.goodput_csv is not None:
         return {}
     true_s = server.truth.processing_s
-    return {
+    believed = {
         service: {key: seconds for key, seconds in by_key.items() if key not in true_s.get(service, {})}
         for service, by_key in server.remote_call_s.items()
     }
+    for service in services:
+        if believed.get(service.name) and server.bandwidth_bit_s is not None:
+            transfer_s = 8 * (service.request_bytes + service.reply_bytes) / server.bandwidth_bit_s
+            true = true_s.get(service.name, {})
+            believed[service.name] |= {key: seconds + transfer_s for key, seconds in true.items()}
+    return believed

@@ -42,6 +42,10 @@ class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """The true range, in metres; default: as believed, or everywhere if that is `"measured"`."""
     radio: values.Text = "fixed"
     """Goodput by distance: `fixed`, `disc54`, `disc12` or a csv file."""
+    goodput_csv: values.FilePath | None = None
+    """Measured goodput, in place of `radio`: [traces](scenarios.md#measured-traces)."""
+    service_csv: values.FilePath | None = None
+    """Measured times of computing, in place of `processing_s`: [traces](scenarios.md#measured-traces)."""
     slots: values.Slots = "auto"
     """Drones that the server serves at a time."""
     lanes: values.Count | None = None

@@ -87,7 +87,7 @@ def _fleet(file: Path) -> Iterator[tuple[DroneConfig, Presence]]:
 
 
 def emulated(config: DroneConfig) -> DroneConfig:
-    """The scenario as emulated: without noise, energy, faults and delays of single calls.
+    """The scenario as emulated: without noise, energy, faults, traces of links and delays of single calls.
 
     Calls on the drone take at least the configured time. The same scenario can be simulated, to compare.
     """
@@ -107,7 +107,8 @@ def emulated(config: DroneConfig) -> DroneConfig:
             for service in config.services
         ),
         servers=tuple(
-            replace(server, truth=replace(server.truth, first_extra_s=0.0)) for server in config.servers
+            replace(server, truth=replace(server.truth, first_extra_s=0.0, goodput_csv=None))
+            for server in config.servers
         ),
         user=type(config.user)(),
         energy=None,
@@ -129,6 +130,8 @@ def left_out(config: DroneConfig) -> list[str]:
         ),
         "lanes": any(server.truth.lanes is not None for server in config.servers),
         "first_extra_s": any(server.truth.first_extra_s for server in config.servers),
+        "goodput_csv": any(server.truth.goodput_csv for server in config.servers),
+        "the spread of service_csv": any(server.truth.service_csv for server in config.servers),
     }
     return [name for name, there in found.items() if there]
 

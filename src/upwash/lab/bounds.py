@@ -22,7 +22,7 @@ from upwash.lab.observer import RangeInterval
 from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_services, load_specs
 from upwash.rpc.service import spec_of
-from upwash.sim.radio import goodput_of
+from upwash.sim.radio import Spot, goodput_of
 from upwash.sim.world import computing_s, delay_of, occupying_s
 
 _NO_TIME_S = 1e-9  # of a call, which has to take some
@@ -225,7 +225,7 @@ def _made(
                             operation,
                             service,
                             truths[stay.server],
-                            ground_distance_m(position, places[stay.server]),
+                            Spot(ground_distance_m(position, places[stay.server]), position),
                         ),
                         begun_s - max(ended_s, stay.from_s),
                     )
@@ -233,7 +233,11 @@ def _made(
                     if stay.from_s <= begun_s < stay.to_s
                 ]
                 on_the_way = [
-                    Offer(stay.server, later_s + _remote_s(operation, service, truths[stay.server], 0.0), 0.0)
+                    Offer(
+                        stay.server,
+                        later_s + _remote_s(operation, service, truths[stay.server], Spot(0.0)),
+                        0.0,
+                    )
                     for stay, later_s in _met(run.range_intervals, passage)
                 ]
                 waited_s = ways.waited_s.get(number, delay_s) if ways else delay_s
@@ -252,8 +256,8 @@ def _met(stays: Sequence[RangeInterval], passage: AfterCall | None) -> Iterator[
             yield stay, max(0.0, stay.from_s - passage.departed_s)
 
 
-def _remote_s(operation: Operation, service: ServiceConfig, truth: ServerTruth, distance_m: float) -> float:
-    """The true delay (s) of a call at that distance; infinite if the server does not serve it."""
+def _remote_s(operation: Operation, service: ServiceConfig, truth: ServerTruth, spot: Spot) -> float:
+    """The true delay (s) of a call there; infinite if the server does not serve it."""
     if service.name not in truth.images:
         return math.inf
     try:
@@ -262,8 +266,8 @@ def _remote_s(operation: Operation, service: ServiceConfig, truth: ServerTruth, 
         return math.inf
     goodput = goodput_of(truth, service.name)
     if goodput is not None:
-        call_s += goodput.transfer_s(service.request_bytes, distance_m)
-        call_s += goodput.transfer_s(service.reply_bytes, distance_m)
+        call_s += goodput.transfer_s(service.request_bytes, spot)
+        call_s += goodput.transfer_s(service.reply_bytes, spot)
     return call_s
 
 

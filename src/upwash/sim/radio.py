@@ -11,8 +11,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Protocol
 
 from upwash.config import ServerTruth
+from upwash.config.traces import GoodputTrace
+from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of
 from upwash.support.text import counted, printable
@@ -22,6 +25,22 @@ _LONGEST_PROBLEM = 200  # characters
 _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
 
 
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where and when something is sent; without a position at the best place, without a time at the best time."""
+
+    distance_m: float
+    position: Position | None = None
+    now_s: float | None = None
+
+
+class Goodput(Protocol):
+    """How fast the link of a server is."""
+
+    def transfer_s(self, data_bytes: int, at: Spot) -> float:
+        """The transfer time in seconds; infinite if nothing gets through."""
+
+
 @dataclass(frozen=True)
 class GoodputTable:
     """Goodput in bit/s at ascending distances in metres; linear between them, 0 beyond the last."""
@@ -29,9 +48,9 @@ class GoodputTable:
     distances_m: Sequence[float]
     goodput_bit_s: Sequence[float]
 
-    def transfer_s(self, data_bytes: int, distance_m: float) -> float:
+    def transfer_s(self, data_bytes: int, at: Spot) -> float:
         """The transfer time in seconds over the distance; infinite if nothing gets through."""
-        goodput_bit_s = self.at(distance_m)
+        goodput_bit_s = self.at(at.distance_m)
         return 8 * data_bytes / goodput_bit_s if goodput_bit_s > 0 else float("inf")
 
     def at(self, distance_m: float) -> float:
@@ -53,13 +72,62 @@ class SteadyGoodput:
 
     goodput_bit_s: float
 
-    def transfer_s(self, data_bytes: int, distance_m: float) -> float:
-        """The transfer time in seconds, the same at all distances."""
+    def transfer_s(self, data_bytes: int, _at: Spot) -> float:
+        """The transfer time in seconds, the same everywhere."""
         return 8 * data_bytes / self.goodput_bit_s
 
 
-def goodput_of(truth: ServerTruth, service: str) -> GoodputTable | SteadyGoodput | None:
+@dataclass(frozen=True)
+class GoodputInTime:
+    """Goodput in bit/s from each of the ascending times (s) on, as a file has it; before the first as from there."""
+
+    times_s: Sequence[float]
+    goodput_bit_s: Sequence[float]
+
+    def transfer_s(self, data_bytes: int, at: Spot) -> float:
+        """The transfer time in seconds, over changes of the goodput; infinite if nothing gets through any more."""
+        left_bits = 8.0 * data_bytes
+        if at.now_s is None:
+            return left_bits / max(self.goodput_bit_s)
+        number, now_s = max(0, bisect.bisect_right(self.times_s, at.now_s) - 1), at.now_s
+        for goodput_bit_s, until_s in zip(
+            self.goodput_bit_s[number:], self.times_s[number + 1 :], strict=False
+        ):
+            if left_bits <= goodput_bit_s * (until_s - now_s):
+                return now_s + left_bits / goodput_bit_s - at.now_s if left_bits else 0.0
+            left_bits -= goodput_bit_s * (until_s - now_s)
+            now_s = until_s
+        last_bit_s = self.goodput_bit_s[-1]
+        return now_s + left_bits / last_bit_s - at.now_s if last_bit_s else math.inf
+
+
+@dataclass(frozen=True)
+class GoodputByPlace:
+    """Goodput in bit/s at places; anywhere else that of the nearest place."""
+
+    places: Sequence[tuple[float, float, float]]  # east and north in metres, and bit/s
+
+    def transfer_s(self, data_bytes: int, at: Spot) -> float:
+        """The transfer time in seconds; infinite where nothing gets through."""
+        if at.position is None:
+            return 8 * data_bytes / max(place[2] for place in self.places)
+        here = at.position.east_m, at.position.north_m
+        goodput_bit_s = min(self.places, key=lambda place: math.dist(place[:2], here))[2]
+        return 8 * data_bytes / goodput_bit_s if goodput_bit_s > 0 else math.inf
+
+
+def traced(trace: GoodputTrace) -> Goodput:
+    """The goodput of a trace."""
+    columns = list(zip(*trace.rows, strict=True))
+    if len(columns) > 2:
+        return GoodputByPlace([(row[0], row[1], row[2]) for row in trace.rows])
+    return (GoodputInTime if trace.columns[0] == "t_s" else GoodputTable)(*columns)
+
+
+def goodput_of(truth: ServerTruth, service: str) -> Goodput | None:
     """The goodput for the service's calls to the server; None if their delays are given end to end."""
+    if truth.goodput is not None:
+        return traced(truth.goodput)
     table = read_goodput(truth.radio)
     if table is not None or service in truth.remote_call_s or truth.bandwidth_bit_s is None:
         return table

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from statistics import fmean
 
 from upwash.config import NoiseConfig, ServerTruth, ServiceConfig
+from upwash.config.truth import times_of
 from upwash.core.geo import Position, Reach, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.errors import InstanceError
@@ -14,10 +16,11 @@ from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
 from upwash.sim.link import Observe, Wire, unobserved
-from upwash.sim.radio import SteadyGoodput, goodput_of
+from upwash.sim.radio import Spot, SteadyGoodput, goodput_of
 from upwash.sim.runtime import Hangs, Raises
 from upwash.support.heat import Heat
 
+_NOWHERE = Spot(0.0)
 _BREAKING = ("hung", "poisoned")  # the instance, also after the fault
 
 
@@ -83,10 +86,10 @@ class ModelRadio(Wire):
         if goodput is None:
             self._meter_end_to_end(server, data_bytes)
             return
-        distance_m = ground_distance_m(self._position(), self._places[server])
-        begun_s = asyncio.get_running_loop().time()
+        here, begun_s = self._position(), asyncio.get_running_loop().time()
+        spot = Spot(ground_distance_m(here, self._places[server]), here, begun_s)
         try:
-            await asyncio.sleep(goodput.transfer_s(data_bytes, distance_m))
+            await asyncio.sleep(goodput.transfer_s(data_bytes, spot))
         finally:  # a cancelled transfer has been on the air too
             if self._energy is not None:
                 self._energy.transfer(asyncio.get_running_loop().time() - begun_s)
@@ -94,7 +97,7 @@ class ModelRadio(Wire):
     def _meter_end_to_end(self, server: str, data_bytes: int) -> None:
         """Meter the transfer of a call whose delay is given as a whole, if a bandwidth is given."""
         if self._energy is not None and server in self._bandwidths:
-            self._energy.transfer(self._bandwidths[server].transfer_s(data_bytes, 0.0))
+            self._energy.transfer(self._bandwidths[server].transfer_s(data_bytes, _NOWHERE))
 
 
 class DroneComputer:
@@ -181,8 +184,12 @@ class ServerComputer:
         """
         call_s, occupied_s = computing_s(operation, self._truth), occupying_s(operation, self._truth)
         stretch = self._chance.factor(f"call/{self._name}/{operation}", self._noise.call)
-        call_s *= stretch
-        occupied_s *= stretch
+        call_s, occupied_s = stretch * call_s, stretch * occupied_s
+        times_s = times_of(operation, self._truth.service_times)
+        if times_s and (mean_s := fmean(times_s)):
+            drawn = self._chance.stream(f"service/{self._name}/{operation}").choice(times_s) / mean_s
+            call_s += (drawn - 1) * occupied_s
+            occupied_s *= drawn
         if spec.service in self._cold:
             self._cold.remove(spec.service)
             call_s += self._truth.first_extra_s
@@ -218,7 +225,7 @@ def computing_s(operation: Operation, truth: ServerTruth) -> float:
 def occupying_s(operation: Operation, truth: ServerTruth) -> float:
     """The part (s) of a call's true delay that occupies its instance; the rest is the transfer."""
     call_s = computing_s(operation, truth)
-    if truth.radio != "fixed":  # whose transfers come on top
+    if truth.radio != "fixed" or truth.goodput is not None:  # whose transfers come on top
         return call_s
     processing_s = _of(operation, truth.occupying_s.get(operation.service, {}))
     return call_s if processing_s is None else min(processing_s, call_s)
