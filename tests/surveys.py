@@ -41,6 +41,11 @@ def at(east_m: float, north_m: float, altitude_m: float = 25.0, hold_s: float = 
     return item(16, hold_s, 0, 0, None, *degrees, altitude_m, frame=3)
 
 
+def gate(east_m: float, north_m: float, altitude_m: float = 25.0) -> Item:
+    """Where a PX4 triggers its camera on a straight way."""
+    return item(4501, 0, 1, 0, 0, *at(east_m, north_m)["params"][4:6], altitude_m, frame=3)
+
+
 def begin(every_m: float = 20.0) -> Item:
     return item(206, every_m, 0, 1)
 

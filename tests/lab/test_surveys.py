@@ -12,11 +12,13 @@ from tests.surveys import (
     HOME,
     PHOTO,
     SPOTS,
+    TRANSECTS,
     Item,
     Place,
     at,
     begin,
     configured,
+    gate,
     item,
     transects,
     written,
@@ -57,14 +59,22 @@ def test_a_survey_without_turns_stops_at_the_ends_of_its_transects(tmp_path: Pat
     assert stops == [0, 5, 6, 11, 12, 17]
 
 
-def test_photos_in_turns_are_20_m_apart_on_the_way(tmp_path: Path) -> None:
-    """The option of QGroundControl: triggers begin at the first turn-around and end at the last."""
-    places: list[Place] = [(0, -10), (0, 10), (0, 100), (0, 120), (20, 120), (20, 100), (20, 10), (20, -10)]
-    way = [at(*place) for place in places]
-    run = simulate(written(tmp_path, [way[0], begin(), *way[1:], END]))
-    rows = [(0.0, -10.0 + 20 * number) for number in range(7)]
-    back = [(10.0, 120.0), *((20.0, 110.0 - 20 * number) for number in range(7))]
-    assert_flown(run, [*rows, *back])
+def test_a_survey_for_a_px4_has_gates_in_place_of_waypoints(tmp_path: Path) -> None:
+    flown = transects()
+    gated = [gate(*place) for row in TRANSECTS for place in row]
+    for number, passed in zip((1, 3, 7, 9, 13, 15), gated, strict=True):
+        flown[number] = passed
+    assert_flown(simulate(written(tmp_path, flown)), SPOTS)
+
+
+def test_photos_in_turns_are_taken_too(tmp_path: Path) -> None:
+    """With this option of QGroundControl photos begin at each transect, and end at the last turn-around only."""
+    first = [at(0, -10), begin(), at(0, 10), begin(), at(0, 100), at(0, 120)]
+    items = [*first, at(20, 120), at(20, 100), begin(), at(20, 10), at(20, -10), END]
+    run = simulate(written(tmp_path, items))
+    north_m = [(0.0, float(at_m)) for at_m in range(-10, 111, 20)]
+    south_m = [(20.0, float(at_m)) for at_m in (110, 100, 80, 60, 40, 20, 0, -10)]
+    assert_flown(run, [*north_m, (10.0, 120.0), *south_m])
 
 
 def test_a_corridor_is_photographed_around_its_bends(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ _LONGEST_HOLD_S = 3600.0
 _AIRSPEED, _GROUND_SPEED, _CLIMB_SPEED, _DESCENT_SPEED = range(4)
 _NO_CHANGE = -1
 _OVER_A_PLACE = (Command.WAYPOINT, Command.SPLINE_WAYPOINT, Command.LOITER_TIME, Command.LOITER_TO_ALT)
-_CLIMBING = (*_OVER_A_PLACE, Command.TAKEOFF)
+_CLIMBING = (*_OVER_A_PLACE, Command.TAKEOFF, Command.CONDITION_GATE)
 _OF_A_WAYPOINT = (
     (2, "its acceptance radius is left out: a waypoint is reached at rest"),
     (3, "its pass radius is left out: a waypoint is reached at rest"),
@@ -160,10 +160,7 @@ class PlannedCourse:
 
     def take(self, item: Item) -> None:
         """Add the next item."""
-        if (trigger := _trigger(item)) is not None:
-            self._take_trigger(item, trigger)
-            return
-        if self._is_left_out(item):
+        if self._is_trigger(item) or self._is_left_out(item):
             return
         if self.ending:
             item.refuse("comes after the plan's return or landing: remove what comes after the end")
@@ -172,6 +169,8 @@ class PlannedCourse:
         match item.command:
             case Command.WAYPOINT | Command.SPLINE_WAYPOINT | Command.LOITER_TIME | Command.LOITER_TO_ALT:
                 self._take_waypoint(item)
+            case Command.CONDITION_GATE:
+                self._take_gate(item)
             case Command.TAKEOFF:
                 self._take_takeoff(item)
             case Command.DELAY | Command.CONDITION_DELAY:
@@ -217,15 +216,18 @@ class PlannedCourse:
             self._tell(item, why)
         return why is not None
 
-    def _take_trigger(self, item: Item, trigger: PhotoTrigger) -> None:
+    def _is_trigger(self, item: Item) -> bool:
+        """Whether the item commands the camera to photograph; takes the command if so."""
+        trigger = _trigger(item)
+        if trigger is None:
+            return False
         self._notices.add(f"{item.name}: {TRIGGERED}", item.number, only_without_photos=True)
-        if self.ending:
-            return
-        if self.waypoints:
+        if not self.waypoints:
+            self._first_triggers += (trigger,)
+        elif not self.ending:
             last = self.waypoints[-1]
             self.waypoints[-1] = replace(last, triggers=(*last.triggers, trigger))
-        else:
-            self._first_triggers += (trigger,)
+        return True
 
     def _take_waypoint(self, item: Item) -> None:
         hold_s = 0.0 if item.command == Command.LOITER_TO_ALT else self._hold_s(item)
@@ -239,6 +241,18 @@ class PlannedCourse:
             self._stay(item, hold_s)
         else:
             self._fly_to(item, item.place(), self._flown_height(item), hold_s)
+
+    def _take_gate(self, item: Item) -> None:
+        """Take a plane across the way, where QGroundControl has a PX4 trigger its camera, as a waypoint."""
+        self._notices.add(
+            f"{item.name}: flown to as a waypoint; with mission.photos it is passed in flight",
+            item.number,
+            only_without_photos=True,
+        )
+        height = self._height(item) if item.value(2) else self._before()
+        if height is None:
+            item.refuse("has no altitude, and the plan none before it: add a take-off")
+        self._fly_to(item, item.place(), height)
 
     def _flown_height(self, item: Item) -> Height:
         """The item's altitude; for ArduCopter's 0 the altitude before."""

@@ -32,6 +32,7 @@ class Command(IntEnum):
     DELAY = 93
     CONDITION_DELAY = 112
     CHANGE_SPEED = 178
+    CONDITION_GATE = 4501
 
 
 DIGICAM_CONTROL = 203
