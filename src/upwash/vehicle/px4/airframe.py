@@ -139,21 +139,29 @@ def _led_samples(length_m: float, cap_m_s: float) -> tuple[_Sample, ...]:
     """A leg from rest to rest behind a course."""
     course = SetpointCourse(Position(0.0, 0.0), Velocity(), Abilities())
     course.aim(Position(length_m, 0.0), ground_speed_m_s=cap_m_s)
-    return (_AT_REST, *_led(Body(), course))
+
+    def rests(body: Body) -> bool:
+        left_m, speed_m_s = length_m - body.place_m.real, body.ground_m_s.real
+        return abs(left_m) <= _STILL_M and abs(speed_m_s) <= _STILL_M_S
+
+    samples = (_AT_REST, *_led(Body(), course, rests))
+    return (*samples, (samples[-1][0] + STEP_S, length_m, 0.0))
 
 
 @lru_cache(maxsize=64)
 def _held_samples(speed_m_s: float) -> tuple[_Sample, ...]:
-    """A hold behind a course."""
+    """A hold behind a course; it ends where the body first rests, beyond the end of the course."""
     course = SetpointCourse(Position(_LATE_STEPS * STEP_S * speed_m_s, 0.0), Velocity(speed_m_s), Abilities())
     course.stop()
     body = Body()
     body.cruise(speed_m_s)
-    return ((0.0, 0.0, speed_m_s), *_led(body, course))
+    samples = ((0.0, 0.0, speed_m_s), *_led(body, course, lambda body: body.ground_m_s.real <= _STILL_M_S))
+    time_s, way_m, _ = samples[-1]
+    return (*samples, (time_s + STEP_S, way_m, 0.0))
 
 
-def _led(body: Body, course: SetpointCourse) -> Iterator[_Sample]:
-    """The way and the speed of a body that follows a course until both rest; it follows late."""
+def _led(body: Body, course: SetpointCourse, rests: Callable[[Body], bool]) -> Iterator[_Sample]:
+    """The way and the speed of a body that follows a course until it rests; it follows late."""
     velocity = Velocity(body.ground_m_s.real)
     ways_m = [velocity.east_m_s * STEP_S * step for step in range(1, _LATE_STEPS + 1)]
     waiting = deque(_follow(Position(way_m, 0.0), velocity) for way_m in ways_m)
@@ -163,15 +171,10 @@ def _led(body: Body, course: SetpointCourse) -> Iterator[_Sample]:
         waiting.append(_follow(course.position, course.setpoint_velocity))
         return waiting.popleft()
 
-    def rests(body: Body) -> bool:
-        left_m, speed_m_s = course.position.east_m - body.place_m.real, body.ground_m_s.real
-        return course.ended and abs(left_m) <= _STILL_M and abs(speed_m_s) <= _STILL_M_S
+    def done(body: Body) -> bool:
+        return course.ended and rests(body)
 
-    last_s = 0.0
-    for sample in _flown(body, steering, rests, lambda body: (body.place_m.real, body.ground_m_s.real)):
-        last_s = sample[0]
-        yield sample
-    yield last_s + STEP_S, course.position.east_m, 0.0
+    yield from _flown(body, steering, done, lambda body: (body.place_m.real, body.ground_m_s.real))
 
 
 def _follow(place: Position, velocity: Velocity) -> Steering:
