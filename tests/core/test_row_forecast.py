@@ -97,6 +97,15 @@ def test_a_demand_turns_it_back_and_it_flies_on_from_its_action() -> None:
     assert found.mission_s == pytest.approx(10 + 8 + 4 + 2 * math.sqrt(12) + 5 + (60 / 4 + 4) + 1 + 16)
 
 
+def test_a_demand_that_is_there_while_it_brakes_behind_the_last_photo_is_met() -> None:
+    spots = [Position(0.0, 0.0), Position(20.0, 0.0)]
+    plan = [Waypoint(number, spot, row_end=Position(30.0, 0.0)) for number, spot in enumerate(spots)]
+    found = flown(plan=plan, start=spots[0], local_s=1.0, demanding=frozenset({1}), action_s=5.0)
+    # The last photo is taken at 7 s; it rests 8 m behind at 11 s.
+    assert found.turns_back == 1
+    assert found.mission_s == pytest.approx(10 + 11 + 2 * math.sqrt(8) + 5 + 16)
+
+
 def test_rows_are_told_apart() -> None:
     first = [Position(0.0, 0.0), Position(20.0, 0.0)]
     second = [Position(20.0, 10.0), Position(0.0, 10.0)]

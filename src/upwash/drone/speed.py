@@ -7,8 +7,10 @@ a blur of b pixels the contrast of the finest detail is sin(pi b / 2) / (pi b / 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import fmean
 
 from msgspec.structs import replace
 
@@ -31,6 +33,7 @@ from upwash.drone.preparation import home_s, make_estimates, mission_beliefs
 from upwash.rpc.service import ServiceSpec
 
 SHARP_PX, BLURRED_PX = 0.5, 1.0
+_SETS = 5  # of demands that are likely
 
 
 def with_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> tuple[DroneConfig, str]:
@@ -44,13 +47,19 @@ def with_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> tuple[D
 
 def chosen_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> ChosenSpeed:
     """The speed with the shortest forecast, for a mission of rows."""
-    mission = row_mission(config, specs)
-    return choose_speed(list(speed_limits(config)), lambda speed_m_s: forecast_rows(mission, speed_m_s))
+    missions = row_missions(config, specs)
+    return choose_speed(list(speed_limits(config)), lambda speed_m_s: _forecast(missions, speed_m_s))
 
 
 def forecast_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowForecast:
     """The forecast of a mission of rows at its ground speed."""
-    return forecast_rows(row_mission(config, specs), config.mission.ground_speed_m_s)
+    return _forecast(row_missions(config, specs), config.mission.ground_speed_m_s)
+
+
+def _forecast(missions: Sequence[RowMission], ground_speed_m_s: float) -> RowForecast:
+    """The forecast of one of the missions, with the mean time of all."""
+    found = [forecast_rows(mission, ground_speed_m_s) for mission in missions]
+    return replace(found[len(found) // 2], mission_s=fmean(one.mission_s for one in found))
 
 
 def speed_limits(config: DroneConfig) -> Iterator[SpeedLimit]:
@@ -90,8 +99,8 @@ def photo_doubts(config: DroneConfig) -> Iterator[tuple[str, str]]:
         )
 
 
-def row_mission(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowMission:
-    """What is known of a mission of rows before take-off."""
+def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[RowMission]:
+    """What is known of a mission of rows before take-off: missions that differ by their demands."""
     mission, photos = config.mission, config.mission.photos
     if photos is None:
         raise ValueError("a mission without photos has no rows")
@@ -99,7 +108,7 @@ def row_mission(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowMis
     beliefs = mission_beliefs(config, specs, estimates, plan)
     operations = [call.operation for call in beliefs.stop]
     areas = {} if config.policy.name == "local-only" else server_areas(config)
-    return RowMission(
+    known = RowMission(
         plan=plan,
         start=start.at_altitude(mission.altitude_m),
         pace=beliefs.pace,
@@ -119,9 +128,9 @@ def row_mission(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowMis
         gain_switch=config.policy.gain_switch,
         newest=photos.order == "newest",
         at_most=photos.at_most,
-        demanding=frozenset(_demanding(config, plan)),
         action_s=mission.action_s,
     )
+    return [replace(known, demanding=demanding) for demanding in _demanding(config, plan)]
 
 
 def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
@@ -130,22 +139,28 @@ def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
     return (estimates.local_s(operation) or 0.0) if remote_s is None else remote_s
 
 
-def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> Iterator[int]:
-    """The photos whose answers demand an action: as many as is likely, evenly spread.
+def _demanding(config: DroneConfig, plan: Sequence[Waypoint]) -> list[frozenset[int]]:
+    """Sets of photos whose answers demand an action, all as likely: one by `[event] every`, else some.
 
-    By `[event]`, or else by the demands that earlier flights met; none if neither is known.
+    Each has as many as is likely by `[event]`, or by the demands that earlier flights met, evenly spread. None has a
+    photo if neither is known.
     """
     event, known = config.event, demand_map_of(config, plan)
-    expected = 0.0
-    for index, waypoint in enumerate(plan):
-        if event is not None and event.every is not None:
-            chance = float(index % event.every == event.offset)
-        elif event is not None:
-            chance = event.chance(waypoint.position)
-        elif known is not None and any(known.places()):
-            chance = known.chance(waypoint.position, known.before)
-        else:
-            return
-        before, expected = expected, expected + chance
-        if math.floor(expected + 0.5) > math.floor(before + 0.5):
-            yield index
+    if event is not None and event.every is not None:
+        return [frozenset(range(event.offset, len(plan), event.every))]
+    if event is not None:
+        chances = [event.chance(waypoint.position) for waypoint in plan]
+    elif known is not None and any(known.places()):
+        chances = [known.chance(waypoint.position, known.before) for waypoint in plan]
+    else:
+        return [frozenset()]
+    sums = list(itertools.accumulate(chances, initial=0.0))
+    phases = [(number + 0.5) / _SETS for number in range(_SETS)] if sums[-1] else [0.5]
+    return [
+        frozenset(
+            index
+            for index, (before, after) in enumerate(itertools.pairwise(sums))
+            if math.floor(after + phase) > math.floor(before + phase)
+        )
+        for phase in phases
+    ]

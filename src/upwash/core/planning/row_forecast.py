@@ -161,6 +161,7 @@ class _Flight:
                     most_open=self._row_open,
                 )
             )
+        self._brake()  # behind a last spot that is not the row's end
         self._wait_below(1)
         return RowForecast(
             ground_speed_m_s=self._speed_m_s,
@@ -190,7 +191,7 @@ class _Flight:
             if reached_s is None:  # it was braking when it passed the spot
                 self._fly(spot)
                 break
-            if self._goes_on(reached_s):
+            if not self._demanding and self._goes_on(reached_s):
                 break
             self._detour(spot)
         if self._motion is not None and spot == self._motion.end:
@@ -217,6 +218,7 @@ class _Flight:
 
     def _wait_below(self, least: int) -> None:
         """Wait at rest until fewer answers are open, and meet their demands."""
+        self._meet()
         while len(self._open) >= least:
             begun_s = self._now_s
             self._goes_on(math.inf)
@@ -289,7 +291,7 @@ class _Flight:
             self._finish(motion.begun_s + motion.leg.duration_s)
             self._rest(motion.end)
             return
-        self._finish(self._now_s + speed_m_s / acceleration_m_s2)
+        self._finish(self._now_s + speed_m_s / acceleration_m_s2 + motion.leg.settling_s)
         self._rest(_between(motion.start, motion.end, way_m / motion.leg.length_m))
 
     def _fly(self, end: Position) -> None:
