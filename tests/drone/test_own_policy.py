@@ -12,6 +12,7 @@ import upwash
 from upwash.drone import own_policy
 from upwash.errors import ConfigError, UpwashError, UsageError
 from upwash.eventlog import schema
+from upwash.lab.explanation import replay
 from upwash.lab.scenario import read_scenario
 
 DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
@@ -152,6 +153,7 @@ def test_its_file_counts_from_the_configuration_and_drones_may_have_their_own(mi
     assert upwash.simulate(scenario).policy == "mine.py:Named"
     config = read_scenario(scenario)
     assert config.policy.probing is not None and config.policy.hedging is not None
+    assert [*replay([], scenario).runs][-1] == "mine.py:Named"
     scenario.write_text(
         f'{text}\n[policy]\nname = "mine.py:Careful"\nsettings = {{ least_s = 3.0 }}\n'
         '[[drone]]\nname = "d1"\n[[drone]]\nname = "d2"\npolicy = "mine.py:Named"\n'

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from upwash.config import DroneConfig
 from upwash.config.problems import unknown
-from upwash.core.policies.names import POLICIES, is_own
+from upwash.core.policies.names import POLICIES
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
@@ -83,15 +83,14 @@ def replay(events: Iterable[Event], scenario: Path, drone: str | None = None) ->
     named = _first(schema.Simulated, events)
     seed = named.seed if named else None
     config = read_scenario(scenario)
-    own = [config.policy.name] if is_own(config.policy.name) else []
-    policies = [*POLICIES, *own]
+    policies = {policy: policy for policy in POLICIES} | {config.policy.label: config.policy.name}
     if config.drones:
         name = _drone_of(events, config, scenario, drone)
-        runs = {policy: _among_others(scenario, name, policy, seed) for policy in policies}
+        runs = {label: _among_others(scenario, name, policy, seed) for label, policy in policies.items()}
     elif drone is not None:
         raise UsageError(f"--drone {drone}: {scenario} has no [[drone]] tables: leave it out")
     else:
-        runs = {policy: simulate(scenario, policy=policy, seed=seed) for policy in policies}
+        runs = {label: simulate(scenario, policy=policy, seed=seed) for label, policy in policies.items()}
     bound = next((run.bound for run in runs.values() if run.bound), None)  # whatever policy flew
     return Replay(runs, bound.free_s if bound else None, others=len(config.drones) > 1)
 
