@@ -86,7 +86,7 @@ def test_four_limits_with_their_figures(checked: Checked) -> None:
         "overlap along a row: 38 %, a photo shows 16.0 m, and there is one every 10 m",
         "interval: a photo every 2.5 s; the camera takes 0.5 s, which allows 20 m/s",
         "they do not keep up (up to 2 m/s)",
-        "At most 7 are open of 100 (at_most), so that the drone never stops for them; it waits for answers 32 s",
+        "With at most 7 open of 100 (at_most) the drone never stops for them; it waits for answers 32 s in all",
     ):
         assert sentence in told
 

@@ -1,8 +1,7 @@
 """What a photo of the configured camera shows of level ground, as far as the file says.
 
-a pixel     altitude / focal length in pixels, straight below
-its shape   the photo's height lies along the flight, its width with the camera turned by 90 degrees; in between,
-            and for a PX4, which keeps its nose where it was, the shorter side
+A pixel shows altitude / focal length in pixels, straight below. The nose points along the row: the height of a photo
+lies along the flight, its width with the camera turned by 90 degrees; in between the shorter side counts.
 """
 
 from __future__ import annotations
@@ -46,17 +45,17 @@ def photo_ground(config: DroneConfig, altitude_m: float | None = None) -> PhotoG
     if abs(camera.tilt_deg - 90) > _STRAIGHT_DEG:
         why = "the camera does not look straight down (camera.tilt_deg)"
         return PhotoGround(pixel_m=pixel_m, why_no_length=why)
-    return PhotoGround(pixel_m=pixel_m, along_m=pixel_m * _side_px(camera, config.vehicle.profile == "px4"))
+    return PhotoGround(pixel_m=pixel_m, along_m=pixel_m * _side_px(camera))
 
 
 def _unknown(why: str) -> PhotoGround:
     return PhotoGround(why_no_pixel=why, why_no_length=why)
 
 
-def _side_px(camera: CameraConfig, nose_stays: bool) -> float:
+def _side_px(camera: CameraConfig) -> float:
     """The side of a photo that lies along the flight, in pixels."""
     width_px, height_px = camera.photo_px or (0, 0)
     turned_deg = abs(camera.yaw_deg)
-    if nose_stays or turned_deg not in (0, 90, 180):
+    if turned_deg not in (0, 90, 180):
         return min(width_px, height_px)
     return width_px if turned_deg == 90 else height_px
