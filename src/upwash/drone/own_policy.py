@@ -7,6 +7,7 @@ offloading ends with its reason, and the mission goes on with every call on the 
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import inspect
 from collections.abc import Callable
@@ -166,14 +167,15 @@ class _Answering:
 
 
 def _answer(questions: SimpleQueue[tuple[Callable[[], Any], Future[Any]]]) -> None:
-    while True:
-        question, answer = questions.get()
-        try:
-            answer.set_result(question())
-        except _GivenUp:
-            return
-        except BaseException as error:  # noqa: BLE001 - it is raised where the answer is awaited
-            answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
+    with contextlib.suppress(_GivenUp):  # which may be raised at any moment
+        while True:
+            question, answer = questions.get()
+            try:
+                answer.set_result(question())
+            except _GivenUp:
+                raise
+            except BaseException as error:  # noqa: BLE001 - it is raised where the answer is awaited
+                answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
 
 
 class _NoAnswer(Exception):
