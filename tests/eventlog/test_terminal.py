@@ -42,6 +42,7 @@ def test_every_event_can_be_told(kind: str) -> None:
     sentence = Narrator().tell(event(kind, 1.0))
     notices = list(Notices().take(event(kind, 1.0)))
     assert "{" not in f"{sentence.text if sentence else ''}{[notice.cause for notice in notices]}"
+    assert all(notice.rank >= 0 for notice in notices)
 
 
 def test_a_line_before_the_mission_began_has_the_logs_seconds_in_brackets() -> None:

@@ -36,8 +36,8 @@ _COUNTED = ("link", "server", *_TEXTS)  # how often it began, in this flight
 _URGENT_FIRST = (
     "hovering", "disobeys", "left", "link", "position", "control", "critical", "safe end", "stopping", "home",
     "arming", "prearm", "waiting", "dead man", "battery", "said", "offloading", "server", "border", "trouble", "late",
-    "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "handover", "log", "shortened",
-    "events",
+    "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "demands", "handover", "log",
+    "shortened", "events",
 )  # fmt: skip
 _RANKS = {about: rank for rank, about in enumerate(_URGENT_FIRST)}
 # Most events of a long log are of few kinds: each case of a match takes time.
