@@ -192,8 +192,8 @@ def _told_answers(answers: Answers) -> str:
         keeps = f"they keep up on each row{limit}"
     stops = "never stops" if not answers.stops else f"stops {counted(answers.stops, 'time')}"
     return (
-        f"{rates}: {keeps}. With at most {answers.most_open} open of {answers.at_most} (at_most) the drone {stops} for "
-        f"them; it waits for answers {answers.waited_s:.0f} s in all"
+        f"{rates}: {keeps}. With at most {answers.most_open} open of {answers.at_most} (at_most) the drone {stops} "
+        f"for them; it waits for answers {answers.waited_s:.0f} s in all"
     )
 
 

@@ -1,5 +1,6 @@
 // What a flight is, in a line: when and where it was, which vehicle and drone flew, under which policy, and its photos.
 
+import { counted } from "./element.js";
 import { degrees } from "./ground.js";
 
 const DAY = { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit" };
@@ -14,7 +15,7 @@ export function aboutFlight(moment) {
     vehicle(story.firmware),
     story.began?.drone,
     story.began && `policy ${story.began.policy}`,
-    photos && `${photos} ${photos === 1 ? "photo" : "photos"}`,
+    photos && counted(photos, "photo"),
   ];
   return parts.filter(Boolean).join(" · ");
 }

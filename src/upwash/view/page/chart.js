@@ -1,6 +1,6 @@
 // The delay of each call by waypoint, growing as calls come; what was waited is broad, with a ring around the mark.
 
-import { element, write } from "./element.js";
+import { counted, element, write } from "./element.js";
 import { theNameOf } from "./places.js";
 
 const [LEFT, RIGHT, TOP, BOTTOM] = [44, 12, 22, 40];
@@ -201,7 +201,7 @@ function inWords(count, delays) {
   const words = [...delays].map(([place, { number, mean }]) => {
     return `${number} on ${theNameOf(place)}, ${mean.toFixed(2)} s on average`;
   });
-  return `${count} ${count === 1 ? "call" : "calls"}${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
+  return `${counted(count, "call")}${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
 }
 
 export function inShort(call) {
