@@ -15,7 +15,7 @@ import pytest
 from msgspec.structs import replace
 from tests.drone.test_pending import in_the_air, of
 from tests.drone.test_resume import Part, fly, scenario
-from tests.surveys import transects, written
+from tests.surveys import END, at, begin, transects, written
 
 from upwash import Drone, Position, Waypoint
 from upwash.config import FaultConfig, read_drone_config, waypoints
@@ -257,6 +257,26 @@ def test_killed_in_a_survey_it_takes_again_the_photos_without_an_answer(
     assert [event.waypoint for event in of(both.events, schema.Acted)] == [8]
     assert max(offs_m(again, plan), default=0.0) < 1.0
     assert both.result.completed and both.result.undone == []
+
+
+def test_a_survey_with_a_gap_is_taken_up_along_the_planned_way(tmp_path: Path) -> None:
+    """Two rows with an obstacle between; the photos at the middle of the way are done."""
+    items = [at(0, 10), begin(), at(0, 110), at(60, 110), at(60, 10), END]
+    config = read_drone_config(
+        written(tmp_path, items, fence=[(20, 0), (40, 0), (40, 90), (20, 90)], heavy_s=4.0)
+    )
+    first = fly(config, killed_at_s=75.0)
+    assert "mission_completed" not in first.names()
+    answered = {event.waypoint for event in of(first.events, schema.AnswerTaken)}
+    first.events = [
+        event for event in first.events if not (isinstance(event, schema.AnswerTaken) and event.waypoint == 1)
+    ]
+    both = fly(config, after=first)
+    assert both.error is None and both.result.completed
+    photos = [
+        event.waypoint for event in after_resumption(both, first) if isinstance(event, schema.CallStarted)
+    ]
+    assert photos == sorted((set(range(14)) - answered) | {1})
 
 
 def after_resumption(both: Part, first: Part) -> list[Any]:

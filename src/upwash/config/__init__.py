@@ -71,6 +71,7 @@ from upwash.config.places import (
     leaving,
     movable_waypoints,
     plan_notices,
+    planned_way,
     server_areas,
     server_places,
     server_position,

@@ -54,6 +54,13 @@ def leaving(mission: MissionConfig) -> tuple[Via, ...]:
     return planned_photos(mission, mission.plan.plan).leaving
 
 
+def planned_way(mission: MissionConfig) -> tuple[Position, ...]:
+    """The places of a plan between which a drone that photographs in flight flies straight."""
+    if mission.plan is None or mission.photos is None:
+        return ()
+    return planned_photos(mission, mission.plan.plan).way
+
+
 def corners(mission: MissionConfig, plan: FlightPlan) -> tuple[Waypoint, ...]:
     """The plan's waypoints, with a photo or without."""
     frame = _frame(mission.home)

@@ -32,10 +32,11 @@ _ROUNDING = 0.01  # the share of the distance between spots that a leg may lack 
 
 @dataclass(frozen=True, slots=True)
 class PlannedPhotos:
-    """The spots of a plan, and the places that the drone flies to after the last of them."""
+    """The spots of a plan, the places that the drone flies to after the last of them, and all where it rests."""
 
     waypoints: tuple[Waypoint, ...]
     leaving: tuple[Via, ...]
+    way: tuple[Position, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +191,11 @@ class _Course:
                     via=via,
                 )
             )
-        return PlannedPhotos(tuple(waypoints), tuple(self.corners[rest].via() for rest in rests[following:]))
+        return PlannedPhotos(
+            tuple(waypoints),
+            leaving=tuple(self.corners[rest].via() for rest in rests[following:]),
+            way=tuple(self.corners[rest].position for rest in rests),
+        )
 
     def least_photos(self) -> float:
         """How many photos the legs have, those taken at once not counted."""

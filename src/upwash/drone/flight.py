@@ -17,6 +17,7 @@ from upwash.config import (
     geofence,
     leaving,
     pace_in_numbers,
+    planned_way,
     server_areas,
     told_pace,
 )
@@ -146,6 +147,7 @@ class Flight:
                 takeoff_m=config.mission.altitude_m,
                 ending=ending(config.mission),
                 leaving=leaving(config.mission),
+                way=planned_way(config.mission),
                 home=planned_home(config.mission),
             ),
             tell=self._offloading.tell,

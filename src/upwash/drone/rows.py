@@ -140,19 +140,19 @@ class Rows:
         journal: Journal,
         *,
         plan: Sequence[Waypoint],
+        way: Sequence[Position] = (),
         rules: RowRules,
     ) -> None:
         self._vehicle = vehicle
         self._thread = thread
         self._journal = journal
         self._following = dict(itertools.pairwise(plan))
-        self._is_planned = any(waypoint.row_start is not None for waypoint in plan)  # by a ground station
         self._rules = rules
         self._open: list[AnswerAction[Any]] = []
         self._end: Position | None = None  # of the leg that is flown
         self._leg_m_s: float | None = None
         self._last: Waypoint | None = None  # that the mission flew to
-        self._flown: list[Position] = []  # the ends of legs, the first one's start before them
+        self._way = way  # where a ground station's plan turns
         self._left_at: Position | None = None  # where the last leg ends, if nothing else was flown since
         self._stays = False  # at rest, until its answer is there
         self._acts = False
@@ -167,6 +167,7 @@ class Rows:
         if self._end not in ends or not self._vehicle.passes(place):
             self.stop()
         if self._end is None:
+            self.fly_around(position_of(place))
             row_end = None if self._stays else self._row_end_from_here(place)
             self._set_off(row_end or position_of(place), _speed_of(place))
         notes = self._vehicle.turn if flown else self._vehicle.head_for
@@ -213,6 +214,7 @@ class Rows:
         if self._end != position or not self._vehicle.passes(position):
             self.stop()
         if self._end is None:
+            self.fly_around(position)
             self._set_off(position, via.ground_speed_m_s)
         self._thread.post(notes)
         self._reach(position, fly_on, notes)
@@ -249,7 +251,7 @@ class Rows:
         here, was_away = self._vehicle.position(), False
         while len(self._open) >= count:
             was_away |= self._take_next()
-        if was_away and self._is_planned:
+        if was_away and self._way:
             self.fly_around(here)
             self._vehicle.fly(here)
 
@@ -282,21 +284,21 @@ class Rows:
             self._left_at = position_of(place)
 
     def _set_off(self, end: Position, ground_speed_m_s: float | None) -> None:
-        if not self._flown:
-            self._flown.append(self._vehicle.position())
-        if self._flown[-1] != end:
-            self._flown.append(end)
         self._thread.call(self._vehicle.set_off(end, ground_speed_m_s))
         self._end, self._leg_m_s = end, ground_speed_m_s
 
     def _set_off_for_next(self, place: Place) -> None:
         """Set off along the row for its last spots, or for the next waypoint of the plan."""
         following = self._following.get(place) if isinstance(place, Waypoint) else None
-        if following is not None and following.via:
-            self._set_off(following.via[0].position, following.via[0].ground_speed_m_s)
-        elif following is not None:
-            end = self._row_end_from_here(following) or following.position
-            self._set_off(end, following.ground_speed_m_s)
+        if following is None:
+            return
+        end, speed_m_s = following.position, following.ground_speed_m_s
+        if following.via:
+            end, speed_m_s = following.via[0].position, following.via[0].ground_speed_m_s
+        elif (row_end := self._row_end_from_here(following)) is not None:
+            end = row_end
+        if not self._way or self._vehicle.allows(position_of(place), end):
+            self._set_off(end, speed_m_s)
 
     def _row_end_from_here(self, place: Place) -> Position | None:
         """The end of the place's row, if the drone is on that row, and passes the place on its way there."""
@@ -352,8 +354,7 @@ class Rows:
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
         last = self._meet(demanding)
-        keeps_way = spot != end or self._is_planned
-        if keeps_way and not (last is not None and lies_on(spot, position_of(last), end)):
+        if (spot != end or self._way) and not (last is not None and lies_on(spot, position_of(last), end)):
             self.fly_around(left)
             self._vehicle.fly(left)
         self._set_off(end, self._leg_m_s)
@@ -377,15 +378,11 @@ class Rows:
         return answer.place
 
     def fly_around(self, target: Position) -> None:
-        """Fly along the way of before towards a place, where a fence forbids the straight way there."""
+        """Fly towards a place along the way of the plan, where a fence forbids the straight way there."""
         here = self._vehicle.position()
-        if self._vehicle.allows(here, target):
+        if not self._way or self._vehicle.allows(here, target):
             return
-        first, last = self._leg_over(here), self._leg_over(target)
-        if first is None or last is None:
-            return
-        ends = self._flown[last:first][::-1] if first > last else self._flown[first:last]
-        places = [here, *ends, target]
+        places = [here, *self._turns(here, target), target]
         number = 0
         while not self._vehicle.allows(places[number], target):
             ahead = range(len(places) - 2, number, -1)
@@ -394,10 +391,22 @@ class Rows:
                 return
             self._vehicle.fly(places[number])
 
+    def _turns(self, here: Position, target: Position) -> Sequence[Position]:
+        """Where the plan turns between two places."""
+        way, last = self._way, self._leg_over(target)
+        if last is None:
+            return ()
+        first = self._leg_over(here)
+        if first is not None:
+            return way[last:first][::-1] if first > last else way[first:last]
+        near = sorted(range(len(way)), key=lambda turn: distance_m(here, way[turn]))
+        turn = next((turn for turn in near if self._vehicle.allows(here, way[turn])), 0)
+        return way[last : turn + 1][::-1] if turn >= last else way[turn:last]
+
     def _leg_over(self, place: Position) -> int | None:
-        """The number of the last leg that passes the place."""
-        numbers = range(len(self._flown) - 1, 0, -1)
-        return next((leg for leg in numbers if lies_on(place, self._flown[leg - 1], self._flown[leg])), None)
+        """The number of the plan's last leg that passes the place."""
+        legs = range(len(self._way) - 1, 0, -1)
+        return next((leg for leg in legs if lies_on(place, self._way[leg - 1], self._way[leg])), None)
 
     def _take_next(self) -> bool:
         """Wait at rest for an answer and meet its demand; return whether the drone left its place."""

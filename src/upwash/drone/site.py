@@ -22,7 +22,7 @@ class Site(Struct, frozen=True):
     """The waypoints of a mission, the fences of its plan, and how it begins and ends.
 
     `takeoff_m` is the altitude of the take-off; the vehicle may start at most `farthest_start_m` from a waypoint.
-    After the last waypoint it flies over `leaving`.
+    After the last waypoint it flies over `leaving`. A plan's `way` has all places where it turns.
     """
 
     waypoints: Sequence[Waypoint]
@@ -32,6 +32,7 @@ class Site(Struct, frozen=True):
     ending: Ending = "return"
     home: PlannedHome = NO_PLANNED_HOME
     leaving: Sequence[Via] = ()
+    way: Sequence[Position] = ()
 
     def require_reachable(self, vehicle: Position) -> None:
         """Raises AutopilotRefused if the vehicle stands farther than `farthest_start_m` from every waypoint."""

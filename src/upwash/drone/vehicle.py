@@ -60,7 +60,9 @@ class Vehicle:
         self._coming_down: ComingDown | None = None
         self._open: AnswerAction[Any] | None = None
         self._rows = (
-            Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, rules=rows) if rows else None
+            Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, way=site.way, rules=rows)
+            if rows
+            else None
         )
 
     @property
