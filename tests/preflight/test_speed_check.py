@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.surveys import transects, written
 
 from upwash.cli.main import main
 
@@ -156,6 +157,26 @@ def test_a_given_speed_is_told_the_chosen_one_where_that_is_much_quicker(checked
     found, told, _ = checked(slow)
     assert found["speed"]["auto"] and f'mission.speed = "auto" would choose {found["speed"]["auto"]}' in told
     assert checked()[0]["speed"]["auto"] == ""
+
+
+@pytest.mark.parametrize("more", ["", "[event]\nevery = 5\n"], ids=["no demand", "demands"])
+@pytest.mark.parametrize("turn_m", [20.0, 0.0])
+def test_of_a_survey_it_tells_the_worst_leg_and_forecasts_what_is_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], turn_m: float, more: str
+) -> None:
+    camera = "\n[camera]\nfocal_px = 1000.0\nphoto_px = [1000, 800]\nexposure_s = 0.002\n"
+    file = written(tmp_path, transects(turn_m), more=more)  # 25 m above home, at 4 m/s
+    file.write_text(file.read_text().replace("[camera]\n", camera))
+    main(["check", str(file), "--json"])
+    found = json.loads(capsys.readouterr().out)
+    speed = found["speed"]
+    assert speed["ground_speed_m_s"] == 4.0 and speed["auto"] == ""
+    assert speed["blur"]["moved_px"] == pytest.approx(4 * 0.002 / 0.025)
+    assert speed["overlap"]["overlap"] == pytest.approx(1 - 20 / (800 * 0.025))
+    assert speed["interval"]["between_s"] == pytest.approx(20 / 4)
+    assert speed["answers"]["mission_time_s"] == pytest.approx(
+        found["predictions"][0]["mission_time_s"], abs=0.5
+    )
 
 
 def test_missions_that_stop_have_no_limits(checked: Checked) -> None:

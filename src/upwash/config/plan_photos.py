@@ -82,7 +82,7 @@ class PhotoLeg:
 
     altitude_m: float
     ground_speed_m_s: float
-    step_m: float | None
+    step_m: float
 
 
 def photo_legs(mission: MissionConfig) -> list[PhotoLeg]:
@@ -91,7 +91,8 @@ def photo_legs(mission: MissionConfig) -> list[PhotoLeg]:
     if photos is None:
         return []
     if mission.plan is None:
-        return [PhotoLeg(mission.altitude_m, speed_m_s, photos.step_m(speed_m_s))]
+        step_m = photos.step_m(speed_m_s)
+        return [] if step_m is None else [PhotoLeg(mission.altitude_m, speed_m_s, step_m)]
     course = _Course(mission, mission.plan.plan)
     return [
         PhotoLeg(

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from upwash.config import (
     DroneConfig,
     demand_map_of,
+    leaving,
     photo_ground,
     photo_legs,
     server_areas,
@@ -89,9 +90,9 @@ def photo_doubts(config: DroneConfig) -> Iterator[tuple[str, str]]:
                 f"the ground moves by {moved_px:.1f} pixels during an exposure of {camera.exposure_s:g} s: at "
                 f"{allowed_m_s:.2g} m/s it is one pixel; fly slower, or expose for a shorter time",
             )
-    widest = max(legs, key=lambda leg: (leg.step_m or 0.0) / leg.altitude_m)
+    widest = max(legs, key=lambda leg: leg.step_m / leg.altitude_m)
     ground, step_m = photo_ground(config, widest.altitude_m), widest.step_m
-    if ground.along_m is not None and step_m is not None and step_m > ground.along_m:
+    if ground.along_m is not None and step_m > ground.along_m:
         yield (
             "gaps",
             f"a photo shows {ground.along_m:.1f} m of a row, so that one every {step_m:g} m leaves gaps of "
@@ -105,15 +106,17 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
     if photos is None:
         raise ValueError("a mission without photos has no rows")
     plan, start, estimates = waypoints(mission), stands(mission), make_estimates(config, specs)
+    places = [*(waypoint.position for waypoint in plan), *(via.position for via in leaving(mission))]
     beliefs = mission_beliefs(config, specs, estimates, plan)
     operations = [call.operation for call in beliefs.stop]
     areas = {} if config.policy.name == "local-only" else server_areas(config)
     known = RowMission(
         plan=plan,
+        leaving=beliefs.leaving,
         start=start.at_altitude(mission.altitude_m),
         pace=beliefs.pace,
         takeoff_s=beliefs.pace.takeoff_s(mission.altitude_m),
-        home_s=home_s(config, plan[-1].position, start),
+        home_s=home_s(config, places[-1], start),
         photo_s=config.camera.photo_s,
         local_s=sum(estimates.local_s(operation) or 0.0 for operation in operations),
         servers={

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
-from upwash.config import FASTEST_M_S, DroneConfig, photo_ground
+from upwash.config import FASTEST_M_S, DroneConfig, PhotoLeg, photo_ground, photo_legs
 from upwash.core.planning.row_forecast import RowAnswers, RowForecast
 from upwash.drone.speed import SHARP_PX, chosen_speed, forecast_speed
 from upwash.eventlog.narration import spans
@@ -81,25 +81,29 @@ class SpeedCheck(Struct, frozen=True, kw_only=True):
 
 
 def check_speed(config: DroneConfig, why: str) -> SpeedCheck | None:
-    """The check of a mission of rows at its ground speed; None for a plan, and for a mission that stops."""
-    photos, speed_m_s, photo_s = config.mission.photos, config.mission.ground_speed_m_s, config.camera.photo_s
-    step_m = None if photos is None or config.mission.plan is not None else photos.step_m(speed_m_s)
-    if photos is None or step_m is None:
+    """The check of a mission that takes photos in flight; None for a mission that stops.
+
+    Of a plan, each figure is that of the worst leg, and the ground speed is the highest with photos.
+    """
+    photos, legs, photo_s = config.mission.photos, photo_legs(config.mission), config.camera.photo_s
+    if photos is None or not legs:
         return None
     specs = load_specs(config.services)
     forecast = forecast_speed(config, specs)
+    closest = min(legs, key=lambda leg: leg.step_m / leg.ground_speed_m_s)
+    is_free = config.mission.plan is None and photos.every_s is None
     return SpeedCheck(
-        ground_speed_m_s=speed_m_s,
+        ground_speed_m_s=max(leg.ground_speed_m_s for leg in legs),
         why=why,
-        auto="" if why or photos.every_m is None else _quicker(config, specs, forecast),
-        blur=_blur(config),
-        overlap=_overlap(config, step_m),
+        auto="" if why or not is_free else _quicker(config, specs, forecast),
+        blur=_blur(config, max(legs, key=lambda leg: leg.ground_speed_m_s / leg.altitude_m)),
+        overlap=_overlap(config, max(legs, key=lambda leg: leg.step_m / leg.altitude_m)),
         interval=Interval(
-            between_s=step_m / speed_m_s,
+            between_s=closest.step_m / closest.ground_speed_m_s,
             photo_s=photo_s,
-            allows_m_s=photos.every_m / photo_s if photo_s > 0 and photos.every_m else None,
+            allows_m_s=closest.step_m / photo_s if photo_s > 0 and photos.every_s is None else None,
         ),
-        answers=_answers(forecast, photos.at_most),
+        answers=_answers(forecast, photos.at_most, is_free=is_free),
     )
 
 
@@ -109,33 +113,33 @@ def _quicker(config: DroneConfig, specs: Mapping[str, ServiceSpec], given: RowFo
     return chosen.why if chosen.forecast.mission_s <= _QUICKER * given.mission_s else ""
 
 
-def _blur(config: DroneConfig) -> Blur:
-    ground, exposure_s = photo_ground(config), config.camera.exposure_s
+def _blur(config: DroneConfig, leg: PhotoLeg) -> Blur:
+    ground, exposure_s = photo_ground(config, leg.altitude_m), config.camera.exposure_s
     unknown = [ground.why_no_pixel, "" if exposure_s else "the exposure is unknown: give camera.exposure_s"]
     if ground.pixel_m is None or exposure_s is None:
         return Blur(exposure_s=exposure_s, pixel_m=ground.pixel_m, unknown="; ".join(filter(None, unknown)))
     return Blur(
         exposure_s=exposure_s,
         pixel_m=ground.pixel_m,
-        moved_px=config.mission.ground_speed_m_s * exposure_s / ground.pixel_m,
+        moved_px=leg.ground_speed_m_s * exposure_s / ground.pixel_m,
         allows_m_s=SHARP_PX * ground.pixel_m / exposure_s,
     )
 
 
-def _overlap(config: DroneConfig, every_m: float) -> Overlap:
-    ground = photo_ground(config)
+def _overlap(config: DroneConfig, leg: PhotoLeg) -> Overlap:
+    ground = photo_ground(config, leg.altitude_m)
     if ground.along_m is None:
-        return Overlap(every_m=every_m, unknown=ground.why_no_length)
-    return Overlap(every_m=every_m, photo_m=ground.along_m, overlap=1 - every_m / ground.along_m)
+        return Overlap(every_m=leg.step_m, unknown=ground.why_no_length)
+    return Overlap(every_m=leg.step_m, photo_m=ground.along_m, overlap=1 - leg.step_m / ground.along_m)
 
 
-def _answers(forecast: RowForecast, at_most: int) -> Answers:
+def _answers(forecast: RowForecast, at_most: int, *, is_free: bool) -> Answers:
     keeps_up_m_s = forecast.keeps_up_m_s
     return Answers(
         photos_per_s=forecast.photos_per_s,
         answers_per_s=forecast.answers_per_s,
-        keeps_up=forecast.ground_speed_m_s <= keeps_up_m_s,
-        allows_m_s=keeps_up_m_s if math.isfinite(keeps_up_m_s) else None,
+        keeps_up=forecast.photos_per_s <= forecast.answers_per_s,
+        allows_m_s=keeps_up_m_s if is_free and math.isfinite(keeps_up_m_s) else None,
         most_open=forecast.most_open,
         at_most=at_most,
         stops=forecast.stops,

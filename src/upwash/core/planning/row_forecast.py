@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, Reach, Waypoint, distance_m
+from upwash.core.geo import Circle, Position, Reach, Via, Waypoint, distance_m
 from upwash.core.planning.answering import Answering, ServerBelief, Stay
 from upwash.core.planning.legs import Leg, Pace
 
@@ -30,10 +30,11 @@ class RowMission(Struct, frozen=True, kw_only=True):
 
     The vehicle starts over `start`. A photo takes `photo_s`, and its answer `local_s` on the drone. The answers to
     the `demanding` photos turn the drone back, each for an action of `action_s`. With `at_most` open answers it
-    stops. `home_s` is the time from the last photo to the ground.
+    stops. After the last photo it flies over `leaving`, and from there `home_s` to the ground.
     """
 
     plan: Sequence[Waypoint]
+    leaving: Sequence[Via] = ()
     start: Position
     pace: Pace
     takeoff_s: float
@@ -156,11 +157,16 @@ class _Flight:
                 RowAnswers(
                     row=number,
                     photos=len(row),
-                    photos_per_s=self._speed_m_s * (len(row) - 1) / length_m if length_m else 0.0,
+                    photos_per_s=(plan[row[-1]].ground_speed_m_s or self._speed_m_s)
+                    * (len(row) - 1)
+                    / length_m
+                    if length_m
+                    else 0.0,
                     answers_per_s=(could_later - could) / (ended_s - begun_s) if ended_s > begun_s else 0.0,
                     most_open=self._row_open,
                 )
             )
+        self._fly_over(self._mission.leaving)
         self._brake()  # behind a last spot that is not the row's end
         self._wait_below(1)
         return RowForecast(
@@ -179,32 +185,54 @@ class _Flight:
 
     def _reach(self, index: int) -> None:
         """Pass the waypoint, or rest there and set off for the following one."""
-        spot = self._mission.plan[index].position
-        if self._motion is not None and self._motion.passes_s(spot) is None:
+        plan = self._mission.plan
+        waypoint = plan[index]
+        self._fly_over(waypoint.via)
+        self._get_to(waypoint.position, self._row_end(index) or waypoint.position, waypoint.ground_speed_m_s)
+        if self._motion is None:
+            self._hover(waypoint.hold_s)
+            if index + 1 < len(plan):
+                following = plan[index + 1]
+                first = following.via[0] if following.via else following
+                end = None if following.via else self._row_end(index + 1)
+                self._set_off(end or first.position, first.ground_speed_m_s)
+
+    def _fly_over(self, places: Sequence[Via]) -> None:
+        """Rest at each of the places."""
+        for via in places:
+            self._get_to(via.position, via.position, via.ground_speed_m_s)
+            if self._motion is not None:
+                self._fly(via.position)
+            self._hover(via.hold_s)
+
+    def _get_to(self, place: Position, end: Position, ground_speed_m_s: float | None) -> None:
+        """Pass the place, or rest there, and meet demands on the way; from rest it sets off for `end`."""
+        if self._motion is not None and self._motion.passes_s(place) is None:
             self._brake()
         if self._motion is None:
-            self._set_off(self._row_end(index) or spot)
+            self._set_off(end, ground_speed_m_s)
         while True:
             motion = self._motion
             assert motion is not None  # noqa: S101 - a leg is flown
-            reached_s = motion.passes_s(spot)
-            if reached_s is None:  # it was braking when it passed the spot
-                self._fly(spot)
+            reached_s = motion.passes_s(place)
+            if reached_s is None:  # it was braking when it passed the place
+                self._fly(place)
                 break
             if not self._demanding and self._goes_on(reached_s):
                 break
-            self._detour(spot)
-        if self._motion is not None and spot == self._motion.end:
-            self._rest(spot)
-        if self._motion is None and index + 1 < len(self._mission.plan):
-            self._set_off(self._row_end(index + 1) or self._mission.plan[index + 1].position)
+            self._detour(place)
+        if self._motion is not None and place == self._motion.end:
+            self._rest(place)
 
     def _row_end(self, index: int) -> Position | None:
         """The end of the waypoint's row, if the drone is on that row, and the waypoint is ahead."""
-        waypoint, end = self._mission.plan[index], self._mission.plan[index].row_end
-        if end is None or index == 0 or self._mission.plan[index - 1].row_end != end:
+        plan, waypoint = self._mission.plan, self._mission.plan[index]
+        start, end = waypoint.row_start, waypoint.row_end
+        if end is None:
             return None
-        return end if _passes(self._here, end, waypoint.position) else None
+        is_on_row = index > 0 and (plan[index - 1].row_start, plan[index - 1].row_end) == (start, end)
+        is_on_row |= start is not None and distance_m(self._here, start) < _THERE_M
+        return end if is_on_row and _passes(self._here, end, waypoint.position) else None
 
     def _take_photo(self, photo: int) -> None:
         self._open.add(photo)
@@ -244,7 +272,7 @@ class _Flight:
         last = self._meet()
         if spot != end and not (last is not None and _passes(last, end, spot)):
             self._fly(left)
-        self._set_off(end)
+        self._set_off(end, motion.leg.ground_speed_m_s)
 
     def _meet(self) -> Position | None:
         """Fly to the photos with a demand, the nearest first, and act there; return the last place."""
@@ -260,11 +288,11 @@ class _Flight:
             self._hover(self._mission.action_s)
         return last
 
-    def _set_off(self, end: Position) -> None:
+    def _set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
         mission = self._mission
         leg = Leg(
             distance_m(self._here, end),
-            self._speed_m_s,
+            ground_speed_m_s or self._speed_m_s,
             mission.pace.acceleration_m_s2,
             mission.pace.settling_s,
         )
@@ -285,7 +313,7 @@ class _Flight:
         acceleration_m_s2 = motion.leg.acceleration_m_s2
         along_m = motion.leg.travelled_m(flown_s)
         left_s = max(0.0, motion.leg.duration_s - motion.leg.settling_s - flown_s)
-        speed_m_s = min(self._speed_m_s, acceleration_m_s2 * min(flown_s, left_s))
+        speed_m_s = min(motion.leg.ground_speed_m_s, acceleration_m_s2 * min(flown_s, left_s))
         way_m = along_m + speed_m_s**2 / (2 * acceleration_m_s2)
         if way_m >= motion.leg.length_m - _ON_WAY_M:
             self._finish(motion.begun_s + motion.leg.duration_s)
@@ -324,7 +352,10 @@ class _Flight:
 
 def _rows(plan: Sequence[Waypoint]) -> Iterator[list[int]]:
     """The indices of the waypoints of each row."""
-    for _, row in itertools.groupby(range(len(plan)), key=lambda index: plan[index].row_end or index):
+    rows = itertools.groupby(
+        range(len(plan)), key=lambda index: (plan[index].row_start, plan[index].row_end or index)
+    )
+    for _, row in rows:
         yield list(row)
 
 
