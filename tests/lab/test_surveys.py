@@ -158,10 +158,12 @@ def test_it_lands_where_the_plan_says_after_the_last_photo(tmp_path: Path) -> No
 
 
 def test_demands_in_turns_are_met_and_each_spot_has_its_photo(tmp_path: Path) -> None:
-    more = "[event]\nevery = 5\noffset = 2\n"
+    """Those of the last spots of rows are there in the turns."""
+    more = "[event]\nevery = 3\noffset = 2\n"
     run = simulate(written(tmp_path, transects(), heavy_s=6.0, more=more))
     assert run.completed
-    assert sorted(event.waypoint for event in of(run, schema.Acted)) == [2, 7, 12, 17]
+    assert sorted(event.waypoint for event in of(run, schema.Acted)) == [2, 5, 8, 11, 14, 17]
+    assert [event.waypoint for event in of(run, schema.CallStarted)] == list(range(18))
     taken = [(photo.position.east_m, photo.position.north_m) for photo in of(run, schema.PhotoTaken)]
     assert max(map(math.dist, taken, SPOTS)) < 0.5
 

@@ -144,7 +144,7 @@ class Legs:
 
     def head_for(self, place: Waypoint | Position, via: tuple[Via, ...] = ()) -> None:
         """Note that the place is the next one on the leg, or on those over `via`."""
-        self.place, position = place, position_of(place)
+        position = position_of(place)
         self._journal.record(
             schema.SetOff(waypoint=index_of(place), east_m=position.east_m, north_m=position.north_m)
         )
@@ -152,6 +152,7 @@ class Legs:
 
     def turn(self, place: Waypoint | Position, via: tuple[Via, ...] = ()) -> None:
         """Note that the next leg on the way to the place begins."""
+        self.place = place
         planned_m_s = place.ground_speed_m_s if isinstance(place, Waypoint) and not via else None
         self._tell(LegBegun(position_of(place), planned_m_s or self.ground_speed_m_s, via=via))
 
