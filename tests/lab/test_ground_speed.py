@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 from tests.programs import ROOT
+from tests.surveys import item, transects, written
 
 from upwash.cli.main import main
+from upwash.errors import ConfigError
 from upwash.eventlog import schema
 from upwash.lab.simulation import Simulation, simulate
 
@@ -117,3 +119,17 @@ def test_demands_of_earlier_flights_slow_the_choice(tmp_path: Path) -> None:
         for world in (without | {"policy": policy}, without)
     )
     assert told < untold
+
+
+def test_a_survey_is_flown_at_the_chosen_speed_unless_its_items_set_one(tmp_path: Path) -> None:
+    def flown(speed: str, *, turn_m: float = 0.0, more: tuple[Any, ...] = ()) -> Simulation:
+        plan = written(tmp_path, [*more, *transects(turn_m)], mission=f"photos = {{}}\n{speed}", heavy_s=10.0)
+        return simulate(plan)
+
+    run = flown('speed = "auto"')
+    (chosen,) = [event for event in run.events if isinstance(event, schema.SpeedChosen)]
+    best_s = min(flown(f"ground_speed_m_s = {speed_m_s}").mission_time_s for speed_m_s in SPEEDS_M_S)
+    assert run.mission_time_s <= 1.03 * best_s
+    assert run.mission_time_s == flown(f"ground_speed_m_s = {chosen.ground_speed_m_s}").mission_time_s
+    with pytest.raises(ConfigError, match=r"item 3 sets a speed"):
+        flown('speed = "auto"', more=(item(178, 1, 5, -1, 0, 0, 0, 0),))

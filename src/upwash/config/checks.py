@@ -28,7 +28,7 @@ from upwash.config.places import (
     row_ends,
     sweeps_of,
 )
-from upwash.config.plan_photos import MOST_SPOTS
+from upwash.config.plan_photos import MOST_SPOTS, speed_set_at
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
 from upwash.config.traces import read_goodput_trace, read_service_times
 from upwash.config.truth import ServerTruth, keys_of, server_truth
@@ -137,10 +137,13 @@ def _speed_problems(config: DroneConfig) -> Iterator[Problem]:
             '"auto" is for rows, and without mission.photos the drone stops at each waypoint, where the highest '
             "speed is the quickest: leave it out, and give ground_speed_m_s",
         )
-    elif mission.plan is not None or any(drone.plan is not None for drone in config.drones):
+    elif any(drone.plan is not None for drone in config.drones):
+        yield key, "plans of several drones have speeds of their own: leave it out"
+    elif mission.plan is not None and (fixed := speed_set_at(mission.plan.plan, mission.photos)) is not None:
         yield (
             key,
-            "a plan has speeds of its own: leave it out, or give a grid or waypoints_m in place of the plan",
+            f"{mission.plan.file}: item {fixed} sets a speed, or photos by time, whose distance is up to the speed: "
+            "leave speed out",
         )
     elif mission.photos.every_s is not None:
         yield (

@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from upwash.config.drone import DroneConfig, MissionConfig
+from upwash.config.drone import DroneConfig, MissionConfig, PhotosConfig
 from upwash.config.problems import Problem
 from upwash.core.geo import LocalFrame, Position, Via, Waypoint, distance_m, ground_distance_m
 from upwash.plans import FlightPlan, PhotoTrigger
@@ -104,6 +104,17 @@ def photo_legs(mission: MissionConfig) -> list[PhotoLeg]:
     ]
 
 
+def speed_set_at(plan: FlightPlan, photos: PhotosConfig) -> int | None:
+    """The first item of the plan that sets a speed, or photos by time; None without one."""
+    for waypoint in plan.waypoints:
+        if waypoint.ground_speed_m_s is not None:
+            return waypoint.item
+        for trigger in waypoint.triggers:
+            if trigger.every_s is not None and photos.every_m is None:
+                return trigger.item
+    return None
+
+
 def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
     """What keeps the triggers of the mission's plan from being flown; nothing for a mission without photos."""
     mission, key = config.mission, "mission.photos"
@@ -131,7 +142,7 @@ def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
         yield key, f"{file}: more than {MOST_SPOTS:,} photos ({count:,.0f}): set photos.every_m larger"
         return
     photo_s = config.camera.photo_s
-    for leg in course.legs:
+    for leg in course.legs if mission.speed == "given" else ():
         speed_m_s = course.corners[leg.corner].ground_speed_m_s
         if photo_s * speed_m_s > leg.step_m * (1 + 1e-9):
             yield (

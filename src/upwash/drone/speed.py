@@ -42,14 +42,19 @@ def with_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> tuple[D
     if config.mission.speed == "given":
         return config, ""
     chosen = chosen_speed(config, specs)
-    mission = replace(config.mission, speed="given", ground_speed_m_s=chosen.ground_speed_m_s)
-    return replace(config, mission=mission), chosen.why
+    return _at(config, chosen.ground_speed_m_s), chosen.why
+
+
+def _at(config: DroneConfig, ground_speed_m_s: float) -> DroneConfig:
+    mission = replace(config.mission, speed="given", ground_speed_m_s=ground_speed_m_s)
+    return replace(config, mission=mission)
 
 
 def chosen_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> ChosenSpeed:
     """The speed with the shortest forecast, for a mission of rows."""
-    missions = row_missions(config, specs)
-    return choose_speed(list(speed_limits(config)), lambda speed_m_s: _forecast(missions, speed_m_s))
+    return choose_speed(
+        list(speed_limits(config)), lambda speed_m_s: forecast_speed(_at(config, speed_m_s), specs)
+    )
 
 
 def forecast_speed(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> RowForecast:
@@ -65,12 +70,12 @@ def _forecast(missions: Sequence[RowMission], ground_speed_m_s: float) -> RowFor
 
 def speed_limits(config: DroneConfig) -> Iterator[SpeedLimit]:
     """The limits of a speed that is chosen, for a mission of rows."""
-    photos, camera = config.mission.photos, config.camera
-    pixel_m = photo_ground(config).pixel_m
+    legs, camera = photo_legs(config.mission), config.camera
+    pixel_m = photo_ground(config, min((leg.altitude_m for leg in legs), default=None)).pixel_m
     if pixel_m is not None and camera.exposure_s is not None:
         yield SpeedLimit("blur", SHARP_PX * pixel_m / camera.exposure_s)
-    if photos is not None and photos.every_m is not None and camera.photo_s > 0:
-        yield SpeedLimit("the camera", photos.every_m / camera.photo_s)
+    if legs and camera.photo_s > 0:
+        yield SpeedLimit("the camera", min(leg.step_m for leg in legs) / camera.photo_s)
     yield SpeedLimit("mission.ground_speed_m_s", config.mission.ground_speed_m_s)
 
 
