@@ -14,6 +14,7 @@ from tests.played import played
 from tests.ports.scripted import FRAME, IN_AIR, ON_GROUND, SYSTEM, Px4Script, Script, landed, scripted
 
 from upwash.core.geo import Position, Velocity, distance_m
+from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.eventlog.schema import ArmingDelayed
 from upwash.mavlink import px4
@@ -389,6 +390,22 @@ async def test_setpoints_end_in_a_silence_and_go_on_once_the_mode_is_known_again
     await script.beat()
     await asyncio.sleep(0.125)
     assert script.of_kind(SETPOINT, since_s)
+    leg.cancel()
+
+
+@played(tell)
+async def test_a_vehicle_that_goes_back_to_offboard_by_itself_is_not_the_pilots(script: Script) -> None:
+    leg = await begun(script.autopilot.goto(THERE))
+    await follow(script, leg, within_s=2.0)
+    for mode, set_mode, owner in (
+        (Mode.RTL, Mode.OFFBOARD, Owner.FAILSAFE),
+        (Mode.OFFBOARD, Mode.OFFBOARD, Owner.FAILSAFE),  # a setpoint came late, from a busy computer
+        (Mode.RTL, Mode.OFFBOARD, Owner.FAILSAFE),
+        (Mode.LOITER, Mode.LOITER, Owner.PILOT),
+    ):
+        script.mode, script.intends = mode, set_mode  # type: ignore[attr-defined]
+        await script.say(landed(IN_AIR), script.place(HERE), script.told()[px4.CURRENT_MODE])
+        assert script.autopilot.control.owner is owner
     leg.cancel()
 
 

@@ -41,6 +41,9 @@ _OFFBOARD_SIGNAL, _PLACES = "check_modes_offboard_signal", ("check_modes_local_p
 _CHECK_ARGUMENTS = struct.Struct("<IB")  # the modes that it concerns, and the component
 
 
+_SETPOINTS_BACK = (Mode.OFFBOARD, Mode.OFFBOARD)
+
+
 def _mode_name(number: int) -> str:
     return _NAMES.get(number, f"number {number:#x}")
 
@@ -48,13 +51,14 @@ def _mode_name(number: int) -> str:
 def failsafe(telemetry: VehicleTelemetry, _mode: str) -> str:
     """Why a fail-safe may have chosen the mode; "" without one.
 
-    In a fail-safe the commanded mode differs from the flown mode, or the system status is critical.
+    In a fail-safe the commanded mode differs from the flown mode, or the system status is critical. After the loss
+    of setpoints PX4 goes back to OFFBOARD by itself, as soon as one comes.
     """
     modes = telemetry.flown_and_intended_mode
     if modes is not None and modes[0] == telemetry.mode:
         flown, intended = modes
         if intended in (0, flown):
-            return ""
+            return "its fail-safe is over" if telemetry.failsafe_over else ""
         return f"a fail-safe chose it{_cause(telemetry)}, {_mode_name(intended)} was set"
     critical = telemetry.system_status == mavlink.MAV_STATE_CRITICAL
     return "its system status is critical" if critical else ""
@@ -70,7 +74,15 @@ def _cause(telemetry: VehicleTelemetry) -> str:
 def _take(telemetry: VehicleTelemetry, message: Message, now_s: float) -> None:
     match message.get_type():
         case "CURRENT_MODE":
-            telemetry.flown_and_intended_mode = message.custom_mode, message.intended_custom_mode
+            before, modes = (
+                telemetry.flown_and_intended_mode,
+                (message.custom_mode, message.intended_custom_mode),
+            )
+            if before is None or modes != before:
+                telemetry.failsafe_over = (
+                    modes == _SETPOINTS_BACK and before is not None and before[1] == modes[1]
+                )
+            telemetry.flown_and_intended_mode = modes
             if not telemetry.on_ground:  # when it disarms itself, its mode changes too: a HEARTBEAT has both
                 telemetry.mode = message.custom_mode
         case "SYS_STATUS":  # it lists the check among the healthy sensors only, not among the present ones

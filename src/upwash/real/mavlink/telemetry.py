@@ -106,6 +106,7 @@ class VehicleTelemetry:
     knows_its_place: bool | None = None  # whether its position estimate is good enough to count as an arrival
     fence_breached: bool = False
     flown_and_intended_mode: tuple[int, int] | None = None  # PX4's: they differ in a fail-safe
+    failsafe_over: bool = False  # PX4's: it flies in OFFBOARD again, which was set all the time
     armable_modes: int | None = None  # PX4's, a bit for each navigation state
     failed_checks: dict[int, tuple[int, int]] = field(default_factory=dict)  # PX4's: severity, modes as bits
     failed_checks_before: dict[int, tuple[int, int]] = field(default_factory=dict)  # in the set before that
