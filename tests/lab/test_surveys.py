@@ -168,11 +168,11 @@ def test_demands_in_turns_are_met_and_each_spot_has_its_photo(tmp_path: Path) ->
     assert max(map(math.dist, taken, SPOTS)) < 0.5
 
 
-@pytest.mark.parametrize(("at_most", "heavy_s"), [(100, 28.0), (10, 60.0)])
+@pytest.mark.parametrize(("at_most", "heavy_s"), [(100, 20.5), (100, 28.0), (10, 60.0)])
 def test_a_demand_behind_a_fence_is_met_along_the_planned_way(
     tmp_path: Path, at_most: int, heavy_s: float
 ) -> None:
-    """The photos of the first leg are answered on the third, in flight or at a stop, with an obstacle between."""
+    """The photos of the first leg are answered on the legs after it, in flight or at a stop."""
     items = [at(0, 10), begin(), at(0, 110), at(60, 110), at(60, 10), END]
     fence: list[Place] = [(20, 0), (40, 0), (40, 90), (20, 90)]
     more = "[event]\nevery = 100\noffset = 1\n"
@@ -180,7 +180,7 @@ def test_a_demand_behind_a_fence_is_met_along_the_planned_way(
     run = simulate(written(tmp_path, items, fence=fence, heavy_s=heavy_s, more=more, mission=mission))
     assert run.completed, run.failure
     (back,) = of(run, schema.TurnedBack)
-    assert back.position.east_m == pytest.approx(60, abs=0.1)
+    assert back.position.east_m > 40, "beyond the obstacle"
     (acted,) = of(run, schema.Acted)
     assert acted.waypoint == 1
     assert len(of(run, schema.PhotoTaken)) == 14

@@ -354,7 +354,9 @@ class Rows:
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
         last = self._meet(demanding)
-        if (spot != end or self._way) and not (last is not None and lies_on(spot, position_of(last), end)):
+        ahead = left if spot == end else spot
+        is_on_row = last is not None and lies_on(ahead, position_of(last), end)
+        if (spot != end or self._way) and not is_on_row:
             self.fly_around(left)
             self._vehicle.fly(left)
         self._set_off(end, self._leg_m_s)
