@@ -222,8 +222,8 @@ class Vehicle:
                 answer.settle()
 
     def _leave(self) -> None:
-        """Fly over the places after the last photo."""
-        if self._rows is not None:
+        """Fly over the places after the last photo; not to return when there was no photo left to take."""
+        if self._rows is not None and (self._site.waypoints or self._site.ending == "land"):
             self._rows.leave(self._site.leaving)
 
     def _settle_for_call(self) -> None:
