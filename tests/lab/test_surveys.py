@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,8 @@ from tests.surveys import (
     written,
 )
 
-from upwash.config import read_drone_config
+from upwash.config import read_drone_config, waypoints
+from upwash.core.geo import distance_m
 from upwash.drone.speed import photo_doubts
 from upwash.errors import ConfigError
 from upwash.eventlog import schema
@@ -184,6 +186,30 @@ def test_a_demand_behind_a_fence_is_met_along_the_planned_way(
     (acted,) = of(run, schema.Acted)
     assert acted.waypoint == 1
     assert len(of(run, schema.PhotoTaken)) == 14
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_each_photo_of_a_drawn_plan_is_taken_at_its_place(tmp_path: Path, seed: int) -> None:
+    """Legs at right angles with any triggers, holds, speeds and climbs; two of five answers have a demand."""
+    drawn = random.Random(seed)
+    commands = [begin(20.0), begin(13.0), item(206, 15, 0, 0), END, PHOTO, item(2000, 0, 4, 3), item(2001)]
+    commands += [item(178, 1, speed_m_s, -1) for speed_m_s in (2, 8)]
+    items, east_m, north_m = [at(0, 20), begin()], 0, 20
+    for _ in range(drawn.randint(2, 7)):
+        east_m, north_m = drawn.choice(
+            [(east_m + 40, north_m), (east_m, north_m + 70), (east_m, north_m - 50)]
+        )
+        items.append(at(east_m, north_m, drawn.choice([25.0, 25.0, 35.0]), drawn.choice([0.0, 0.0, 3.0])))
+        items += drawn.sample(commands, drawn.choice([0, 1, 2]))
+    more = "[event]\nprobability = 0.4\n"
+    file = written(tmp_path, [*items, at(0, 0)], photo_s=0.2, heavy_s=drawn.choice([1.0, 7.0]), more=more)
+    spots, run = waypoints(read_drone_config(file).mission), simulate(file)
+    assert run.completed, run.failure
+    assert [event.waypoint for event in of(run, schema.CallStarted)] == [spot.index for spot in spots]
+    taken = [photo.position for photo in of(run, schema.PhotoTaken)]
+    assert all(distance_m(*pair) < 0.5 for pair in zip(taken, [spot.position for spot in spots], strict=True))
+    acted = {event.waypoint for event in of(run, schema.Acted)}
+    assert acted == {event.waypoint for event in of(run, schema.Demanded)}
 
 
 def test_without_photos_a_drone_stops_at_each_waypoint_of_the_plan(tmp_path: Path) -> None:
