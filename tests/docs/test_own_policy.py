@@ -29,6 +29,14 @@ def test_the_policy_of_the_page_flies_with_reasons(mine: str) -> None:
     assert any(re.fullmatch(r"in range for \d+ calls", why) for why in whys)
 
 
+def test_the_extended_policy_of_the_page_flies(tmp_path: Path) -> None:
+    (program,) = re.findall(r"```python\n(# patient\.py\n.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "patient.py").write_text(program)
+    run = upwash.simulate(ROOT / "scenarios/demonstration.toml", policy=f"{tmp_path / 'patient.py'}:Patient")
+    assert run.completed and not run.offloading_failed
+    assert {call.decision for call in run.calls if call.place != "local"} >= {"patient"}
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_the_figures_of_the_page_are_those_of_fresh_runs(mine: str, row: tuple[str, ...]) -> None:

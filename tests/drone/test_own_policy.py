@@ -9,6 +9,7 @@ import pytest
 from tests.programs import ROOT
 
 import upwash
+from upwash.cli.main import main
 from upwash.drone import own_policy
 from upwash.errors import ConfigError, UpwashError, UsageError
 from upwash.eventlog import schema
@@ -21,6 +22,13 @@ import time
 from upwash.policies import Choice, Coming, Local, LocationAware, LookAhead, Remote, Wait
 
 class Same(LookAhead): pass
+
+class Remembers(LookAhead):
+    def __init__(self, *, name_of_memory): self.memory = {name_of_memory: 0}
+    def choose(self, s):
+        self.memory["it"] += 1
+        self.last = s.current
+        return super().choose(s)
 
 class Named:
     def choose(self, s): return next((option.server for option in s.options), None)
@@ -167,6 +175,26 @@ def test_its_file_counts_from_the_configuration_and_drones_may_have_their_own(mi
         "mine.py:Named",
         "local-only",
     ]
+
+
+def test_a_defect_in_a_fleet_is_printed_with_its_drone(
+    mine: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = mine.parent / "field.toml"
+    drones = '[[drone]]\nname = "d1"\n[[drone]]\nname = "d2"\npolicy = "mine.py:Raises"\n'
+    scenario.write_text(f"{DEMONSTRATION.read_text()}\n{drones}")
+    assert main(["simulate", str(scenario)]) == 0
+    assert "d2: every call ran on the drone after a defect" in " ".join(capsys.readouterr().out.split())
+    assert main(["simulate", str(scenario), "--json"]) == 0
+    assert "choose raised KeyError" in capsys.readouterr().out
+    assert main(["check", str(scenario), "--seeds", "1", "--workers", "1"]) != 0
+    assert "mine.py:Raises: choose raised" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_built_in_policy_can_be_extended_with_settings_and_a_memory(mine: Path) -> None:
+    run = simulate(mine, "Remembers", **{"policy.settings": {"name_of_memory": "it"}})
+    built_in = upwash.simulate(DEMONSTRATION, policy="look-ahead")
+    assert run.calls == built_in.calls and not run.offloading_failed
 
 
 def test_it_is_compared_in_several_processes_and_a_defect_stops_the_comparison(mine: Path) -> None:

@@ -15,6 +15,7 @@ from upwash.eventlog import schema
 from upwash.preflight.prediction import told_share
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
+MOVING = SCENARIO.with_name("on-the-move.toml")
 CORNER = {"east_m": 160.0, "north_m": 160.0, "radius_m": 60.0, "probability": 0.8}
 
 
@@ -85,3 +86,15 @@ def test_a_check_counts_the_areas_in_its_share_of_demands(tmp_path: Path) -> Non
 def test_areas_need_a_probability_outside_them(tmp_path: Path) -> None:
     with pytest.raises(upwash.ConfigError, match="areas go with a probability outside them"):
         upwash.simulate(SCENARIO, overrides={"event": {"every": 10, "areas": [CORNER]}})
+
+
+def test_on_rows_it_rests_where_demands_are_known_to_be_frequent(tmp_path: Path) -> None:
+    event = {"probability": 0.0, "areas": [{**CORNER, "probability": 1.0}]}
+    overrides = {"policy.stay_or_go": "learn", "event": event}
+    mapped = {**overrides, "policy.demand_map": str(tmp_path / "demands.json")}
+    upwash.simulate(MOVING, overrides=mapped, seed=1, keep_demands=True)
+    plain = upwash.simulate(MOVING, overrides=overrides, seed=2)
+    second = upwash.simulate(MOVING, overrides=mapped, seed=2)
+    assert second.mission_time_s < 0.9 * plain.mission_time_s
+    assert second.totals.turns_back < 0.5 * plain.totals.turns_back
+    assert len(second.calls) == 121 and second.completed

@@ -35,6 +35,7 @@ from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulat
 from upwash.support.output_files import write_file
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
+from upwash.support.text import printable
 
 _PRINTED = ("scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals", "bound")
 _PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s", "bound")
@@ -87,6 +88,8 @@ def _run_one(options: argparse.Namespace) -> None:
 def _run_fleet(options: argparse.Namespace) -> None:
     if options.keep_coverage:
         raise UsageError("--keep-coverage keeps one drone's map, and this scenario has several drones")
+    if options.keep_demands:
+        raise UsageError("--keep-demands keeps one drone's map, and this scenario has several drones")
     if options.calls:
         raise UsageError(
             "--calls prints those of one mission, and this scenario has several drones: --log keeps their logs, "
@@ -144,6 +147,8 @@ def _as_object(simulation: Simulation) -> dict[str, Any]:
         printed["energy"] = simulation.energy
     if simulation.failure:
         printed["failure"] = simulation.failure
+    if simulation.offloading_failed:
+        printed["offloading_failed"] = simulation.offloading_failed
     if simulation.vanished:
         printed["vanished"] = True
     return printed
@@ -175,6 +180,10 @@ def _print_fleet(fleet: FleetSimulation) -> None:
     show_table(table, console)
     for line in _together(fleet):
         say(line, console)
+    for name, drone in fleet.drones.items():
+        if drone.offloading_failed:
+            why = f"{name}: every call ran on the drone after a defect: {printable(drone.offloading_failed)}"
+            say(Text(why, style="yellow"), console)
 
 
 def _together(fleet: FleetSimulation) -> Iterator[str]:

@@ -54,7 +54,7 @@ def read_kept(file: Path, kind: type[T], *, empty: T, name: str) -> T:
         problem = f"no {name} of upwash: {error}: restore the file, or delete it to begin anew"
         raise ConfigError(str(file), "", problem) from None
     except (OSError, ValueError) as error:
-        problem = f"cannot be read ({why_unreadable(error)}): name a readable file"
+        problem = f"cannot be read ({why_unreadable(error)}): name a readable file, or delete this one to begin anew"
         raise ConfigError(str(file), "", problem) from None
 
 

@@ -25,7 +25,7 @@ from typing import Any, Protocol
 from msgspec.structs import asdict
 
 from upwash.core.geo import Position, Via, Waypoint, distance_m
-from upwash.core.planning.stay_or_go import RowOutlook, StayRule
+from upwash.core.planning.stay_or_go import RowOutlook, StayRule, StayVerdict
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Place, one_answered, position_of
 from upwash.eventlog import schema
@@ -155,6 +155,7 @@ class Rows:
         self._way = way  # where a ground station's plan turns
         self._left_at: Position | None = None  # where the last leg ends, if nothing else was flown since
         self._stays = False  # at rest, until its answer is there
+        self._rest: Position | None = None  # on the row, as demands are frequent there
         self._acts = False
 
     def goto(self, place: Place) -> None:
@@ -163,13 +164,13 @@ class Rows:
             self._vehicle.fly(place)
             return
         flown = self.fly_over(place)
-        ends = position_of(place), place.row_end if isinstance(place, Waypoint) else None
+        ends = position_of(place), self._rest, place.row_end if isinstance(place, Waypoint) else None
         if self._end not in ends or not self._vehicle.passes(place):
             self.stop()
         if self._end is None:
             self.fly_around(position_of(place))
-            row_end = None if self._stays else self._row_end_from_here(place)
-            self._set_off(row_end or position_of(place), _speed_of(place))
+            end = None if self._stays else self._end_of_leg(place)
+            self._set_off(end or position_of(place), _speed_of(place))
         notes = self._vehicle.turn if flown else self._vehicle.head_for
         self._thread.post(partial(notes, place))
         self._reach(
@@ -295,8 +296,8 @@ class Rows:
         end, speed_m_s = following.position, following.ground_speed_m_s
         if following.via:
             end, speed_m_s = following.via[0].position, following.via[0].ground_speed_m_s
-        elif (row_end := self._row_end_from_here(following)) is not None:
-            end = row_end
+        else:
+            end = self._end_of_leg(following) or end
         if not self._way or self._vehicle.allows(position_of(place), end):
             self._set_off(end, speed_m_s)
 
@@ -312,25 +313,47 @@ class Rows:
         is_ahead = distance_m(here, end) >= distance_m(place.position, end)
         return end if is_on_row and is_ahead and lies_on(place.position, here, end) else None
 
+    def _end_of_leg(self, place: Place) -> Position | None:
+        """The end of the place's row, or the first spot on the way where a map of demands has the drone rest.
+
+        None if the drone does not pass the place on its way there.
+        """
+        end, spot = self._row_end_from_here(place), place if isinstance(place, Waypoint) else None
+        self._rest = None
+        if end is None or self._rules.stay_or_go.demand_map is None:
+            return end
+        while spot is not None and spot.row_end == end:
+            if (verdict := self._verdict(spot, rests_anyway=False)) is not None and not verdict.goes:
+                self._rest = spot.position
+                return self._rest
+            spot = self._following.get(spot)
+        return end
+
     def _rests_at(self, spot: Waypoint) -> bool:
         """Whether the drone waits at this spot, where it rests, for the answer."""
+        verdict = self._verdict(spot, rests_anyway=spot.position == spot.row_end)
+        if verdict is None:
+            return False
+        self._note(schema.StayOrGo(waypoint=spot.index, **asdict(verdict)))
+        return not verdict.goes
+
+    def _verdict(self, spot: Waypoint, *, rests_anyway: bool) -> StayVerdict | None:
+        """Whether to fly on from the spot before its answer; None where the drone does in any case."""
         rules, rule = self._rules, self._rules.stay_or_go
         if rule.manner != "learn" or rule.answer_s is None or spot not in self._following:
-            return False
+            return None
         if len(self._open) > _IN_TIME:  # late answers share detours, which cost less
-            return False
-        verdict = rule.decide(
+            return None
+        return rule.decide(
             RowOutlook(
                 rules.ground_speed_m_s,
                 rules.acceleration_m_s2,
                 rule.answer_s,
                 rules.photo_s,
-                rests_anyway=spot.position == spot.row_end,
+                rests_anyway=rests_anyway,
             ),
             spot.position,
         )
-        self._note(schema.StayOrGo(waypoint=spot.index, **asdict(verdict)))
-        return not verdict.goes
 
     def _note(self, event: schema.Event) -> None:
         self._thread.post(lambda: self._journal.record(event))

@@ -66,7 +66,7 @@ def fly(config: DroneConfig) -> FlightOutcome:
 
 def _fly_one(config: DroneConfig) -> FlightOutcome:
     run = simulate(config)
-    bound, failure = bound_of(run, config), _failure_of(run)
+    bound, failure = bound_of(run, config), failure_of(run)
     return FlightOutcome(
         policy=run.result.policy,
         completed=run.result.completed and not failure,
@@ -98,7 +98,7 @@ def _fly_fleet(config: DroneConfig) -> FlightOutcome:
     )
 
 
-def _failure_of(run: Run) -> str:
+def failure_of(run: Run) -> str:
     """Why the mission failed; a mission whose offloading failed says nothing of its policy."""
     defect = run.result.offloading_failed
     return run.failure or (f"every call ran on the drone after a defect: {defect}" if defect else "")
@@ -106,7 +106,7 @@ def _failure_of(run: Run) -> str:
 
 def _failure(runs: Mapping[str, Run]) -> str:
     """Why drones failed, without those that the scenario has vanish; or that none is left."""
-    failures = {name: _failure_of(run) for name, run in runs.items() if not run.vanished}
+    failures = {name: failure_of(run) for name, run in runs.items() if not run.vanished}
     failed = [f"{name}: {failure}" for name, failure in failures.items() if failure]
     if not failed and all(run.vanished for run in runs.values()):
         return "every drone vanished"

@@ -27,6 +27,7 @@ from upwash.drone.speed import with_speed
 from upwash.eventlog import schema
 from upwash.eventlog.narration import spans
 from upwash.lab import processes
+from upwash.lab.outcome import failure_of
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.scenario import with_policy
 from upwash.missions.bundled import load_specs
@@ -162,14 +163,17 @@ def _forecast(config: DroneConfig, flown: Mapping[str, Sequence[Runs]]) -> Drone
 
 
 def _prediction(config: DroneConfig, case: str, runs: Sequence[Run]) -> Prediction:
-    completed = [run.result for run in runs if run.result.completed]
+    failures = [failure_of(run) for run in runs]
+    completed = [
+        run.result for run, why in zip(runs, failures, strict=True) if run.result.completed and not why
+    ]
     return prediction_of(
         case,
         len(runs),
         time_s=mean_or_none([result.mission_time_s for result in completed]),
         energy_wh=mean_or_none([result.energy.total_wh for result in completed if result.energy]),
         lighter=mean_or_none([result.totals.lighter for result in completed if config.mission.lighter]),
-        failures=[run.failure for run in runs if run.failure and not run.vanished],
+        failures=[why for run, why in zip(runs, failures, strict=True) if why and not run.vanished],
     )
 
 

@@ -167,7 +167,7 @@ def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
     if configured is None or configured.mission_time_s is None:
         return
     local_only = by_case.get(LOCAL_ONLY)
-    if config.servers and local_only is not None and not _is_slower(local_only, configured):
+    if config.servers and local_only is not None and not _is_slower(local_only, configured, sure=False):
         yield PreflightWarning(
             "no-gain",
             f"the servers gain next to nothing: {configured.mission_time_s:.0f} s as configured, "
@@ -183,11 +183,12 @@ def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
             )
 
 
-def _is_slower(this: Prediction, than: Prediction) -> bool:
-    """Whether it is slower by more than its margins, and by more than luck."""
+def _is_slower(this: Prediction, than: Prediction, *, sure: bool = True) -> bool:
+    """Whether it is slower by enough to be told; if `sure`, also by more than the margins of both."""
     if this.mission_time_s is None or than.mission_time_s is None:
         return this.mission_time_s is None and than.mission_time_s is not None
-    least_s = max(_WORTH_SAYING * than.mission_time_s, this.certain_margin_s + than.certain_margin_s)
+    margin_s = this.certain_margin_s + than.certain_margin_s if sure else 0.0
+    least_s = max(_WORTH_SAYING * than.mission_time_s, margin_s)
     return this.mission_time_s - than.mission_time_s > least_s
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from upwash.core.planning.forecast import Forecast
 from upwash.core.planning.schedule import Schedule, quickest
 from upwash.core.policies.policy import CallInputs, Choice, Coming, Decision, LocationAware, Remote, Situation
 
 HORIZON = 20  # calls: what is further away changes nothing about the next server
+_REACTIVE = LocationAware()
 MOST_LABELS = 64  # that a schedule is chosen from: twice what flights among 50 servers have had
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, so that users can extend it
 class LookAhead:
     """Selects the server with which the coming calls are over soonest; as location-aware if no calls are foreseen.
 
@@ -21,7 +22,7 @@ class LookAhead:
     """
 
     gain_leave: float = 0.1
-    reactive: LocationAware = field(default_factory=LocationAware)
+    reactive: LocationAware = _REACTIVE
     horizon: int = HORIZON
     name: str = "look-ahead"
 

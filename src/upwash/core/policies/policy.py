@@ -1,6 +1,7 @@
 """Policies: which server to select, and where a call runs (thesis sections 3.3 and 3.4).
 
-A policy is a value that decides both from its arguments alone. It has no memory and asks nobody else.
+A policy is a value that decides both from its arguments alone. It has no memory and asks nobody else. Users extend
+these classes (docs/own-policy.md).
 """
 
 from __future__ import annotations
@@ -226,12 +227,16 @@ class WaitRule(Struct, frozen=True):
         return Local(f"READY expected in {wait_s:.2f} s, too late to pay off")
 
 
+_WAIT_RULE = WaitRule()
+
+
 def with_slots(options: Sequence[Option]) -> Sequence[Option]:
     """The options that may have a free slot, or all options if none has."""
     return [option for option in options if not option.full] or options
 
 
-class LocalOnly(Struct, frozen=True):
+@dataclass(frozen=True)
+class LocalOnly:
     """Never offloads: the thesis's no-offload reference."""
 
     name: str = "local-only"
@@ -246,10 +251,11 @@ class LocalOnly(Struct, frozen=True):
         return Local("local-only policy")
 
 
-class Opportunistic(Struct, frozen=True):
+@dataclass(frozen=True)
+class Opportunistic:
     """Uses the server whose range was entered first, and never compares: the thesis's naive reference."""
 
-    wait: WaitRule = WaitRule()
+    wait: WaitRule = _WAIT_RULE
     name: str = "opportunistic"
     horizon: int = 0
 
@@ -267,11 +273,12 @@ class Opportunistic(Struct, frozen=True):
         return self.wait.decide(call)
 
 
-class LocationAware(Struct, frozen=True):
+@dataclass(frozen=True)
+class LocationAware:
     """The thesis's policy: the fastest server in range, unless the drone is faster (eqs. 3.2 to 3.4)."""
 
     gain_switch: float = 0.25
-    wait: WaitRule = WaitRule()
+    wait: WaitRule = _WAIT_RULE
     name: str = "location-aware"
     horizon: int = 0
 
