@@ -10,6 +10,7 @@ from tests.programs import ROOT
 
 from upwash.errors import ConfigError
 from upwash.eventlog import schema
+from upwash.eventlog.reasons import explained_calls, worst_of
 from upwash.eventlog.results import as_json
 from upwash.lab.simulation import Simulation, simulate
 
@@ -65,6 +66,13 @@ def test_its_totals_have_the_turns_back_also_if_there_was_none() -> None:
         run = survey(event={"every": every, "offset": 5 if every == 10 else 999})
         assert as_json(run.totals)["turns_back"] == run.totals.turns_back == turns
     assert "turns_back" not in as_json(simulate(ROOT / "scenarios/demonstration.toml").totals)
+
+
+def test_the_time_in_line_is_no_loss_of_a_call() -> None:
+    run = survey(policy__name="local-only")
+    texts = list(explained_calls(run.events))
+    assert len(texts) == 121 and max(call.delay_s for call in run.calls) > 60.0
+    assert worst_of(texts, 3) == []
 
 
 def test_every_demand_is_met_at_its_place_once() -> None:

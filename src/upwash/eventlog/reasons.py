@@ -77,11 +77,13 @@ class ExplainedCall:
     def loss_s(self) -> float:
         """By how much it took longer than was expected of the best place when it began.
 
-        0 where that is unknown, or no more than estimates are wrong by.
+        0 where that is unknown, or no more than estimates are wrong by. Of several open calls the time in line does
+        not count, as the drone flies on meanwhile.
         """
         expected_s = self.decisions[0].expected_s.values() if self.decisions else ()
         best_s = min(expected_s, default=self.outcome.delay_s)
-        lost_s = self.outcome.delay_s - best_s
+        in_line_s = (self.outcome.queued_s or 0.0) if self.outcome.waypoint is not None else 0.0
+        lost_s = self.outcome.delay_s - in_line_s - best_s
         return lost_s if lost_s > max(_LEAST_LOSS_S, _LEAST_LOSS * best_s) else 0.0
 
 

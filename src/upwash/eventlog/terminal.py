@@ -183,7 +183,9 @@ def _calls_line(totals: Totals, *, servers: bool) -> str:
         ]
     elif servers:
         parts.append("no server was selected")
-    return "; ".join((*parts, f"{totals.service_delay_s:.1f} s spent in calls"))
+    waited_s = totals.service_delay_s - totals.hidden_s
+    spent = "spent in calls" if not totals.hidden_s else "waited for answers"
+    return "; ".join((*parts, f"{waited_s:.1f} s {spent}"))
 
 
 def _waits(totals: Totals) -> str:
@@ -200,9 +202,9 @@ def _lighter_line(result: RunResult) -> str:
 
 def _going_line(totals: Totals) -> str:
     back = totals.turns_back or "none"
-    went_on = f"flew on before {counted(totals.went_on, 'answer')}, and turned back for {back}"
-    busy = f"did other things during {totals.hidden_s:.1f} s of the calls"
-    return "; ".join([*([went_on] if totals.went_on else []), *([busy] if totals.hidden_s else [])])
+    if not totals.went_on:
+        return ""
+    return f"flew on before {counted(totals.went_on, 'answer')}, and turned back for {back}"
 
 
 def _energy_line(energy: EnergyTotals) -> str:

@@ -89,8 +89,8 @@ def _going(totals: Totals) -> str:
         return ""
     back = totals.turns_back or "none"
     return (
-        f" The drone flew on before {counted(totals.went_on, 'answer')} and turned back for {back}: "
-        f"during {lasting(totals.hidden_s)} of the calls it did something else."
+        f" The drone flew on before {counted(totals.went_on, 'answer')} and turned back for {back}; it waited for "
+        f"answers for {lasting(totals.service_delay_s - totals.hidden_s)}."
     )
 
 
