@@ -33,7 +33,7 @@ async def test_a_heading_is_part_of_the_setpoints_until_the_next_leg() -> None:
         assert last.yaw == pytest.approx(math.radians(-90))
         await autopilot.goto(Position(20.0, 0.0, 5.0))
         last = of_kind(sky, "SET_POSITION_TARGET_GLOBAL_INT")[-1]
-        assert last.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+        assert last.yaw == pytest.approx(math.radians(90)), "the nose points along the leg"
         await autopilot.return_home_and_land()
 
 

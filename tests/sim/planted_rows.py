@@ -12,10 +12,10 @@ from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.demand_map import DemandMap
+from upwash.drone.legs import Legs
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
 from upwash.drone.rows import Rows
-from upwash.drone.vehicle import Vehicle
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import call_promises
@@ -52,9 +52,7 @@ def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0) -> Any:
     return demanding
 
 
-plant(
-    "a spot that was passed during a call is not flown back to", Vehicle, "_is_beyond", lambda *_, **__: False
-)
+plant("a spot that was passed during a call is not flown back to", Legs, "_is_beyond", lambda *_, **__: False)
 plant(
     "the number of open photos has no bound",
     Rows,

@@ -47,6 +47,14 @@ class DemandFile:
         self.file = file
         self._map = read_kept(file, _Map, empty=_Map(upwash_demands=1), name="map of demands")
 
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same file with the same content."""
+        return isinstance(other, DemandFile) and (self.file, self._map) == (other.file, other._map)
+
+    def __hash__(self) -> int:
+        """By the file."""
+        return hash(self.file)
+
     @property
     def is_empty(self) -> bool:
         """Whether no flight has had an answer yet."""
