@@ -1,4 +1,4 @@
-"""The file that keeps, between flights, at which places answers had demands."""
+"""The file that keeps, between flights, the places of answers with demands."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from upwash.errors import ConfigError
 from upwash.support.input_files import read_file, text_of, why_unreadable
 from upwash.support.output_files import write_file
 
-FORGOTTEN_AFTER = 5  # flights: a place that no flight came to is forgotten after them
+FORGOTTEN_AFTER = 5  # flights without a visit, after which a place is forgotten
 
 _MOST_BYTES = 50_000_000
 Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
