@@ -95,7 +95,7 @@ def test_what_went_wrong_is_told_with_its_number_in_the_amber_block(tmp_path: Pa
     assert not told(log, "urgent")
     (block,) = of_class(parsed(log), "caution")
     assert [text(item) for item in block[1]] == [
-        "1 call got no usable answer from a server and fell back to the drone.",
+        "1 call fell back to the drone: a server gave no usable answer, or the drone left its range.",
         "The server s1 was blacklisted 2 times, last at 0:44: no answer within 5 s.",
         "The vehicle fell silent once, at the longest for 5.5 s.",
         "The vehicle said: Battery low (error) (2 times).",

@@ -366,6 +366,16 @@ def test_the_outlook_tells_how_late_the_flight_is_and_why(
         assert "as forecast" in page.text(".outlook")
 
 
+def test_a_flight_on_rows_is_late_by_its_turns_back(page: Browser, tmp_path: Path) -> None:
+    rows = scenario(mission={"photos": {"every_m": 20.0}}, event={"every": 6, "offset": 2})
+    run, log = simulate(rows), tmp_path / "rows.jsonl"
+    log.write_bytes(run.log())
+    with view_of(log) as address:
+        opened(page, address)
+        turns = run.result.totals.turns_back
+        assert turns > 1 and page.text(".outlook").endswith(f" late: turned back {turns} times")
+
+
 def test_keys_play_and_move_anywhere_on_the_page(page: Browser, one: str) -> None:
     opened(page, one)
     body = page.find("body")

@@ -144,7 +144,8 @@ class Notices:
             case schema.Call(fell_back=True):
                 self._fell_back += 1
                 fell = counted(self._fell_back, "call")
-                yield Notice("fallbacks", f"{fell} fell back to the drone, as a server gave no usable answer")
+                why = "a server gave no usable answer, or the drone left its range"
+                yield Notice("fallbacks", f"{fell} fell back to the drone: {why}")
             case schema.VehicleSaid(severity=severity) if severity <= WARNING:
                 yield from self._say(event)
 

@@ -64,7 +64,8 @@ def told_share(config: DroneConfig) -> str:
     if share is None:
         return ""
     said = f"{100 * share:.3g} % of the answers demand something" if share else "no answer demands anything"
-    why = "as [event] says" if config.event else "as there is no [event]"
+    kept = "; policy.demand_map counts in the choice of a speed alone" if config.policy.demand_map else ""
+    why = f"as [event] says{kept}" if config.event else f"as there is no [event]{kept}"
     return f"the drone may go on before answers are there (policy.stay_or_go); here {said}, {why}"
 
 

@@ -147,7 +147,8 @@ class NoticesTaken:
 
     def _cautions(self, result: RunResult) -> Iterator[str]:
         if fallbacks := result.totals.fallbacks:
-            yield f"{counted(fallbacks, 'call')} got no usable answer from a server and fell back to the drone"
+            why = "a server gave no usable answer, or the drone left its range"
+            yield f"{counted(fallbacks, 'call')} fell back to the drone: {why}"
         for server, (times, last) in sorted(self._blacklisted.items(), key=lambda entry: by_name(entry[0])):
             yield f"The server {server} was blacklisted {_often(times)}, last {last}"
         if self._lost_links:

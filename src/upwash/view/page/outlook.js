@@ -37,7 +37,13 @@ function againstForecast(moment) {
   const { lateS, failed } = moment;
   if (Math.abs(lateS) < Math.max(1, ON_TIME * moment.story.forecast.ends_s)) return "as forecast";
   if (lateS < 0) return `${told(-lateS)} early`;
-  return failed.length ? `${told(lateS)} late: ${failed.join(", ")} failed` : `${told(lateS)} late`;
+  const back = moment.count("turn");
+  const why = [failed.length ? `${failed.join(", ")} failed` : "", back ? `turned back ${often(back)}` : ""];
+  return [`${told(lateS)} late`, why.filter(Boolean).join(", ")].filter(Boolean).join(": ");
+}
+
+function often(times) {
+  return times === 1 ? "once" : `${times} times`;
 }
 
 // The one in use with its round trip, and the next of the plan with the time until the drone is in its range.
