@@ -12,6 +12,7 @@ from upwash.config.kept_places import (
     FORGOTTEN_AFTER,
     Count,
     Home,
+    KeptMap,
     Metres,
     home_of,
     read_kept,
@@ -51,24 +52,17 @@ class _Map(Struct, forbid_unknown_fields=True):
     servers: Mapping[str, Annotated[Sequence[_Place], Meta(max_length=MOST_PLACES)]] = {}
 
 
-class CoverageFile:
+class CoverageFile(KeptMap):
     """A coverage map and its file; a missing file is an empty map."""
 
-    # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
-
     def __init__(self, file: Path) -> None:
-        self.file = file
         self._map = read_kept(file, _Map, empty=_Map(upwash_coverage=1), name="coverage map")
+        super().__init__(file, self._map, self._map.home)
 
     @property
     def is_empty(self) -> bool:
         """Whether no flight has measured a place yet."""
         return not any(self._map.servers.values())
-
-    @property
-    def has_home(self) -> bool:
-        """Whether the map knows where on the Earth its places are."""
-        return self._map.home is not None
 
     def places(self, home: GeoPosition | None) -> dict[str, list[MeasuredPlace]]:
         """What earlier flights measured of each server, around that home; new values at each call."""

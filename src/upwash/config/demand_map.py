@@ -12,6 +12,7 @@ from upwash.config.kept_places import (
     FORGOTTEN_AFTER,
     Count,
     Home,
+    KeptMap,
     Metres,
     home_of,
     read_kept,
@@ -38,32 +39,17 @@ class _Map(Struct, forbid_unknown_fields=True):
     places: Annotated[Sequence[_Place], Meta(max_length=MOST_PLACES)] = ()
 
 
-class DemandFile:
+class DemandFile(KeptMap):
     """A map of demands and its file; a missing file is an empty map."""
 
-    # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
-
     def __init__(self, file: Path) -> None:
-        self.file = file
         self._map = read_kept(file, _Map, empty=_Map(upwash_demands=1), name="map of demands")
-
-    def __eq__(self, other: object) -> bool:
-        """Whether it is the same file with the same content."""
-        return isinstance(other, DemandFile) and (self.file, self._map) == (other.file, other._map)
-
-    def __hash__(self) -> int:
-        """By the file."""
-        return hash(self.file)
+        super().__init__(file, self._map, self._map.home)
 
     @property
     def is_empty(self) -> bool:
         """Whether no flight has had an answer yet."""
         return not self._map.places
-
-    @property
-    def has_home(self) -> bool:
-        """Whether the map knows where on the Earth its places are."""
-        return self._map.home is not None
 
     def places(self, home: GeoPosition | None) -> list[DemandPlace]:
         """The places of earlier flights' answers around that home, at the beginning of the next flight."""

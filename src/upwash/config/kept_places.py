@@ -32,6 +32,30 @@ class Home(Struct, forbid_unknown_fields=True):
     longitude_deg: Annotated[float, Meta(ge=-180, le=180)]
 
 
+class KeptMap:
+    """A map and its file; a missing file is an empty map."""
+
+    # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
+
+    def __init__(self, file: Path, content: Struct, home: Home | None) -> None:
+        self.file = file
+        self._content = content
+        self._home = home
+
+    @property
+    def has_home(self) -> bool:
+        """Whether the map knows where on the Earth its places are."""
+        return self._home is not None
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same file with the same content."""
+        return isinstance(other, KeptMap) and (self.file, self._content) == (other.file, other._content)
+
+    def __hash__(self) -> int:
+        """By the file."""
+        return hash(self.file)
+
+
 def home_of(place: GeoPosition | None) -> Home | None:
     """The home that a file keeps."""
     return None if place is None else Home(place.latitude_deg, place.longitude_deg)
