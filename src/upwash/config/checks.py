@@ -478,9 +478,9 @@ def _true_call_problems(
     if key in truth.remote_call_s.get(service.name, {}):
         return
     if key not in truth.processing_s.get(service.name, {}):
-        needs = f'radio = "{truth.radio}"' if truth.goodput is None else "goodput_csv"
+        needs = f'radio = "{truth.radio}"' if truth.goodput_csv is None else "goodput_csv"
         yield "truth.processing_s", f"nothing for {operation}, as {needs} needs it: add it"
-    elif truth.radio == "fixed" and truth.goodput is None and server.bandwidth_bit_s is None:
+    elif truth.radio == "fixed" and truth.goodput_csv is None and server.bandwidth_bit_s is None:
         yield "bandwidth_bit_s", f"missing, and {operation} has no truth.remote_call_s: add one of them"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
@@ -10,7 +11,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from upwash.config.drone import ServerConfig, ServiceConfig
-from upwash.config.traces import GoodputTrace, read_goodput_trace, read_service_times
+from upwash.config.traces import read_service_times
 from upwash.core.operation import Operation
 
 Times = Mapping[str, Mapping[str, float]]  # seconds, by service and profile key
@@ -25,7 +26,7 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     `processing_s` and the transfer: by the radio's goodput at the drone's distance, or else by the bandwidth.
 
     An instance computes `lanes` calls at a time; None: as many as its service declares. A call of `remote_call_s`
-    occupies a lane for its `occupying_s`, if that is known, or else for all of its time. `processing_s` has the
+    occupies a lane for its `occupying_s`; where that is unknown, for all of its time. `processing_s` has the
     means of `service_times`, which are by operation as the trace names it.
     """
 
@@ -38,7 +39,7 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     first_extra_s: float
     bandwidth_bit_s: float | None
     radio: str
-    goodput: GoodputTrace | None
+    goodput_csv: Path | None
     service_times: Mapping[str, Sequence[float]]
     slots: int | Literal["auto"]
     turn_s: float
@@ -63,7 +64,7 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
         first_extra_s=truth.first_extra_s,
         bandwidth_bit_s=server.bandwidth_bit_s,
         radio=truth.radio,
-        goodput=None if truth.goodput_csv is None else read_goodput_trace(truth.goodput_csv),
+        goodput_csv=truth.goodput_csv,
         service_times=times,
         slots=truth.slots,
         turn_s=_TURN_S if truth.turn_s is None else truth.turn_s,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from upwash.config import ServerTruth
-from upwash.config.traces import GoodputTrace
+from upwash.config.traces import GoodputTrace, read_goodput_trace
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of
@@ -27,7 +27,7 @@ _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """Where and when something is sent; without a position at the best place, without a time at the best time."""
+    """A place and a time of sending; without a position at the best place, without a time at the best time."""
 
     distance_m: float
     position: Position | None = None
@@ -89,10 +89,9 @@ class GoodputInTime:
         left_bits = 8.0 * data_bytes
         if at.now_s is None:
             return left_bits / max(self.goodput_bit_s)
-        number, now_s = max(0, bisect.bisect_right(self.times_s, at.now_s) - 1), at.now_s
-        for goodput_bit_s, until_s in zip(
-            self.goodput_bit_s[number:], self.times_s[number + 1 :], strict=False
-        ):
+        first, now_s = max(0, bisect.bisect_right(self.times_s, at.now_s) - 1), at.now_s
+        for number in range(first, len(self.times_s) - 1):
+            goodput_bit_s, until_s = self.goodput_bit_s[number], self.times_s[number + 1]
             if left_bits <= goodput_bit_s * (until_s - now_s):
                 return now_s + left_bits / goodput_bit_s - at.now_s if left_bits else 0.0
             left_bits -= goodput_bit_s * (until_s - now_s)
@@ -124,10 +123,15 @@ def traced(trace: GoodputTrace) -> Goodput:
     return (GoodputInTime if trace.columns[0] == "t_s" else GoodputTable)(*columns)
 
 
+@lru_cache
+def _traced_in(file: Path) -> Goodput:
+    return traced(read_goodput_trace(file))
+
+
 def goodput_of(truth: ServerTruth, service: str) -> Goodput | None:
     """The goodput for the service's calls to the server; None if their delays are given end to end."""
-    if truth.goodput is not None:
-        return traced(truth.goodput)
+    if truth.goodput_csv is not None:
+        return _traced_in(truth.goodput_csv)
     table = read_goodput(truth.radio)
     if table is not None or service in truth.remote_call_s or truth.bandwidth_bit_s is None:
         return table

@@ -225,7 +225,7 @@ def computing_s(operation: Operation, truth: ServerTruth) -> float:
 def occupying_s(operation: Operation, truth: ServerTruth) -> float:
     """The part (s) of a call's true delay that occupies its instance; the rest is the transfer."""
     call_s = computing_s(operation, truth)
-    if truth.radio != "fixed" or truth.goodput is not None:  # whose transfers come on top
+    if truth.radio != "fixed" or truth.goodput_csv is not None:  # whose transfers come on top
         return call_s
     processing_s = _of(operation, truth.occupying_s.get(operation.service, {}))
     return call_s if processing_s is None else min(processing_s, call_s)
