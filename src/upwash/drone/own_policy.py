@@ -1,8 +1,8 @@
 """A policy of the user's own: a class in a file or module, loaded before take-off.
 
 The rest of the drone relies on a policy's answers, and runs on the same thread. So each question has a limit of time,
-and each answer is checked. An own policy that raises, is silent, or names a server that is not there is a defect:
-offloading ends with its reason, and the mission goes on with every call on the drone.
+and each answer is checked. A policy that raises, is silent, or names a server that is not there is a
+defect. Offloading ends with its reason, and the mission goes on with every call on the drone.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class OwnPolicy:
 
 
 class _Answering:
-    """One thread that own policies answer on; one that does not answer is given up, and has another in its place."""
+    """The thread that own policies answer on. A thread that does not answer is given up, and replaced."""
 
     def __init__(self) -> None:
         self._questions: SimpleQueue[tuple[Callable[[], Any], Future[Any]]] | None = None

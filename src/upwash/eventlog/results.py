@@ -77,8 +77,8 @@ class Totals:
 
     `waits` counts the calls that waited for a server, `waits_failed` the waits for a server that was not ready in
     time, and `switches` the selections of a server. `lighter` counts the calls that ran lighter than the mission
-    asked for, `went_on` the answers before which the drone flew on, and `turns_back` the answers for which it came
-    back. `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
+    asked for. `went_on` counts the answers that the drone did not wait for, and `turns_back` its ways back for
+    answers. `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
     """
 
     calls: int

@@ -184,7 +184,7 @@ def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> It
 
 
 def _is_slower(this: Prediction, than: Prediction, *, sure: bool = True) -> bool:
-    """Whether it is slower by enough to be told; if `sure`, also by more than the margins of both."""
+    """Whether it is slower by enough for a warning; if `sure`, also by more than the margins of both."""
     if this.mission_time_s is None or than.mission_time_s is None:
         return this.mission_time_s is None and than.mission_time_s is not None
     margin_s = this.certain_margin_s + than.certain_margin_s if sure else 0.0

@@ -1,7 +1,7 @@
 """When photos are expected to be answered that a drone takes in flight: on the drone, or on one server at a time.
 
-    in line     photos that neither place computes; the oldest first, or the newest
-    its place   where a photo is answered first, as in core/selection/call_placement.py: it waits until that is free
+    in line     photos that wait; the oldest is first, or the newest
+    its place   where a photo is answered first (core/selection/call_placement.py)
     a server    the fastest in range, used after its check, until the drone leaves its range
 
 Calls take their estimates and nothing fails. A photo that a server had when its range ended is first in line again.

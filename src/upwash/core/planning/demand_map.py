@@ -44,7 +44,7 @@ class DemandPlace:
 
 
 class DemandMap:
-    """The places of answers around a plan; `near_m` is the distance at which an answer still says much."""
+    """The places of answers around a plan; an answer `near_m` away still says much."""
 
     def __init__(self, known: Iterable[DemandPlace], *, near_m: float) -> None:
         self._near_m = near_m
@@ -101,6 +101,6 @@ class DemandMap:
 
 
 def near_m(plan: Sequence[Waypoint]) -> float:
-    """The distance at which an answer still says much: between two waypoints of the plan, but at least 10 m."""
+    """How far away an answer still says much: as far as two waypoints of the plan lie apart, but at least 10 m."""
     ways_m = [ground_distance_m(one.position, other.position) for one, other in itertools.pairwise(plan)]
     return max(_LEAST_NEAR_M, median(ways_m)) if ways_m else _LEAST_NEAR_M

@@ -15,7 +15,7 @@ MOST_LABELS = 64  # that a schedule is chosen from: twice what flights among 50 
 
 @dataclass(frozen=True)  # without slots, so that users can extend it
 class LookAhead:
-    """Selects the server with which the coming calls are over soonest; as location-aware if no calls are foreseen.
+    """Selects the server that ends the coming calls soonest; as location-aware if no calls are foreseen.
 
     The selected server is left only if that saves more than the fraction `gain_leave` of a local call over all those
     calls, as estimates are never exact.

@@ -1,6 +1,6 @@
 """Policies: which server to select, and where a call runs (thesis sections 3.3 and 3.4).
 
-A policy is a value that decides both from its arguments alone. It has no memory and asks nobody else. Users extend
+A policy decides both from its arguments alone. A built-in policy has no memory. Users extend
 these classes (docs/own-policy.md).
 """
 

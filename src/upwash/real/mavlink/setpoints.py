@@ -21,7 +21,7 @@ from upwash.real.mavlink.tracker import PositionTracker
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.support.background import end, start
 
-_TURNS_DEG_S = 45.0  # a vehicle that is told to turn at once turns with all its might
+_TURNS_DEG_S = 45.0  # a setpoint that jumps makes the vehicle turn with all its might
 _LOOKS_AHEAD_M = 5.0  # a shorter leg does not turn the nose, as with an ArduCopter
 
 _PERIOD_S = 0.05
