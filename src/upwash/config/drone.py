@@ -214,10 +214,9 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     yaw_deg: values.Turn = 0.0
     """How far right of the nose the camera looks."""
     photo_px: PhotoSize | None = None
-    """The width and the height of a photo, in pixels: with the lens they tell what of a row [a photo
-    shows](rows.md#which-speed)."""
+    """The width and the height of a photo, in pixels, for [the overlap of photos](rows.md#which-speed)."""
     exposure_s: values.Positive | None = None
-    """The exposure of a photo taken in flight, in seconds, such as 0.001: with the lens it tells the blur."""
+    """The exposure of a photo taken in flight, in seconds, such as 0.001, for the blur."""
     gimbal: bool = False
     """The camera hangs on a gimbal that keeps it level; `tilt_deg` and `yaw_deg` hold until it is pointed."""
     terrain: values.FilePath | None = None

@@ -99,7 +99,7 @@ class Lightened(Struct, frozen=True):
 
 
 class Inputs(Struct, frozen=True):
-    """The facts from which a call's decision was made, so that it can be made again.
+    """The facts behind a call's decision. With them the decision can be repeated.
 
     `selected` is the server in use. Without one, `selected`, its `state`, the number of its `check` and its estimates
     are None. `check_s` is the expected time of its check, and `check_elapsed_s` the part that is over. If the call is
