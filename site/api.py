@@ -42,6 +42,7 @@ _SECTIONS = {
     "In a service": ("service", "once"),
     "In a notebook": (
         *("simulate", "Simulation", "simulate_fleet", "FleetSimulation", "compare", "ComparedPolicy"),
+        "draw_world",
         *("read_log", "read_result", "Event", "RunResult", "CallResult", "Totals", "EnergyTotals"),
         *("Bound", "FleetBound"),
     ),

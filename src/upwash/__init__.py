@@ -75,6 +75,7 @@ __all__ = [
     "Via",
     "Waypoint",
     "compare",
+    "draw_world",
     "once",
     "read_log",
     "read_result",
@@ -98,6 +99,7 @@ if TYPE_CHECKING:
     from upwash.lab.campaigns.comparison import ComparedPolicy, compare
     from upwash.lab.least_time import Bound, FleetBound
     from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
+    from upwash.lab.worlds import draw_world
     from upwash.rpc.service import once, service
 else:
     _NAMES = {
@@ -114,6 +116,7 @@ else:
         "upwash.eventlog.results": ("CallResult", "EnergyTotals", "RunResult", "Totals", "read_result"),
         "upwash.eventlog.schema": ("Event",),
         "upwash.lab.campaigns.comparison": ("ComparedPolicy", "compare"),
+        "upwash.lab.worlds": ("draw_world",),
         "upwash.lab.simulation": ("FleetSimulation", "Simulation", "simulate", "simulate_fleet"),
         "upwash.rpc.service": ("once", "service"),
     }

@@ -15,12 +15,13 @@ import msgspec
 import pytest
 from tests.sim.planted import deadline_ignored
 
-from upwash.cli.chaos import seeds
+from upwash.cli.arguments import seeds
 from upwash.cli.main import main
 from upwash.config import Lie, drone_config
 from upwash.lab.faults import campaign as chaos
-from upwash.lab.faults.display import Summary, as_toml, judge_all
+from upwash.lab.faults.display import Summary, judge_all
 from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs
+from upwash.lab.scenario import as_toml
 
 WORLDS, CHUNK = 1_000, 100  # of the same seeds every time, and as many of seeds of the day
 

@@ -34,6 +34,14 @@ def count(text: str) -> int:
     return int(text)
 
 
+def seeds(text: str) -> range:
+    """Whole numbers from 1 to N, or from A to B where they are written A..B."""
+    first, dots, last = text.partition("..") if ".." in text else ("1", "..", text)
+    if not (dots and first.isdecimal() and last.isdecimal() and 1 <= int(first) <= int(last)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not N or A..B, such as 200 or 1..2000")
+    return range(int(first), int(last) + 1)
+
+
 def port(text: str) -> int:
     """A TCP port, or 0."""
     if not text.isdecimal() or int(text) > 65_535:

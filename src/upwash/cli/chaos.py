@@ -4,18 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from upwash.cli.arguments import OneOf, option
+from upwash.cli.arguments import OneOf, option, seeds
 from upwash.errors import UsageError
 from upwash.lab.faults.display import replay, show_chaos
-
-
-def seeds(text: str) -> range:
-    """Whole numbers from 1 to N, or from A to B where they are written A..B."""
-    first, dots, last = text.partition("..") if ".." in text else ("1", "..", text)
-    if not (dots and first.isdecimal() and last.isdecimal() and 1 <= int(first) <= int(last)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not N or A..B, such as 200 or 1..2000")
-    return range(int(first), int(last) + 1)
-
 
 ARGUMENTS = {
     "which": OneOf(

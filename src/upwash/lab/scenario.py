@@ -176,3 +176,35 @@ def with_policy(config: DroneConfig, name: str) -> DroneConfig:
     policy = config.policy.under(name)
     drones = tuple(msgspec.structs.replace(drone, policy=None) for drone in config.drones)
     return msgspec.structs.replace(config, policy=policy, drones=drones)
+
+
+def as_toml(document: Document) -> str:
+    """The document as a file that says the same."""
+    lines = [f"{key} = {_toml(value)}" for key, value in document.items() if not _is_table(value)]
+    for key, value in document.items():
+        if not _is_table(value):
+            continue
+        for table in value if isinstance(value, list) else [value]:
+            lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
+            lines += [f"{name} = {_toml(item)}" for name, item in table.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, dict) or (
+        isinstance(value, list) and all(isinstance(item, dict) for item in value)
+    )
+
+
+def _toml(value: object) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return f'"{value}"'
+        case dict():
+            inner = ", ".join(f'"{key}" = {_toml(item)}' for key, item in value.items())
+            return f"{{ {inner} }}"
+        case list():
+            return f"[{', '.join(_toml(item) for item in value)}]"
+    return repr(value)

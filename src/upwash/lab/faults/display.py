@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.text import Text
 
-from upwash.config import Document
 from upwash.lab.faults.campaign import FlownWorld, WorldVerdict, fly_world, judge
 from upwash.lab.faults.promises import Broken
 from upwash.lab.processes import in_processes
+from upwash.lab.scenario import as_toml
 from upwash.support.output_files import write_file
 from upwash.support.sentences import say
 from upwash.support.text import plural
@@ -180,35 +180,3 @@ def _quiet_daemons() -> Iterator[None]:
         yield
     finally:
         daemons.disabled = before
-
-
-def as_toml(document: Document) -> str:
-    """The document as a file that says the same."""
-    lines = [f"{key} = {_toml(value)}" for key, value in document.items() if not _is_table(value)]
-    for key, value in document.items():
-        if not _is_table(value):
-            continue
-        for table in value if isinstance(value, list) else [value]:
-            lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
-            lines += [f"{name} = {_toml(item)}" for name, item in table.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _is_table(value: object) -> bool:
-    return isinstance(value, dict) or (
-        isinstance(value, list) and all(isinstance(item, dict) for item in value)
-    )
-
-
-def _toml(value: object) -> str:
-    match value:
-        case bool():
-            return "true" if value else "false"
-        case str():
-            return f'"{value}"'
-        case dict():
-            inner = ", ".join(f'"{key}" = {_toml(item)}' for key, item in value.items())
-            return f"{{ {inner} }}"
-        case list():
-            return f"[{', '.join(_toml(item) for item in value)}]"
-    return repr(value)

@@ -20,21 +20,20 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing
 from upwash.lab.observer import Observation
+from upwash.lab.worlds import LONGEST_FAULT_S, MOVING_KINDS, SERVER_KINDS, between, spell, stream
 
 _NOT_AIMED_AT = ("reached",)  # seen since worlds were first drawn: each seed keeps its faults
-_SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
 _USELESS_KINDS = ("hung", "poisoned", "unstartable")
-_MOVING_KINDS = ("off", "stuck", "slow", "flapping")
 _LIES = get_args(Lie)
 _NO_MAP = "no such folder/demands.json"  # of demands: as before the first flight
-_LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
 _INCIDENTS = {  # how long each lasts, in seconds
-    "diverted": (_LONGEST_FAULT_S,),
-    "home": (_LONGEST_FAULT_S,),
-    "jump": (2.0, 12.0, 40.0, _LONGEST_FAULT_S),
+    "diverted": (LONGEST_FAULT_S,),
+    "home": (LONGEST_FAULT_S,),
+    "jump": (2.0, 12.0, 40.0, LONGEST_FAULT_S),
     "restart": (0.3, 0.7, 2.0, 4.0),
     "impostor": (0.5, 5.0),
 }
+_LASTS_S = (0.02, 0.5, 2.0, 5.0, 12.0, 40.0, LONGEST_FAULT_S)  # of a fault
 _MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the ground and up or down
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
@@ -53,10 +52,6 @@ class Moment:
     server: str | None
 
 
-def _stream(name: str, number: int) -> random.Random:
-    return random.Random(f"{name}/{number}")  # noqa: S311 - not for secrets
-
-
 def moment_of(event: Event | Observation) -> Moment:
     """The moment of an event of a log, or of what an observer saw."""
     if isinstance(event, Observation):
@@ -70,10 +65,10 @@ class World:
 
     def __init__(self, seed: int) -> None:
         self._number = (seed - 1) // SEEDS_PER_SCENARIO
-        chance = _stream("world", self._number)
+        chance = stream("world", self._number)
         document = _Draft(chance, self._number).document()
         for name, rarity, change in _FEATURES:
-            own = _stream(name, self._number)
+            own = stream(name, self._number)
             if rarity is None or own.random() >= rarity:
                 document = change(document, own)
         self._documents = [document]
@@ -88,7 +83,7 @@ class World:
     def faulty(self, seed: int, events: Sequence[Moment]) -> list[Document]:
         """The same with the faults of the seed, aimed at moments of these events of the calm flight."""
         events = [event for event in events if event.what not in _NOT_AIMED_AT]
-        chance = _stream("faults", seed)
+        chance = stream("faults", seed)
         names = [server["name"] for server in self._documents[0]["server"]]
         moments = [event for event in events if event.what in _MOMENTS]
         faults = [
@@ -97,7 +92,7 @@ class World:
         if chance.random() < 0.15:
             faults += [_autopilot_fault(chance, events) for _ in range(chance.randint(1, 2))]
         for name, share, drawn in _MORE_FAULTS:
-            own = _stream(name, seed)
+            own = stream(name, seed)
             if own.random() <= share:
                 faults += drawn(own, names, moments, events)
         return [{**document, "fault": faults} for document in self._documents]
@@ -127,7 +122,7 @@ class _Draft:
                 "program": f"{probing.__name__}:{'look_and_read' if both else 'look'}",
                 "mode": self._mode,
                 "altitude_m": chance.choice((5.0, 20.0, 60.0)),
-                "ground_speed_m_s": _number(chance, 3.0, 15.0),
+                "ground_speed_m_s": between(chance, 3.0, 15.0),
                 "waypoints_m": self._places,
             },
             "vehicle": self._vehicle(),
@@ -138,9 +133,9 @@ class _Draft:
             "server": self._servers(),
         }
         if chance.random() < 0.3:
-            document["noise"] = {"call": _number(chance, 0.0, 0.4), "leg": _number(chance, 0.0, 0.1)}
+            document["noise"] = {"call": between(chance, 0.0, 0.4), "leg": between(chance, 0.0, 0.1)}
         if chance.random() < 0.1:
-            document["heat"] = {"ambient_c": _number(chance, 20.0, 60.0)}
+            document["heat"] = {"ambient_c": between(chance, 20.0, 60.0)}
         if chance.random() < 0.3:
             document["policy"]["hedge"] = {
                 "after": chance.choice(("p50", "p80", "p95")),
@@ -153,9 +148,9 @@ class _Draft:
         if chance.random() < 0.25:
             return {"profile": "arducopter"}
         return {
-            "acceleration_m_s2": _number(chance, 0.5, 5.0),
-            "takeoff_s": _number(chance, 0.0, 12.0),
-            "return_and_land_s": _number(chance, 1.0, 16.0),
+            "acceleration_m_s2": between(chance, 0.5, 5.0),
+            "takeoff_s": between(chance, 0.0, 12.0),
+            "return_and_land_s": between(chance, 1.0, 16.0),
         }
 
     def _policy(self) -> dict[str, Any]:
@@ -178,14 +173,14 @@ class _Draft:
             "name": "spotter",
             "program": f"{probing.__name__}:Spotter",
             "request_bytes": chance.choice((1_000, 100_000, 425_000)),
-            "local_call_s": {"light": _number(chance, 0.5, 4.0), "heavy": _number(chance, 3.0, 10.0)},
+            "local_call_s": {"light": between(chance, 0.5, 4.0), "heavy": between(chance, 3.0, 10.0)},
             "local_first_extra_s": chance.choice((0.0, 0.0, 2.0)),
         }
         gauge = {
             "name": "gauge",
             "program": f"{probing.__name__}:Gauge",
             "request_bytes": 10_000,
-            "local_call_s": {"": _number(chance, 0.3, 6.0)},
+            "local_call_s": {"": between(chance, 0.3, 6.0)},
         }
         return [spotter, gauge] if chance.random() < 0.35 else [spotter]
 
@@ -196,12 +191,12 @@ class _Draft:
     def _server(self, name: str) -> dict[str, Any]:
         chance = self._chance
         east_m, north_m = chance.choice(self._places)
-        check_running_s = _number(chance, 0.1, 6.0)
+        check_running_s = between(chance, 0.1, 6.0)
         server = {
             "name": name,
             "east_m": round(east_m + chance.uniform(-60, 60), 1),
             "north_m": round(north_m + chance.uniform(-60, 60), 1),
-            "range_m": _number(chance, 10.0, 160.0),
+            "range_m": between(chance, 10.0, 160.0),
             "network": "shared" if chance.random() < 0.1 else name,
             "check_running_s": check_running_s,
             "check_s": round(check_running_s + chance.uniform(0.0, 12.0), 2),
@@ -209,8 +204,8 @@ class _Draft:
         }
         truth: dict[str, Any] = {"slots": chance.choice((1, 1, 2))}
         if chance.random() < 0.5:  # it is not as believed
-            truth["join_s"] = _number(chance, 0.0, 12.0)
-            truth["start_s"] = _number(chance, 0.0, 20.0)
+            truth["join_s"] = between(chance, 0.0, 12.0)
+            truth["start_s"] = between(chance, 0.0, 20.0)
             truth["remote_call_s"] = self._remote_s(0.02, 2.0)
         elif chance.random() < 0.3:
             truth["radio"] = chance.choice(("disc54", "disc12"))
@@ -330,7 +325,7 @@ def _rows(chance: random.Random) -> list[list[float]]:
     """The starts and ends of one to three rows, side by side or anywhere."""
     count = chance.choice((1, 2, 2, 3))
     if chance.random() < 0.5:
-        length_m, apart_m = _number(chance, 10.0, 120.0), chance.choice((10.0, 20.0, 40.0))
+        length_m, apart_m = between(chance, 10.0, 120.0), chance.choice((10.0, 20.0, 40.0))
         return [
             [length_m if (number + end) % 2 else 0.0, apart_m * number]
             for number in range(count)
@@ -364,11 +359,11 @@ def _companion(document: Document, chance: random.Random, number: int) -> Docume
     """Another drone with its own mission and seed, among the same servers."""
     places = _places(chance)
     if "photos" in document["mission"]:
-        places = _rows(_stream("rows of a companion", document["seed"] * 10 + number))
+        places = _rows(stream("rows of a companion", document["seed"] * 10 + number))
     mission = {
         **document["mission"],
         "waypoints_m": places,
-        "ground_speed_m_s": _number(chance, 3.0, 15.0),
+        "ground_speed_m_s": between(chance, 3.0, 15.0),
     }
     return {
         **document,
@@ -380,12 +375,12 @@ def _companion(document: Document, chance: random.Random, number: int) -> Docume
 
 def _with_fleet(documents: list[Document], number: int) -> list[Document]:
     """In some worlds more drones take short turns at servers with few slots, or with measured ones."""
-    chance = _stream("fleet", number)
+    chance = stream("fleet", number)
     if chance.random() < 0.9:
         return documents
     document = documents[0]
     servers = [
-        {**server, "truth": {**server["truth"], "slots": slots, "turn_s": _number(chance, 12.0, 24.0)}}
+        {**server, "truth": {**server["truth"], "slots": slots, "turn_s": between(chance, 12.0, 24.0)}}
         for server in document["server"]
         for slots in [chance.choice((1, 1, 2, "auto"))]
     ]
@@ -404,14 +399,14 @@ def _fault(chance: random.Random, servers: Sequence[str], moments: Sequence[Mome
     on_link = chance.random() < 0.35
     return {
         "target": f"link:{server}" if on_link else server,
-        "kind": chance.choice(_MOVING_KINDS if on_link else _SERVER_KINDS),
-        **_spell(chance, from_s),
+        "kind": chance.choice(MOVING_KINDS if on_link else SERVER_KINDS),
+        **spell(chance, from_s, _LASTS_S),
     }
 
 
 def _autopilot_fault(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]:
     from_s = (chance.choice(events).t if events else 0.0) + chance.uniform(-1.0, 1.0)
-    return {"target": "autopilot", "kind": chance.choice(_MOVING_KINDS), **_spell(chance, from_s)}
+    return {"target": "autopilot", "kind": chance.choice(MOVING_KINDS), **spell(chance, from_s, _LASTS_S)}
 
 
 _Aims = Sequence[Moment]
@@ -474,17 +469,3 @@ _MORE_FAULTS = (  # the stream of each, and the share of worlds with it
     ("lies", 1 / 3, _lies),
     ("useless instances", 1 / 8, _useless_instances),
 )
-
-
-def _spell(chance: random.Random, from_s: float) -> dict[str, float]:
-    from_s = round(max(0.0, from_s), 4)
-    lasts_s = chance.choice((0.02, 0.5, 2.0, 5.0, 12.0, 40.0, _LONGEST_FAULT_S)) * chance.uniform(0.5, 1.5)
-    return {
-        "from_s": from_s,
-        "to_s": round(from_s + lasts_s, 4),
-        "extra_s": round(chance.choice((0.05, 1.0, 5.0, 30.0)) * chance.uniform(0.5, 1.5), 3),
-    }
-
-
-def _number(chance: random.Random, least: float, most: float) -> float:
-    return round(chance.uniform(least, most), 2)

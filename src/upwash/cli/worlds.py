@@ -1,0 +1,30 @@
+"""upwash worlds: writes worlds drawn at random, as scenarios."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from upwash.cli.arguments import option, seeds
+from upwash.lab.scenario import as_toml
+from upwash.lab.worlds import draw_world
+from upwash.support.output_files import write_file
+from upwash.support.sentences import say
+from upwash.support.text import counted
+
+ARGUMENTS = {
+    "--seeds N|A..B": option("draw the worlds of the seeds 1 to N, or A to B", type=seeds, required=True),
+    "--out DIR": option(
+        "where the scenarios go, as world-SEED.toml (default: worlds)", default=Path("worlds")
+    ),
+}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Draw them and write a file for each."""
+    for seed in options.seeds:
+        head = f"# World {seed}, drawn by: upwash worlds --seeds {seed}..{seed}\n"
+        write_file(options.out / f"world-{seed}.toml", (head + as_toml(draw_world(seed))).encode())
+    say(f"{counted(len(options.seeds), 'world')} in {options.out}", Console(markup=False))

@@ -1,0 +1,206 @@
+"""Worlds drawn at random, each from one seed: scenarios to compare policies in, as docs/worlds.md states them.
+
+Each subject draws from a stream of its own: a change of one leaves the others as they are. The small worlds of
+`faults/worlds.py`, which test promises, draw with the same functions and aim their faults at moments of a flight.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from typing import Any
+
+from upwash.config import Document
+
+HELD_OUT = range(100_001, 101_001)  # nobody tunes on these
+LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
+MOVING_KINDS = ("off", "stuck", "slow", "flapping")
+SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
+_LASTS_S = (2.0, 12.0, 40.0, 120.0, LONGEST_FAULT_S)
+_STOP_S = 12.0  # about what a waypoint takes: faults begin within a mission
+
+Places = Sequence[tuple[float, float]]
+
+
+def stream(name: str, number: int) -> random.Random:
+    """The random numbers of one subject of a world."""
+    return random.Random(f"{name}/{number}")  # noqa: S311 - not for secrets
+
+
+def between(chance: random.Random, least: float, most: float) -> float:
+    """A number from a uniform distribution."""
+    return round(chance.uniform(least, most), 2)
+
+
+def spread(chance: random.Random, least: float, most: float) -> float:
+    """A number from a log-uniform distribution."""
+    return round(float(least * (most / least) ** chance.random()), 3)
+
+
+def spell(chance: random.Random, from_s: float, lasts_s: Sequence[float]) -> dict[str, float]:
+    """When a fault begins and ends, and the extra time of a slow target."""
+    from_s = round(max(0.0, from_s), 4)
+    took_s = chance.choice(lasts_s) * chance.uniform(0.5, 1.5)
+    return {
+        "from_s": from_s,
+        "to_s": round(from_s + took_s, 4),
+        "extra_s": round(chance.choice((0.05, 1.0, 5.0, 30.0)) * chance.uniform(0.5, 1.5), 3),
+    }
+
+
+def draw_world(seed: int) -> Document:
+    """The scenario of the seed, from 1 on, as the tables of a TOML file."""
+    mission = _mission(stream("mission", seed))
+    service = _service(stream("service", seed))
+    places = _places(mission)
+    return {
+        "seed": seed,
+        "mission": mission,
+        "vehicle": _vehicle(stream("vehicle", seed)),
+        "camera": {"photo_s": between(stream("camera", seed), 0.2, 1.5)},
+        "network": {"radios": 2 if stream("radios", seed).random() < 0.15 else 1},
+        "noise": _noise(stream("noise", seed)),
+        "service": [service],
+        "server": (servers := _servers(stream("servers", seed), places, service)),
+        "fault": _faults(stream("faults", seed), servers, len(places)),
+        **_answers(stream("answers", seed), mission),
+        **_heat(stream("heat", seed)),
+        **_fleet(stream("fleet", seed), mission, service),
+    }
+
+
+def _mission(chance: random.Random) -> dict[str, Any]:
+    kind = chance.choices(("field", "line", "places", "rows"), (40, 25, 15, 20))[0]
+    mission: dict[str, Any] = {
+        "mode": chance.choice(("light", "heavy")),
+        "altitude_m": chance.choice((15.0, 20.0, 30.0, 60.0)),
+        "ground_speed_m_s": between(chance, 3.0, 12.0),
+    }
+    if kind == "places":
+        side_m = spread(chance, 100.0, 600.0)
+        count = chance.randint(15, 50)
+        places = [[round(chance.uniform(0.0, side_m), 1) for _ in range(2)] for _ in range(count)]
+        return mission | {"waypoints_m": places}
+    columns, rows = (
+        (chance.randint(20, 80), 1) if kind == "line" else (chance.randint(4, 9), chance.randint(4, 9))
+    )
+    spacing_m = float(round(spread(chance, 12.0, 60.0)))
+    mission["grid"] = {"columns": columns, "rows": rows, "spacing_m": spacing_m}
+    return mission | ({"photos": {"every_m": spacing_m}} if kind == "rows" else {})
+
+
+def _places(mission: Document) -> Places:
+    if "waypoints_m" in mission:
+        return [(east_m, north_m) for east_m, north_m in mission["waypoints_m"]]
+    grid = mission["grid"]
+    return [
+        (grid["spacing_m"] * column, grid["spacing_m"] * row)
+        for row in range(grid["rows"])
+        for column in range(grid["columns"])
+    ]
+
+
+def _vehicle(chance: random.Random) -> dict[str, Any]:
+    profile = chance.choices((None, "arducopter", "px4"), (60, 25, 15))[0]
+    numbers = {
+        "acceleration_m_s2": between(chance, 0.8, 3.0),
+        "takeoff_s": between(chance, 4.0, 12.0),
+        "return_and_land_s": between(chance, 8.0, 30.0),
+    }
+    return {"profile": profile} if profile else numbers
+
+
+def _noise(chance: random.Random) -> dict[str, float]:
+    most = {"call": 0.3, "leg": 0.05, "join": 0.3, "start": 0.3}
+    return {name: between(chance, 0.01, limit) for name, limit in most.items()}
+
+
+def _service(chance: random.Random) -> dict[str, Any]:
+    heavy_s = spread(chance, 1.0, 15.0)
+    return {
+        "name": "detector",
+        "request_bytes": chance.choice((50_000, 200_000, 425_000, 1_000_000)),
+        "local_call_s": {"light": round(heavy_s * chance.uniform(0.2, 0.5), 3), "heavy": heavy_s},
+        "local_first_extra_s": chance.choice((0.0, 0.0, 2.0)),
+    }
+
+
+def _servers(chance: random.Random, places: Places, service: Document) -> list[dict[str, Any]]:
+    count = chance.choices((1, 2, 3, 4, 6, 10), (15, 25, 20, 20, 12, 8))[0]
+    servers = [_server(chance, f"s{number}", places, service) for number in range(1, count + 1)]
+    if count > 1 and chance.random() < 0.3:
+        for server in servers:
+            others = [other["name"] for other in servers if other is not server]
+            server["truth"]["peers"] = [name for name in others if chance.random() < 0.7]
+    return servers
+
+
+def _server(chance: random.Random, name: str, places: Places, service: Document) -> dict[str, Any]:
+    range_m = spread(chance, 30.0, 200.0)
+    east_m, north_m = chance.choice(places)
+    running_s, start_s = between(chance, 0.5, 6.0), between(chance, 0.0, 15.0)
+    share = spread(chance, 0.03, 0.5) if chance.random() < 0.85 else between(chance, 0.5, 1.2)
+    believed_s = {key: round(local_s * share, 3) for key, local_s in service["local_call_s"].items()}
+    truth: dict[str, Any] = {"slots": chance.choice((1, 2, "auto"))}
+    if chance.random() < 0.4:  # it is not as believed
+        factor = spread(chance, 0.5, 3.0)
+        truth |= {
+            "join_s": round(running_s * chance.uniform(0.5, 2.0), 2),
+            "start_s": round(start_s * chance.uniform(0.5, 2.0), 2),
+            "range_m": round(range_m * chance.uniform(0.6, 1.1), 1),
+            "remote_call_s": {key: round(seconds * factor, 3) for key, seconds in believed_s.items()},
+        }
+    elif chance.random() < 0.35:
+        truth |= {"radio": chance.choice(("disc54", "disc12")), "processing_s": believed_s}
+    return {
+        "name": name,
+        "east_m": round(east_m + chance.uniform(-0.5, 0.5) * range_m, 1),
+        "north_m": round(north_m + chance.uniform(-0.5, 0.5) * range_m, 1),
+        "range_m": range_m,
+        "check_running_s": running_s,
+        "check_s": round(running_s + start_s, 2),
+        "remote_call_s": believed_s,
+        "truth": truth,
+    }
+
+
+def _faults(chance: random.Random, servers: Sequence[Document], stops: int) -> list[dict[str, Any]]:
+    return [
+        {
+            "target": f"link:{server['name']}" if on_link else server["name"],
+            "kind": chance.choice(MOVING_KINDS if on_link else SERVER_KINDS),
+            **spell(chance, chance.uniform(0.0, _STOP_S * stops), _LASTS_S),
+        }
+        for _ in range(chance.choices(range(4), (55, 20, 15, 10))[0])
+        for server, on_link in [(chance.choice(servers), chance.random() < 0.35)]
+    ]
+
+
+def _answers(chance: random.Random, mission: Document) -> dict[str, Any]:
+    """Some answers demand an action, and the drone may fly on before it has them."""
+    if chance.random() < (0.5 if "photos" in mission else 0.75):
+        return {}
+    return {
+        "mission": mission | {"action_s": between(chance, 1.0, 10.0)},
+        "event": {"probability": between(chance, 0.02, 0.2)},
+        "policy": {"stay_or_go": chance.choice(("stay", "go", "learn"))},
+    }
+
+
+def _heat(chance: random.Random) -> dict[str, Any]:
+    return {"heat": {"ambient_c": between(chance, 20.0, 50.0)}} if chance.random() < 0.25 else {}
+
+
+def _fleet(chance: random.Random, mission: Document, service: Document) -> dict[str, Any]:
+    """Other drones fly the same plan later, or a part of it, with faster or slower computers."""
+    if chance.random() >= 0.15:
+        return {}
+    drones: list[dict[str, Any]] = []
+    for number in range(1, chance.randint(2, 4) + 1):
+        drone: dict[str, Any] = {"name": f"d{number}", "departs_s": between(chance, 0.0, 120.0)}
+        if chance.random() < 0.3:
+            factor = chance.uniform(0.5, 2.0)
+            local_s = service["local_call_s"].items()
+            drone["local_call_s"] = {key: round(seconds * factor, 3) for key, seconds in local_s}
+        drones.append(drone)
+    return {"drone": drones}

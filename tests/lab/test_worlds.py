@@ -1,0 +1,43 @@
+"""Worlds drawn at random are scenarios, and stay the same."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from upwash.cli.main import main
+from upwash.lab.scenario import read_scenario
+from upwash.lab.worlds import HELD_OUT, draw_world
+
+
+def test_held_out_worlds_are_those_of_the_first_version() -> None:
+    worlds = [draw_world(seed) for seed in (*range(1, 1001), *HELD_OUT)]
+    assert (
+        hashlib.sha256(msgspec.json.encode(worlds)).hexdigest()
+        == "f8c7d8bb7f156e7e9bdbca1f49ad8ee2487f9f3f77a412003b4ceb44e3dfd2ba"
+    )
+
+
+def test_a_written_world_is_the_one_that_was_drawn(tmp_path: Path) -> None:
+    assert main(["worlds", "--seeds", "5..40", "--out", str(tmp_path)]) == 0
+    assert len(list(tmp_path.iterdir())) == 36
+    for seed in range(5, 41):
+        assert read_scenario(tmp_path / f"world-{seed}.toml") == read_scenario(draw_world(seed))
+
+
+def test_worlds_have_all_that_the_page_states() -> None:
+    worlds = [draw_world(seed) for seed in range(1, 301)]
+    shares = {
+        name: sum(name in world for world in worlds) / len(worlds) for name in ("drone", "heat", "event")
+    }
+    assert shares == {
+        name: pytest.approx(share, abs=0.08)
+        for name, share in (("drone", 0.15), ("heat", 0.25), ("event", 0.3))
+    }
+    assert {len(world["server"]) for world in worlds} == {1, 2, 3, 4, 6, 10}
+    assert {fault["kind"] for world in worlds for fault in world["fault"]} == {
+        "off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash",
+    }  # fmt: skip
