@@ -33,6 +33,7 @@ from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, 
 from upwash.preflight.speed import SpeedCheck, check_speed
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
 from upwash.preflight.waypoints import Farthest, ServerCoverage, coverage, farthest, uncovered
+from upwash.preflight.worth import Worth, judge, missions_to_judge
 
 
 class CheckInput(Struct, frozen=True):
@@ -50,7 +51,8 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     energy above it; None if the file does not say. `farthest` is the waypoint with the longest way home. `order` is
     the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
     plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
-    them. `speed` is the check of the ground speed, if photos are taken in flight.
+    them. `speed` is the check of the ground speed, if photos are taken in flight. `worth` is what the servers save a
+    drone that is flown well; UNSET without a server or with lighter calls.
     """
 
     config: str
@@ -67,6 +69,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     places: tuple[SuggestedPlace, ...] = ()
     demanding_share: float | UnsetType = UNSET
     speed: SpeedCheck | UnsetType = UNSET
+    worth: Worth | UnsetType = UNSET
 
 
 def read_plan(file: Path) -> CheckInput:
@@ -76,8 +79,9 @@ def read_plan(file: Path) -> CheckInput:
 
 
 def missions_to_fly(plan: CheckInput, seeds: int) -> int:
-    """How many missions `check` flies."""
-    return len(dict(cases(plan.document, plan.config))) * seeds
+    """How many missions `check` flies at most."""
+    further = missions_to_judge(plan.document, plan.config, plan.file)
+    return (len(dict(cases(plan.document, plan.config))) + further) * seeds
 
 
 def check(
@@ -119,6 +123,8 @@ def check(
         notices=tuple(plan_notices(plan.config)),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
         speed=check_speed(config, speed_why) or UNSET,
+        worth=judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
+        or UNSET,
     )
 
 

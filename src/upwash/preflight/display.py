@@ -23,6 +23,7 @@ from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
 from upwash.preflight.speed import told_speed
 from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
+from upwash.preflight.worth import told_worth
 from upwash.sim.chance import plays_a_part
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
@@ -102,6 +103,10 @@ def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, cons
         say(_NO_PACE, console)
     if share := told_share(config):
         say(share, console)
+    if found.worth is not UNSET:
+        console.print()
+        for line in told_worth(found.worth, config):
+            say(line, console)
     if found.speed is not UNSET:
         console.print()
         for line in told_speed(found.speed):

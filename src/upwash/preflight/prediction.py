@@ -48,14 +48,17 @@ def without(server: str) -> str:
 
 def demanding_share(config: DroneConfig) -> float | None:
     """The share of answers that demand an action at their waypoint; None if the drone stays for answers."""
-    if config.policy.stay_or_go == "stay":
-        return None
+    return None if config.policy.stay_or_go == "stay" else events_share(config)
+
+
+def events_share(config: DroneConfig) -> float:
+    """The share of answers that demand an action at their waypoint, by `[event]`."""
     if config.event is None:
         return 0.0
     if config.event.every is not None:
         return 1 / config.event.every
     chances = [config.event.chance(waypoint.position) for waypoint in waypoints(config.mission)]
-    return fmean(chances) if config.event.areas else config.event.probability
+    return fmean(chances) if config.event.areas else config.event.probability or 0.0
 
 
 def told_share(config: DroneConfig) -> str:
