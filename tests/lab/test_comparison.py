@@ -56,6 +56,29 @@ def test_scenarios_may_have_names_of_their_own_and_be_tables() -> None:
     assert without[0] == without[1]
 
 
+def test_drawn_worlds_are_one_case_with_what_each_saved() -> None:
+    policies = ["local-only", "look-ahead"]
+    local, ahead = upwash.compare(worlds=range(7, 10), policies=policies, seeds=1, workers=1)
+    assert (local.scenario, local.missions, local.saved_shares) == ("worlds 7..9", 3, ())
+    times_s = [
+        [upwash.simulate(upwash.draw_world(seed), policy=policy).mission_time_s for policy in policies]
+        for seed in range(7, 10)
+    ]
+    assert ahead.saved_shares == pytest.approx(sorted(1 - after / before for before, after in times_s))
+    assert ahead.bound_s < ahead.mean_s == pytest.approx(sum(after for _, after in times_s) / 3)
+
+
+def test_the_command_sets_losses_beside_gains(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    given = ["--worlds", "4..5", "--policy", "look-ahead", "--policy", "local-only", "--workers", "1"]
+    assert main(["compare", *given, "--figures", str(tmp_path)]) == 0
+    assert {file.name for file in tmp_path.iterdir()} == {"compare.png", "worlds.png"}
+    lines = capsys.readouterr().out.splitlines()
+    heading = next(line for line in lines if "beside look-ahead" in line)
+    cells = lines[lines.index(heading) + 2].split(" | ")
+    assert cells[2:4] == ["0", "2"]
+    assert float(cells[5].split()[0]) > 0
+
+
 def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     (tmp_path / PATROL.name).write_text(PATROL.read_text())
     with pytest.raises(upwash.UsageError, match=r'"look-ahaed"; did you mean "look-ahead"\?'):

@@ -13,12 +13,12 @@ from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
-from upwash.cli.arguments import figures_of, figures_with, option, repeated, seeds_of
+from upwash.cli.arguments import figures_of, figures_with, option, repeated, seeds, seeds_of
 from upwash.errors import UsageError
 from upwash.lab.campaigns.comparison import ComparedPolicy, compare
 from upwash.lab.campaigns.sweep import read_overrides
 from upwash.lab.figures import FigureFiles
-from upwash.support.confidence import Mean
+from upwash.support.confidence import Mean, mean_of
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 
@@ -28,6 +28,9 @@ Cell = Callable[[ComparedPolicy], str]
 ARGUMENTS = {
     "scenarios SCENARIO": option("TOML files", type=Path, nargs="*"),
     "--thesis": "the eight cells of the thesis's experiments too",
+    "--worlds N|A..B": option(
+        "the drawn worlds of the seeds 1 to N, or A to B, too: each is flown once", type=seeds
+    ),
     "--policy NAME": repeated(
         "fly only these policies, and compare them with the first; your own as mine.py:Class (default: all built in)",
         "policies",
@@ -44,8 +47,8 @@ ARGUMENTS = {
 
 def run(options: argparse.Namespace) -> None:
     """Fly them all with a progress bar, and print the results; in Markdown where no person reads them."""
-    if not options.scenarios and not options.thesis:
-        raise UsageError("nothing to compare in: name scenario files, or give --thesis")
+    if not options.scenarios and not options.thesis and not options.worlds:
+        raise UsageError("nothing to compare in: name scenario files, or give --thesis or --worlds 1..100")
     overrides = read_overrides(options.settings)
     figures = figures_of(options)
     with Progress(console=Console(stderr=True), transient=True) as bar:
@@ -55,6 +58,7 @@ def run(options: argparse.Namespace) -> None:
             policies=options.policies or None,
             overrides=overrides,
             seeds=options.seeds,
+            worlds=options.worlds,
             workers=options.workers,
             thesis=options.thesis,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
@@ -69,7 +73,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:
-    from upwash.lab.figures.means import DrawnMean, draw_means  # these need matplotlib
+    from upwash.lab.figures.means import DrawnMean, draw_means, draw_savings  # these need matplotlib
 
     drawn = []
     for row in rows:
@@ -82,6 +86,9 @@ def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:
             )
             drawn.append(DrawnMean(row.scenario, row.policy, time, saved, row.bound_s))
     draw_means(drawn, figures.files("compare"))
+    shares = {row.policy: row.saved_shares for row in rows if row.saved_shares}
+    if shares:
+        draw_savings(shares, figures.files("worlds"), first=rows[0].policy)
 
 
 def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
@@ -100,6 +107,8 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
             "turned back,\nmin hidden": _going_cell if any(row.hidden_s is not None for row in own) else None,
             "Wh": _energy_cell if any(row.energy_wh is not None for row in own) else None,
         }
+        if any(row.saved_shares for row in own):
+            columns |= {f"{title},\n{more}": cell for (title, more), cell in _BESIDE_FIRST.items()}
         shown = {title: cell for title, cell in columns.items() if cell is not None}
         table.add_column("", no_wrap=True)  # the mark of the quickest
         for title in shown:
@@ -162,6 +171,12 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
         winners = _winners(own)
         cells = (f"**{_cell(row)}**" if row in winners else _cell(row) for row in own)
         yield _line(scenario, _minutes(own[0].bound_s), *cells)
+    beside = [row for row in rows if row.saved_shares]
+    if beside:
+        yield ""
+        yield from _heading(f"in each world, beside {rows[0].policy}", *map(" ".join, _BESIDE_FIRST))
+        for row in beside:
+            yield _line(row.policy, *(cell(row) for cell in _BESIDE_FIRST.values()))
     further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
         ("worst minutes, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
         ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),
@@ -206,6 +221,29 @@ def _energy_cell(row: ComparedPolicy) -> str:
         return "-"
     margin = f" ± {row.energy_half_width_wh:.2f}" if row.completed > 1 else ""
     return f"{row.energy_wh:.2f}{margin}"
+
+
+def _saved_cell(row: ComparedPolicy) -> str:
+    if not row.saved_shares:
+        return "-"
+    saved = mean_of(row.saved_shares)
+    return _percent(saved.value) + (f" ± {100 * saved.margin:.1f}" if saved.count > 1 else "")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share + 0.0:.1f} %"
+
+
+_EVEN = 0.01  # smaller differences count as none
+_BESIDE_FIRST: dict[tuple[str, str], Cell] = {
+    ("mean time", "saved"): _saved_cell,
+    ("quicker", "by 1 % or more"): lambda row: f"{sum(share >= _EVEN for share in row.saved_shares)}",
+    ("slower", "by 1 % or more"): lambda row: f"{sum(share <= -_EVEN for share in row.saved_shares)}",
+    ("most", "saved"): lambda row: _percent(max(0.0, *row.saved_shares)) if row.saved_shares else "-",
+    ("most", "lost"): lambda row: (
+        _percent(max(0.0, *(-share for share in row.saved_shares))) if row.saved_shares else "-"
+    ),
+}
 
 
 def _minutes(seconds: float) -> str:

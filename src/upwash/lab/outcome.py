@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+import logging
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
@@ -61,7 +63,19 @@ class FlightOutcome:
 
 def fly(config: DroneConfig) -> FlightOutcome:
     """Flies the scenario; raises what `simulate` raises."""
-    return _fly_fleet(config) if config.drones else _fly_one(config)
+    with quiet_daemons():
+        return _fly_fleet(config) if config.drones else _fly_one(config)
+
+
+@contextlib.contextmanager
+def quiet_daemons() -> Iterator[None]:
+    """Suppress the daemons' reports of thousands of intended crashes."""
+    daemons = logging.getLogger("upwash.server")
+    before, daemons.disabled = daemons.disabled, True
+    try:
+        yield
+    finally:
+        daemons.disabled = before
 
 
 def _fly_one(config: DroneConfig) -> FlightOutcome:

@@ -12,7 +12,7 @@ from typing import Any
 
 from upwash.config import Document
 
-HELD_OUT = range(100_001, 101_001)  # nobody tunes on these
+HELD_OUT = range(100_001, 101_001)  # no policy is tuned on these
 LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
 MOVING_KINDS = ("off", "stuck", "slow", "flapping")
 SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")

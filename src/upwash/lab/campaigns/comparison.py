@@ -22,6 +22,7 @@ from upwash.lab import processes
 from upwash.lab.outcome import FlightOutcome, fly
 from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, ThesisCell, scenario
 from upwash.lab.scenario import name_of, read_scenario, with_policy
+from upwash.lab.worlds import draw_world
 from upwash.support.confidence import Mean, mean_of, mean_saving
 
 _NOISE = NoiseConfig(
@@ -34,6 +35,21 @@ class NamedScenario(NamedTuple):
 
     name: str
     config: DroneConfig
+
+    def flown(self, seed: int) -> DroneConfig:
+        """The scenario with that seed."""
+        return msgspec.structs.replace(self.config, seed=seed)
+
+
+class DrawnWorlds(NamedTuple):
+    """Worlds by their common name in the comparison, each flown with the seed that it was drawn from."""
+
+    name: str
+    overrides: Mapping[str, object]
+
+    def flown(self, seed: int) -> DroneConfig:
+        """The world of that seed."""
+        return read_scenario(draw_world(seed), overrides=self.overrides)
 
 
 class Entrant(NamedTuple):
@@ -69,7 +85,7 @@ ENTRANTS = (
 class ComparedFlight(NamedTuple):
     """One mission to be flown."""
 
-    scenario: NamedScenario
+    scenario: NamedScenario | DrawnWorlds
     entrant: Entrant
     seed: int
 
@@ -95,7 +111,8 @@ class ComparedPolicy:
     calls during which it did other things; None if no drone went on before an answer.
 
     `saved_s` is the mean by which a mission is shorter than the first policy's with the same seed, with its own half
-    width; None for the first policy, and without two such missions.
+    width; None for the first policy, and without two such missions. `saved_shares` are these differences in drawn
+    worlds, ascending, as shares of the first policy's time: a negative one is a loss.
     """
 
     scenario: str
@@ -113,13 +130,16 @@ class ComparedPolicy:
     hidden_s: float | None = None
     saved_s: float | None = None
     saved_half_width_s: float | None = None
+    saved_shares: tuple[float, ...] = ()
 
 
 def compare(
-    scenarios: Sequence[str | os.PathLike[str]] | Mapping[str, str | os.PathLike[str] | Mapping[str, object]],
+    scenarios: Sequence[str | os.PathLike[str]]
+    | Mapping[str, str | os.PathLike[str] | Mapping[str, object]] = (),
     *,
     policies: Sequence[str] | None = None,
     seeds: int = 30,
+    worlds: range | None = None,
     overrides: Mapping[str, object] | None = None,
     workers: int | None = None,
     thesis: bool = False,
@@ -129,7 +149,8 @@ def compare(
 
     Scenarios are TOML files, or a dict of files or tables by the scenarios' names, with `overrides` as `simulate`
     takes them; without noise all seeds are the same mission, so a scenario without noise gets some. With `thesis` the
-    eight cells of the thesis's experiments come first.
+    eight cells of the thesis's experiments come first. The drawn `worlds` of these seeds come last, in one row for
+    each policy: each of them is flown once.
     `progress` is called with the number of missions flown and of all. Work of more than some seconds is spread over
     `workers` processes, one for each core by default. A script calls this under `if __name__ == "__main__":`, or with
     one worker, which is the calling process itself.
@@ -142,6 +163,11 @@ def compare(
     if seeds < 1:
         raise UsageError(f"{seeds} seeds are none: give a number from 1 on")
     flights = [ComparedFlight(*flight) for flight in product(named, entrants, range(1, seeds + 1))]
+    cases: list[NamedScenario | DrawnWorlds] = [*named]
+    if worlds:
+        drawn = DrawnWorlds(f"worlds {worlds[0]}..{worlds[-1]}", overrides or {})
+        flights += [ComparedFlight(drawn, entrant, seed) for seed in worlds for entrant in entrants]
+        cases.append(drawn)
     flown = itertools.count(1)
 
     def done() -> None:
@@ -150,7 +176,7 @@ def compare(
 
     outcomes = processes.in_order(_fly, flights, workers=workers, done=done)
     results = list(zip(flights, outcomes, strict=True))
-    return [row for scenario in named for row in _rows(scenario, entrants, results)]
+    return [row for scenario in cases for row in _rows(scenario, entrants, results)]
 
 
 def read_scenarios(
@@ -199,7 +225,7 @@ def _with_noise(config: DroneConfig) -> DroneConfig:
 
 
 def _fly(flight: ComparedFlight) -> FlightOutcome:
-    config = msgspec.structs.replace(flight.entrant.enters(flight.scenario.config), seed=flight.seed)
+    config = flight.entrant.enters(flight.scenario.flown(flight.seed))
     outcome = fly(config)
     if not outcome.completed and (config.energy is None or config.energy.battery_wh is None):
         raise UpwashError(
@@ -221,7 +247,9 @@ def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:
     )
 
 
-def _rows(scenario: NamedScenario, entrants: Sequence[Entrant], results: Results) -> Iterator[ComparedPolicy]:
+def _rows(
+    scenario: NamedScenario | DrawnWorlds, entrants: Sequence[Entrant], results: Results
+) -> Iterator[ComparedPolicy]:
     own = [(flight, outcome) for flight, outcome in results if flight.scenario is scenario]
     bounds_s = sorted(
         outcome.least_s for _, outcome in own if outcome.completed and outcome.least_s is not None
@@ -229,7 +257,9 @@ def _rows(scenario: NamedScenario, entrants: Sequence[Entrant], results: Results
     first_s = _times_s(own, entrants[0])
     for entrant in entrants:
         flown = [outcome for flight, outcome in own if flight.entrant is entrant]
-        saved = None if entrant is entrants[0] else mean_saving(first_s, _times_s(own, entrant))
+        own_s = _times_s(own, entrant)
+        saved = None if entrant is entrants[0] else mean_saving(first_s, own_s)
+        shares = sorted(1 - time_s / first_s[seed] for seed, time_s in own_s.items() if seed in first_s)
         completed = [outcome for outcome in flown if outcome.completed]
         times_s = [flight.mission_time_s for flight in completed if flight.mission_time_s is not None]
         time_s = _mean(times_s)
@@ -254,6 +284,7 @@ def _rows(scenario: NamedScenario, entrants: Sequence[Entrant], results: Results
             hidden_s=fmean(flight.totals.hidden_s for flight in completed) if went_on else None,
             saved_s=saved.value if saved else None,
             saved_half_width_s=saved.margin if saved else None,
+            saved_shares=tuple(shares) if saved and isinstance(scenario, DrawnWorlds) else (),
         )
 
 

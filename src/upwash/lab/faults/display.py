@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,6 +15,7 @@ from rich.text import Text
 
 from upwash.lab.faults.campaign import FlownWorld, WorldVerdict, fly_world, judge
 from upwash.lab.faults.promises import Broken
+from upwash.lab.outcome import quiet_daemons
 from upwash.lab.processes import in_processes
 from upwash.lab.scenario import as_toml
 from upwash.support.output_files import write_file
@@ -58,7 +58,7 @@ def is_replayed(seed: int) -> bool:
 
 def judge_all(seeds: Sequence[int]) -> list[WorldVerdict]:
     """Flies the worlds of the seeds one after the other."""
-    with _quiet_daemons():
+    with quiet_daemons():
         return [judge(seed, replay=is_replayed(seed)) for seed in seeds]
 
 
@@ -169,14 +169,3 @@ def _show_summary(summary: Summary, console: Console) -> None:
     say(Text(f"{longest}; none left less than {summary.spare_s:.3f} s of its bound"), console)
     said = f"promises broken in {_counted(len(worlds), 'world')}" if worlds else "no promise broken"
     console.print(said, style="red" if worlds else "green", highlight=False)
-
-
-@contextlib.contextmanager
-def _quiet_daemons() -> Iterator[None]:
-    """Suppress the daemons' reports of thousands of intended crashes."""
-    daemons = logging.getLogger("upwash.server")
-    before, daemons.disabled = daemons.disabled, True
-    try:
-        yield
-    finally:
-        daemons.disabled = before

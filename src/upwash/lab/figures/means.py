@@ -12,6 +12,7 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from upwash.lab.figures.style import (
+    DASHES,
     PAGE_IN,
     SHAPES,
     few_ticks,
@@ -155,6 +156,31 @@ def draw_sweep(
     few_ticks(axes.xaxis, most=_TICKS, whole=all(value == round(value) for value in x))
     axes.set_xlabel(wrapped(key, _LONGEST_LABEL))
     axes.set_ylabel("mission time (min)")
+    grid(axes, along="y")
+    legend(figure)
+    write(figure, files)
+
+
+@in_style
+def draw_savings(shares: Mapping[str, Sequence[float]], files: Iterable[Path], *, first: str) -> None:
+    """Draws what share of the first policy's time each policy saves in each world, ascending: losses, then gains."""
+    figure = new_figure(PAGE_IN / 2, 2.6)
+    axes = figure.subplots()
+    for number, (policy, saved) in enumerate(shares.items()):
+        places = [100 * (place + 0.5) / len(saved) for place in range(len(saved))]
+        axes.plot(
+            places,
+            [100 * share for share in saved],
+            color=LIGHT.ink,
+            linestyle=("-", *DASHES)[number % (1 + len(DASHES))],
+            marker=SHAPES[number % len(SHAPES)],
+            markevery=0.2,
+            markersize=3.5,
+            label=policy,
+        )
+    axes.axhline(0, color=LIGHT.soft, linewidth=0.8)
+    axes.set_xlabel("worlds (%), by what is saved there")
+    axes.set_ylabel(wrapped(f"less time than {first} (%)", _LONGEST_LABEL))
     grid(axes, along="y")
     legend(figure)
     write(figure, files)
