@@ -55,6 +55,15 @@ def test_a_service_has_its_own_limits_over_the_daemons_over_the_defaults(tmp_pat
     }
 
 
+@pytest.mark.parametrize("devices", ['"nvidia.com/gpu=0"', '"/dev/nvidia0"', '"/dev/dri"'])
+def test_a_service_with_a_card_may_use_the_memory_that_cuda_reserves(tmp_path: Path, devices: str) -> None:
+    limits = Confinement().limits(read(tmp_path, service=f"devices = [{devices}]"))
+    assert limits["counter"].memory_bytes == (2**32 if "nvidia" in devices else DEFAULT_LIMITS.memory_bytes)
+    assert limits["detector"] == DEFAULT_LIMITS
+    smaller = read(tmp_path, runtime="memory_bytes = 536_870_912", service=f"devices = [{devices}]")
+    assert Confinement().limits(smaller)["counter"].memory_bytes == 2**29
+
+
 @pytest.mark.parametrize(("table", "named"), [("service", 'service "counter"'), ("runtime", r"\[runtime\]")])
 @pytest.mark.parametrize("name", EVERY)
 def test_a_limit_that_would_not_hold_is_refused_by_name_and_a_default_is_left_out(

@@ -304,6 +304,19 @@ async def test_it_sees_no_process_and_no_variable_of_the_daemon(
         assert "SECRET_TOKEN" not in await call("environment")
 
 
+@pytest.mark.parametrize(("given", "used"), [(None, "4"), ("16", "16")])
+async def test_memory_that_numerical_libraries_reserve_does_not_grow_with_the_machine(
+    sandbox: Sandbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: str | None, used: str
+) -> None:
+    """OpenBLAS reserves up to 136 MB for a thread of each processor: the detector failed on 16 with 2 GiB."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if given is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+    async with in_sandbox(sandbox, tmp_path) as (call, _):
+        began_with = [await call("environment_of", process) for process in await call("processes")]
+    assert any(f"OPENBLAS_NUM_THREADS={used}" in variables for variables in began_with)
+
+
 async def test_it_sees_nothing_of_the_daemons_environment_in_any_process(
     sandbox: Sandbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

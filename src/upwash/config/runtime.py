@@ -70,7 +70,8 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     readable: Files = ()
     """Files and folders, such as models, that services may read beside their own code."""
     memory_bytes: MemoryBytes | None = None
-    """Memory of an instance, whose service names no limit of its own; default: 2_147_483_648."""
+    """Memory of an instance, whose service names no limit of its own; default: 2_147_483_648, and
+    4_294_967_296 of a service with an NVIDIA card."""
     processes: Processes | None = None
     """Processes and threads of an instance; default: 256."""
     disk_bytes: DiskBytes | None = None

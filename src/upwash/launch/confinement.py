@@ -13,9 +13,9 @@ from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.config.daemon import ImageConfig
-from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
+from upwash.core.admission.limits import CUDA_MEMORY_BYTES, DEFAULT_LIMITS, Limits
 from upwash.errors import UsageError
-from upwash.real.instances.cards import device_files
+from upwash.real.instances.cards import device_files, has_card
 from upwash.real.instances.sandbox import Sandbox, find_sandbox
 
 _ROOT = (
@@ -43,10 +43,7 @@ class Confinement:
     def devices(self, config: DaemonConfig) -> dict[str, tuple[str, ...]]:
         """The devices of each service; raises UsageError for a device that is not here."""
         runtime = config.runtime
-        named = {
-            service.name: runtime.devices if service.devices is None else service.devices
-            for service in config.images
-        }
+        named = {service.name: _devices_of(service, runtime) for service in config.images}
         if runtime.kind != "process":
             return named
         if self.sandbox is None:  # all are there
@@ -68,8 +65,12 @@ class Confinement:
                     f"cpus = {most} of {where} would have no effect: the daemon may use {there}, so give fewer"
                 )
             return most
+        if unenforced:
+            return None
+        if name == "memory_bytes" and has_card(device_files(_devices_of(service, runtime))):
+            return CUDA_MEMORY_BYTES
         default: int | None = getattr(DEFAULT_LIMITS, name)
-        return None if unenforced else default
+        return default
 
 
 async def find_confinement(config: DaemonConfig) -> Confinement:
@@ -98,6 +99,10 @@ async def find_confinement(config: DaemonConfig) -> Confinement:
         )
     warning = "the daemon is root: services in their sandbox may start processes without limit"
     return Confinement(sandbox, warning if is_root else "", sandbox.unenforced)
+
+
+def _devices_of(service: ImageConfig, runtime: RuntimeConfig) -> tuple[str, ...]:
+    return runtime.devices if service.devices is None else service.devices
 
 
 def _refuse_missing(devices: Sequence[str]) -> None:

@@ -28,7 +28,7 @@ from upwash.services.darknet.heads import (
 from upwash.services.heads import MOST_LABELS, MOST_VALUES, BoxHead, by, parse_names, recognise
 from upwash.services.model_file import explained, reason_in
 from upwash.services.photo import DARKNET_GREY, ULTRALYTICS_GREY
-from upwash.services.provider import Provider, is_on_card, open_session
+from upwash.services.provider import Provider, open_session
 from upwash.support.input_files import read_file, text_of
 from upwash.support.text import counted, words_of
 
@@ -87,7 +87,6 @@ class Inference(ABC):
 
     # Height and width that it takes; what it leaves open is no integer.
     _sides: Sequence[object] = (None, None)
-    _prepares_for_each_size = False
 
     # What a photo has around it, or whether it fills the picture.
     grey = DARKNET_GREY
@@ -136,8 +135,6 @@ class Inference(ABC):
 
     def cell_px(self, side_px: int) -> int | None:
         """Of what a picture's shorter side needs to be a multiple, if it need not be `side_px` like the other."""
-        if self._prepares_for_each_size:
-            return None
         cell_px = self._coarsest_px()
         # Three cells do not fill those of a coarser layer inside; one would be repeated to fit.
         few_px = 3 * cell_px
@@ -215,7 +212,7 @@ def open_onnx(files: ModelFiles, *, threads: int, provider: Provider) -> OnnxInf
         raise ModelError(file, "", f"its names or metadata are not text ({error})") from error
     labels = _read_labels(files.names) if files.names else _labels_in(file, metadata)
     heads = files.heads or _heads_in(file, metadata)
-    network = _Loaded(session, *inputs, metadata, for_each_size=is_on_card(session))
+    network = _Loaded(session, *inputs, metadata)
     if strange := [kind for kind in sorted(kinds) if not kind.startswith("tensor(")]:
         raise ModelError(file, "", f"its outputs are {', '.join(strange)}: give a network that detects")
     if not heads:
@@ -237,7 +234,6 @@ class _Loaded:
     pictures: onnxruntime.NodeArg
     sizes: onnxruntime.NodeArg | None  # width and height that boxes are scaled to
     metadata: Mapping[str, str]
-    for_each_size: bool  # whether it prepares for each size of a picture
 
 
 class OnnxInference(Inference):
@@ -247,7 +243,6 @@ class OnnxInference(Inference):
         super().__init__(file, labels, heads)
         self._network = network
         self._sides = network.pictures.shape[2:]
-        self._prepares_for_each_size = network.for_each_size
         self._outputs = tuple(head.output for head in heads)
 
     def run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:

@@ -29,6 +29,7 @@ _BEFORE_REASONS = re.compile(
     r"|/onnxruntime_src/\S+ .*?\) (?=[A-Z\[])"
     r"|\w+\.cc:\d+ \w+ "
 )
+_AFTER_REASONS = re.compile(r" ; GPU=-?\d+ ;.{0,1000}?expr=[^;]*;")  # of CUDA: the computer's name, the place
 
 
 def kind_of(start: bytes) -> str:
@@ -49,7 +50,12 @@ def explained(error: ModelError) -> ModelError:
 def reason_in(text: str) -> str:
     """What onnxruntime says, without the places in its source."""
     reason = _BEFORE_REASONS.sub("", text[:_MOST_LETTERS])
-    return reason.replace("std::bad_alloc", "it needs more memory than there is")
+    return without_places(reason).replace("std::bad_alloc", "it needs more memory than there is")
+
+
+def without_places(text: str) -> str:
+    """What CUDA says in onnxruntime, without the computer's name and the place in its source."""
+    return _AFTER_REASONS.sub("", text)
 
 
 def _defect_of(file: Path) -> str:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 from upwash.errors import ModelError, UsageError
 from upwash.services.heads import MOST_VALUES
+from upwash.services.model_file import without_places
 from upwash.support.text import words_of
 
 if TYPE_CHECKING:
@@ -26,8 +27,16 @@ if TYPE_CHECKING:
 Provider = Literal["auto", "cpu", "cuda"]
 
 _PROCESSOR, _CARD = "CPUExecutionProvider", "CUDAExecutionProvider"
+# By default each new size of a picture is tried out for a second, to choose the fastest way of each layer.
+_OPTIONS = {_CARD: {"cudnn_conv_algo_search": "HEURISTIC"}}
 _KINDS = {"tensor(float16)": "float16", "tensor(int64)": "int64"}
-_SIDE_PX = 320  # of a picture where the network takes any
+_SIDE_PX = 640  # of a picture where the network takes any: as large as those of mode `heavy`
+_DEVICES = (
+    "/dev/nvidiactl",
+    "/dev/nvgpu",
+    "/dev/nvmap",
+    "/dev/dxg",
+)  # of a machine with a card, one of these
 _STDERR = 2
 _MOST_PRINTED_BYTES = 2**16
 _LONGEST_REASON = 1000  # characters
@@ -35,7 +44,8 @@ _COLOURS = re.compile(r"\x1b\[[\d;]*m")
 # The prefix of a reason: the time, places in onnxruntime's source, the kind of the error. Only the start of a word is
 # tried, as trying each letter of a long one takes seconds.
 _BEFORE_REASONS = re.compile(
-    r"(?<!\S)(\S+ \S+ \[\w:onnxruntime:[^\]]*\]|\S*/onnxruntime_src/.*?(?=\w+ failure \d|: FAIL :))|: FAIL :"
+    r"(?<!\S)(\S+ \S+ \[\w:onnxruntime:[^\]]*\]|\S*/onnxruntime_src/.*?(?=\w+ failure \d|: FAIL :))"
+    r"|(\[ONNXRuntimeError\] : \d+ )?: FAIL :"
 )
 
 
@@ -43,7 +53,8 @@ def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntim
     """A session of the model; raises ModelError for its file and UsageError for the provider.
 
     With `auto` it computes on a card if onnxruntime can use one. If onnxruntime is made for cards and cannot use one,
-    the reason is printed, and it computes on the processor.
+    the reason is printed, and it computes on the processor. Without a card it loads nothing of CUDA, which takes
+    memory.
     """
     import onnxruntime
 
@@ -56,6 +67,10 @@ def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntim
                 'provider = "cuda" is not in the onnxruntime that is installed; for cuda: '
                 "`pip uninstall onnxruntime`, then `pip install 'upwash[detector-gpu]'`"
             )
+        if provider == "auto" and not any(map(os.path.exists, _DEVICES)):
+            raise UsageError(
+                "no graphics card is shown to this process (`devices` of a service in a sandbox or container)"
+            )
         return _session_on_card(model, threads, repeats=provider == "cuda")
     except UsageError as error:
         if provider == "cuda":
@@ -63,11 +78,6 @@ def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntim
         said = f"warning: {error}; the detector computes on the processor"
         print(said, file=sys.stderr, flush=True)  # noqa: T201 - for the log of who starts it
         return _session(model, threads, _PROCESSOR)
-
-
-def is_on_card(session: onnxruntime.InferenceSession) -> bool:
-    """Whether the session computes on a card."""
-    return _CARD in session.get_providers()
 
 
 def _session_on_card(model: Path, threads: int, *, repeats: bool) -> onnxruntime.InferenceSession:
@@ -81,7 +91,7 @@ def _session_on_card(model: Path, threads: int, *, repeats: bool) -> onnxruntime
         except ModelError as error:
             _session(model, threads, _PROCESSOR)  # raises too if the cause is the model
             raise _unusable(str(error.__cause__)) from error
-    if not is_on_card(session):
+    if _CARD not in session.get_providers():
         raise _unusable(printed())
     try:
         _run_once(session)
@@ -123,13 +133,20 @@ def _session(model: Path, threads: int, provider: str) -> onnxruntime.InferenceS
     options.intra_op_num_threads = threads
     options.log_severity_level = 3  # errors only: they are raised too
     try:
-        return onnxruntime.InferenceSession(str(model), options, providers=[provider], enable_fallback=False)
+        return onnxruntime.InferenceSession(
+            str(model),
+            options,
+            providers=[provider],
+            provider_options=[_OPTIONS.get(provider, {})],
+            enable_fallback=False,
+        )
     except Exception as error:  # onnxruntime's exceptions have no common base
         raise ModelError(model, "", f"onnxruntime cannot load it ({words_of(str(error))})") from error
 
 
 def _unusable(why: str) -> UsageError:
-    why = " ".join(words_of(_BEFORE_REASONS.sub(" ", _COLOURS.sub(" ", why))).split())[:_LONGEST_REASON]
+    why = _BEFORE_REASONS.sub(" ", _COLOURS.sub(" ", why))
+    why = " ".join(words_of(without_places(why)).split())[:_LONGEST_REASON]
     return UsageError(
         f'provider = "cuda" cannot be used here: {why or "onnxruntime does not say why"}; install what it names, and '
         'show the card to a service in a sandbox (`devices`), or say provider = "cpu"'

@@ -21,6 +21,7 @@ class Limits:
 
 NO_LIMITS = Limits()
 DEFAULT_LIMITS = Limits(memory_bytes=2**31, processes=256, disk_bytes=2**28)
+CUDA_MEMORY_BYTES = 2**32  # by default with a graphics card: CUDA and cuDNN alone reserve half of it
 
 
 class Allowance:

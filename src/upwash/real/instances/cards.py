@@ -1,6 +1,6 @@
 """NVIDIA's graphics cards: the device files behind a name, and what CUDA needs in a sandbox besides them.
 
-The needs were collected from reports about other sandboxes (docs/decisions/sandbox.md), not on a card.
+The needs were collected from reports about other sandboxes, and suffice on an H200 (docs/decisions/sandbox.md).
 """
 
 from __future__ import annotations
