@@ -9,7 +9,7 @@ from statistics import fmean
 
 from msgspec import structs
 
-from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_places, server_truth
+from upwash.config import DroneConfig, PolicyConfig, ServerTruth, ServiceConfig, server_places, server_truth
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.schedule import ComingCall, Offer
@@ -19,7 +19,7 @@ from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
 from upwash.lab.least_time import Bound, FleetBound, Onward, SharedMission, bound, shared_s
 from upwash.lab.observer import RangeInterval
-from upwash.lab.run import Run, simulate
+from upwash.lab.run import Run, time_alone_s
 from upwash.missions.bundled import load_services, load_specs
 from upwash.rpc.service import spec_of
 from upwash.sim.radio import Spot, goodput_of
@@ -171,9 +171,12 @@ def _least_of_rows_s(run: Run, config: DroneConfig) -> float:
         heat=None,
         energy=None,
         faults=(),
+        policy=PolicyConfig(name="local-only", stay_or_go=config.policy.stay_or_go),
     )
     acted = sum(isinstance(event, schema.Acted) for event in run.events)
-    return simulate(alone).result.mission_time_s + acted * config.mission.action_s
+    rows_s = time_alone_s(alone)
+    assert rows_s is not None  # noqa: S101 - the mission was completed, and without faults it is
+    return rows_s + acted * config.mission.action_s
 
 
 def _begun_s(run: Run) -> float:

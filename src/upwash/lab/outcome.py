@@ -15,7 +15,7 @@ from upwash.config import DroneConfig, PolicyConfig, Presence, fleet_of, presenc
 from upwash.eventlog.results import EnergyTotals, Totals
 from upwash.lab.bounds import bound_of, bounds_of
 from upwash.lab.least_time import FleetBound
-from upwash.lab.run import Run, simulate, simulate_drones, simulate_fleet
+from upwash.lab.run import Run, simulate, simulate_drones, time_alone_s
 from upwash.sim.chance import plays_a_part
 from upwash.support.text import by_name
 
@@ -175,13 +175,15 @@ def saved_s(
 ) -> dict[str, float]:
     """By name, the seconds that each drone saved which completed its mission here and would have completed it alone.
 
-    Those that fly the same mission with the same computer and chance are flown alone once.
+    Alone every call of a drone runs on it, and its battery is endless. Drones that fly the same mission with the same
+    computer and chance are flown alone once.
     """
-    alone = _Alone()
     saved: dict[str, float] = {}
     for config, presence in zip(fleet, there, strict=True):
         run = runs[config.name]
-        if run.result.completed and (alone_s := alone.time_s(config, presence)) is not None:
+        struck = any(fault.target == "autopilot" for fault in config.faults)
+        when = Presence(presence.departs_s) if struck else Presence()
+        if run.result.completed and (alone_s := time_alone_s(_by_itself(config), when)) is not None:
             saved[config.name] = alone_s - run.result.mission_time_s
     return saved
 
@@ -196,25 +198,6 @@ def jain(saved: Iterable[float]) -> float | None:
         return None
     squares = sum(share**2 for share in shares)
     return sum(shares) ** 2 / (len(shares) * squares) if squares else 1.0
-
-
-class _Alone:
-    """Flies missions alone with every call on the drone, on endless batteries."""
-
-    def __init__(self) -> None:
-        self._flown: list[tuple[DroneConfig, Presence, float | None]] = []
-
-    def time_s(self, config: DroneConfig, presence: Presence) -> float | None:
-        """The mission's time; None where it is not completed alone either."""
-        struck = any(fault.target == "autopilot" for fault in config.faults)
-        config, presence = _by_itself(config), (Presence(presence.departs_s) if struck else Presence())
-        for other, there, time_s in self._flown:
-            if other == config and there == presence:
-                return time_s
-        (run,) = simulate_fleet([config], there=[presence])
-        time_s = run.result.mission_time_s if run.result.completed else None
-        self._flown.append((config, presence, time_s))
-        return time_s
 
 
 def _by_itself(config: DroneConfig) -> DroneConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -99,6 +100,24 @@ def simulate_drones(config: DroneConfig) -> dict[str, Run]:
     fleet = fleet_of(config)
     runs = simulate_fleet(fleet, there=presences(config))
     return {drone.name: run for drone, run in zip(fleet, runs, strict=True)}
+
+
+_ALONE: deque[tuple[DroneConfig, Presence, float | None]] = deque(maxlen=16)
+
+
+def time_alone_s(config: DroneConfig, presence: Presence | None = None) -> float | None:
+    """The time of the scenario's mission by itself; None where it is not completed.
+
+    The last missions are remembered: each policy of a comparison asks for the same ones.
+    """
+    presence = presence or Presence()
+    for other, there, time_s in _ALONE:
+        if there == presence and other == config:
+            return time_s
+    (run,) = simulate_fleet([config], there=[presence])
+    time_s = run.result.mission_time_s if run.result.completed else None
+    _ALONE.append((config, presence, time_s))
+    return time_s
 
 
 def simulate_fleet(

@@ -162,21 +162,25 @@ def compare(
     named = [*(thesis_scenarios() if thesis else []), *read_scenarios(scenarios, overrides=overrides)]
     if seeds < 1:
         raise UsageError(f"{seeds} seeds are none: give a number from 1 on")
-    flights = [ComparedFlight(*flight) for flight in product(named, entrants, range(1, seeds + 1))]
-    cases: list[NamedScenario | DrawnWorlds] = [*named]
+    cases: list[tuple[NamedScenario | DrawnWorlds, range]] = [(case, range(1, seeds + 1)) for case in named]
     if worlds:
-        drawn = DrawnWorlds(f"worlds {worlds[0]}..{worlds[-1]}", overrides or {})
-        flights += [ComparedFlight(drawn, entrant, seed) for seed in worlds for entrant in entrants]
-        cases.append(drawn)
+        cases.append((DrawnWorlds(f"worlds {worlds[0]}..{worlds[-1]}", overrides or {}), worlds))
+    # What policies have in common is computed once, where one process flies all of them in turn.
+    parts = [
+        [ComparedFlight(scenario, entrant, seed) for entrant in entrants]
+        for scenario, of_case in cases
+        for seed in of_case
+    ]
     flown = itertools.count(1)
 
     def done() -> None:
-        if progress is not None:
-            progress(next(flown), len(flights))
+        for number in itertools.islice(flown, len(entrants)):
+            if progress is not None:
+                progress(number, len(entrants) * len(parts))
 
-    outcomes = processes.in_order(_fly, flights, workers=workers, done=done)
-    results = list(zip(flights, outcomes, strict=True))
-    return [row for scenario in cases for row in _rows(scenario, entrants, results)]
+    outcomes = processes.in_order(_fly_all, parts, workers=workers, done=done)
+    results = list(zip(itertools.chain(*parts), itertools.chain(*outcomes), strict=True))
+    return [row for scenario, _ in cases for row in _rows(scenario, entrants, results)]
 
 
 def read_scenarios(
@@ -222,6 +226,10 @@ def _entrants(policies: Sequence[str] | None) -> Sequence[Entrant]:
 
 def _with_noise(config: DroneConfig) -> DroneConfig:
     return msgspec.structs.replace(config, noise=_NOISE) if config.noise == NoiseConfig() else config
+
+
+def _fly_all(flights: Sequence[ComparedFlight]) -> list[FlightOutcome]:
+    return [_fly(flight) for flight in flights]
 
 
 def _fly(flight: ComparedFlight) -> FlightOutcome:
