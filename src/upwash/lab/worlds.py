@@ -6,6 +6,7 @@ Each subject draws from a stream of its own: a change of one leaves the others a
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from typing import Any
@@ -50,14 +51,15 @@ def spell(chance: random.Random, from_s: float, lasts_s: Sequence[float]) -> dic
 
 def draw_world(seed: int) -> Document:
     """The scenario of the seed, from 1 on, as the tables of a TOML file."""
-    mission = _mission(stream("mission", seed))
+    photo_s = between(stream("camera", seed), 0.2, 1.5)
+    mission = _mission(stream("mission", seed), photo_s)
     service = _service(stream("service", seed))
     places = _places(mission)
     return {
         "seed": seed,
         "mission": mission,
         "vehicle": _vehicle(stream("vehicle", seed)),
-        "camera": {"photo_s": between(stream("camera", seed), 0.2, 1.5)},
+        "camera": {"photo_s": photo_s},
         "network": {"radios": 2 if stream("radios", seed).random() < 0.15 else 1},
         "noise": _noise(stream("noise", seed)),
         "service": [service],
@@ -69,7 +71,7 @@ def draw_world(seed: int) -> Document:
     }
 
 
-def _mission(chance: random.Random) -> dict[str, Any]:
+def _mission(chance: random.Random, photo_s: float) -> dict[str, Any]:
     kind = chance.choices(("field", "line", "places", "rows"), (40, 25, 15, 20))[0]
     mission: dict[str, Any] = {
         "mode": chance.choice(("light", "heavy")),
@@ -86,7 +88,11 @@ def _mission(chance: random.Random) -> dict[str, Any]:
     )
     spacing_m = float(round(spread(chance, 12.0, 60.0)))
     mission["grid"] = {"columns": columns, "rows": rows, "spacing_m": spacing_m}
-    return mission | ({"photos": {"every_m": spacing_m}} if kind == "rows" else {})
+    if kind != "rows":
+        return mission
+    fastest_m_s = math.floor(100 * spacing_m / photo_s) / 100  # of the camera
+    speed_m_s = min(mission["ground_speed_m_s"], fastest_m_s)
+    return mission | {"photos": {"every_m": spacing_m}, "ground_speed_m_s": speed_m_s}
 
 
 def _places(mission: Document) -> Places:
