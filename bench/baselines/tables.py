@@ -85,7 +85,9 @@ DRAWN_HEAD = (
 def by_share(worlds: Sequence[World]) -> Table:
     """What servers save in drawn worlds, where both drones fly in the same manner, and each in its quickest."""
     for manner in ("waits", "learns", "moves"):
-        yield (manner, *_spread(worlds, lambda world, m=manner: (f"{ALONE}, {m}", f"{SERVED}, {m}")))  # type: ignore[misc]
+        pair = (f"{ALONE}, {manner}", f"{SERVED}, {manner}")
+        if flying := [world for world in worlds if all(map(world.flies, pair))]:
+            yield (manner, *_spread(flying, lambda _, pair=pair: pair))  # type: ignore[misc]
     yield ("flown well", *_spread(worlds, _quickest))
     for low_s, high_s in _GROUPS:
         some = [world for world in worlds if low_s <= float(world.name.split(", ")[1][:-2]) < high_s]
@@ -177,9 +179,7 @@ def _quickest(world: World) -> tuple[str, str]:
 
 
 def _spread(worlds: Sequence[World], pair: Callable[[World], tuple[str, str]]) -> Iterator[str]:
-    flown = [(world, pair(world)) for world in worlds if all(world.flies(name) for name in pair(world))]
-    saved = {world.name: world.saved(*names).value for world, names in flown}
-    values = list(saved.values())
+    values = [world.saved(*pair(world)).value for world in worlds]
     mean, cuts = mean_of(values), quantiles(values, n=10) if len(values) > 1 else values * 9
     yield str(len(values))
     yield _percent(mean)
