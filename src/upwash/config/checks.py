@@ -55,6 +55,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _photos_problems(config)
     yield from _autopilot_problems(config.autopilot)
     yield from _lighter_problems(config)
+    yield from _two_answers_problems(config)
     yield from _battery_problems(config)
     yield from _camera_problems(config.camera)
     yield from user_problems(config.user)
@@ -217,6 +218,27 @@ def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:
                     f'"{lighter}" takes {local_call_s[lighter]:g} s on the drone, no less than "{asked}" '
                     f"({local_call_s[asked]:g} s): name one that is faster",
                 )
+
+
+def _two_answers_problems(config: DroneConfig) -> Iterator[Problem]:
+    for service in config.services:
+        if service.two_answers is None:
+            continue
+        first, local_call_s = service.two_answers.first, service.local_call_s
+        key, others = f"service.{service.name}.two_answers", [name for name in local_call_s if name != first]
+        if first not in local_call_s or not others:
+            yield f"{key}.first", unknown("profile key", first, others)
+        elif local_call_s[first] >= min(local_call_s[name] for name in others):
+            yield (
+                f"{key}.first",
+                f'"{first}" takes {local_call_s[first]:g} s on the drone, no less than another: name the fastest',
+            )
+        elif service.two_answers.within_s < local_call_s[first]:
+            yield (
+                f"{key}.within_s",
+                f'{service.two_answers.within_s:g} s are over before "{first}" is computed on the drone '
+                f"({local_call_s[first]:g} s): give more",
+            )
 
 
 def _battery_problems(config: DroneConfig) -> Iterator[Problem]:

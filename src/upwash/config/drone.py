@@ -340,6 +340,15 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return self.name == "look-ahead" or is_own(self.name)
 
 
+class TwoAnswersConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The drone computes a first answer at once, and a server a better one: [two answers](two-answers.md)."""
+
+    first: values.Text
+    """The profile key of the call that the drone computes at once; a server computes the call as asked for."""
+    within_s: values.Positive
+    """How long after the call the better answer counts, in seconds."""
+
+
 class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A service that the mission calls, and what its calls cost on the drone."""
 
@@ -364,6 +373,8 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The least time of a call on the drone, in seconds: stands in for a slower computer."""
     local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
+    two_answers: TwoAnswersConfig | None = None
+    """Its calls have a first answer of the drone, and a better one of a server: [two answers](two-answers.md)."""
     settings: values.Settings | None = None
     """Arguments of its class's constructor."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -87,6 +88,14 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """At each waypoint with this probability, in place of `every`."""
     areas: Annotated[tuple[EventAreaConfig, ...], Meta(description="tables, each a circle")] = ()
     """Circles with a probability of their own; in several at the same time, the first counts."""
+    missed: values.SharesByKey = {}
+    """The share of these waypoints where calls with a profile key see nothing: [two answers](two-answers.md)."""
+    false_alarms: values.SharesByKey = {}
+    """The share of other waypoints where calls with a profile key demand an action too."""
+
+    def mistakes(self, *, demands: bool) -> Mapping[str, float]:
+        """The chance of a mistake by profile key, at a waypoint whose answer `demands` an action, or at another."""
+        return self.missed if demands else self.false_alarms
 
     def chance(self, place: Position) -> float:
         """The probability of a demand at a place, where no waypoint is counted."""

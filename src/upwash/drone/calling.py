@@ -4,6 +4,8 @@
     hedged                    ... or is late (core/selection/hedging.py); the first answer counts
     raced                     both start at once, as the server is on trial
     on the drone              a server that becomes READY before the drone is done gets the call too
+    with two answers          the drone computes the first, at once or where the server is late; a server's answer
+                              by the deadline is better, whenever the server is READY (docs/two-answers.md)
 
 The loser runs on, as a computation cannot be broken off, and its answer is dropped. The drone's own service is busy
 until then: the next call of that service waits for it.
@@ -14,6 +16,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import defaultdict
+from collections.abc import Coroutine
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -25,17 +28,20 @@ from upwash.core.policies.policy import Decision, Lightened, Remote
 from upwash.core.selection import events
 from upwash.core.selection.hedging import Hedge, Hedging
 from upwash.drone.decisions import Decisions, now_s
+from upwash.drone.line import Turn
 from upwash.drone.onboard import OnboardServices
+from upwash.drone.pending import Hearing
 from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_session import ServerSession
 from upwash.errors import UNREACHED, DeadlineExceeded, LinkError, NoLease, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.rpc.service import Method
-from upwash.support.background import begin, end
+from upwash.support.background import begin, end, first
 
 RemoteFault: TypeAlias = Literal["", "confirmed", "denied"]  # by the drone's own service
 _LOCAL_LEAST_S = 30.0
+_MOMENT_S = 0.001  # before a deadline: a timer may run early
 _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 
@@ -51,12 +57,31 @@ class Invocation(Struct, frozen=True):
     waypoint: int | None = None
     lightened: Lightened | None = None
 
+    def under(self, operation: Operation) -> Invocation:
+        """The same call as another operation of its method."""
+        return structs.replace(
+            self, operation=operation, request=self.method.under(operation.key, self.request)
+        )
+
     def lighter(self, lightened: Lightened | None) -> Invocation:
         """The same call as the lighter operation; unchanged for None."""
         if lightened is None:
             return self
-        request = self.method.under(lightened.operation.key, self.request)
-        return structs.replace(self, operation=lightened.operation, request=request, lightened=lightened)
+        return structs.replace(self.under(lightened.operation), lightened=lightened)
+
+
+@dataclass(slots=True)
+class Twice:
+    """A call with two answers: the drone's `first`, which the mission hears at once, and a server's by `by_s`."""
+
+    first: Invocation
+    by_s: float
+    hearing: Hearing
+    turn: Turn
+    asked_s: float
+    has_failed: asyncio.Event = field(default_factory=asyncio.Event)  # a server
+    is_sent: bool = False  # its place in line is a server
+    gives_up: bool = False  # the mission needs no better answer
 
 
 @dataclass(slots=True)
@@ -75,10 +100,14 @@ class Attempt:
     raised: str = ""  # the exception of the service that the server reports
     delay_s: float = 0.0  # until that report
     verdict: RemoteFault = ""  # on the report
+    twice: Twice | None = None  # its answer is the better one
+    answer: Any = None  # which is decoded
 
     @property
     def late(self) -> bool:
-        """Whether the drone's own service has answered."""
+        """Whether the mission had an answer of the drone's own service before."""
+        if self.twice is not None:
+            return self.twice.gives_up or self.twice.hearing.first.done()
         return self.rival is not None and self.rival.done() and not _has_failed(self.rival)
 
 
@@ -94,6 +123,9 @@ class CallAnswer(Struct, frozen=True):
     queued_s: float = 0.0
     remote_fault: RemoteFault = ""
     overtook: bool = False  # a server that became of use while the drone was at it
+    first_s: float | None = (
+        None  # from the call to the first answer, if the mission heard two or waited for two
+    )
 
     @property
     def server(self) -> str | None:
@@ -190,7 +222,7 @@ class Calling:
             self._doubt(attempt)
             self._reached(attempt, delay_s, len(answer))
             return None
-        if attempt.late:
+        if attempt.late and (attempt.twice is None or attempt.twice.gives_up):
             self._journal.record(schema.Dropped(operation=str(operation), place=server))
         self._hedging.answered(server, operation, delay_s)
         self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late))
@@ -234,7 +266,12 @@ class Calling:
         self._journal.record(
             schema.RemoteRaised(server=server, check=attempt.check, operation=operation, raised=raised)
         )
-        if attempt.rival is not None and attempt.late:
+        if (
+            attempt.twice is not None
+        ):  # the drone computes another operation, and its result tells nothing of this operation
+            why = f"{server} says that {operation} raised {raised}"
+            self._decisions.tell(events.RemoteCallFailed(server, attempt.check, why, attempt.late))
+        elif attempt.rival is not None and attempt.late:
             self.test(attempt, attempt.rival.result())
         else:
             why = f"{server} says that {operation} raised {raised}"
@@ -287,6 +324,116 @@ class Calling:
         if answer.server == decision.server:
             self._hedging.overtaken(hedge, decision, call.operation, onboard_s=answer.onboard_s)
         return structs.replace(answer, hedged_s=hedge.after_s)
+
+    async def answer_twice(self, decision: Decision, call: Invocation, twice: Twice) -> CallAnswer:
+        """The server's answer by the deadline, else the drone's; the mission hears the drone's at once."""
+        self._hedging.called(call.operation)
+        twice.is_sent = isinstance(decision, Remote) and not decision.raced
+        better = begin(self._better(decision, call, twice))
+        computing = answer = None
+        try:
+            if isinstance(decision, Remote) and not decision.raced:  # it is expected before the first one
+                await self._until_late(decision, better, twice)
+            if not (better.done() and better.result()):
+                computing = self._begin_onboard(twice.first)
+                if not await _is_sooner(better, computing.task):
+                    answer = await self._first_answer(computing, twice)
+                    await first(asyncio.wait((better,)), twice.hearing.enough.wait())
+        except BaseException:
+            await end(better, computing.task if computing is not None else None)
+            raise
+        if not better.done():
+            twice.gives_up = True
+            self._keep(better, None)
+        elif (attempt := better.result()) is not None:
+            if computing is not None and not computing.task.done():
+                return structs.replace(self._won(attempt, computing), call=call)
+            return CallAnswer(attempt.answer, call, attempt, first_s=answer.first_s if answer else None)
+        if answer is None:
+            assert computing is not None  # noqa: S101 - without a better answer the drone has computed
+            await computing.task  # which raises why it has none
+            raise AssertionError("the first answer is there after all")
+        return structs.replace(answer, fell_back=twice.has_failed.is_set())
+
+    async def _until_late(self, decision: Remote, better: asyncio.Task[Any], twice: Twice) -> None:
+        """Return when the server has answered, has failed or is late."""
+        hedge = self._hedging.plan(decision, twice.first.operation, is_busy=False)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(hedge.after_s if hedge else decision.deadline_s):
+                await first(asyncio.wait((better,)), twice.has_failed.wait())
+
+    async def _first_answer(self, computing: _Computing, twice: Twice) -> CallAnswer | None:
+        """The drone's answer; None if its service fails, as a better one may still come."""
+        try:
+            reply = await asyncio.shield(computing.task)
+        except UpwashError:
+            return None
+        finally:
+            if not twice.is_sent:
+                twice.turn.leave()
+        answer = self._done_onboard(reply, computing, None)
+        first_s = now_s() - twice.asked_s
+        if not twice.first.method.raised(reply):
+            twice.hearing.hear(reply, twice.first.operation, first_s)
+        return structs.replace(answer, first_s=first_s)
+
+    async def _better(self, decision: Decision, call: Invocation, twice: Twice) -> Attempt | None:
+        """The attempt at a server that has answered the call by the deadline; None if there is none."""
+        sent: Decision | None = decision
+        while True:
+            left_s = twice.by_s - now_s()
+            if (
+                isinstance(sent, Remote)
+                and left_s > _MOMENT_S
+                and (twice.is_sent or twice.turn.is_next(sent.server, twice.by_s))
+            ):
+                deadline_s = min(sent.deadline_s, left_s)
+                attempt = self.attempt(call, replace(sent, deadline_s=deadline_s))
+                attempt.twice = twice
+                is_sent, twice.is_sent = twice.is_sent, False
+                with contextlib.ExitStack() as places:
+                    if is_sent:
+                        places.callback(twice.turn.leave)
+                    else:
+                        places.enter_context(twice.turn.at_server(sent.server))
+                    attempt.reply = begin(self.at_server(attempt))
+                    try:
+                        reply = await asyncio.shield(attempt.reply)
+                    except BaseException:
+                        await end(attempt.reply)
+                        raise
+                if reply is not None:
+                    attempt.answer = reply
+                    return attempt
+                twice.has_failed.set()
+                if attempt.raised:
+                    return None
+            sent = await self._server_by(call, twice)
+            if sent is None:
+                return None
+
+    async def _server_by(self, call: Invocation, twice: Twice) -> Remote | None:
+        """The next server that can answer by the deadline; None without one, at once if the mission waits."""
+        hearing, selection = twice.hearing, self._decisions.selection
+        while twice.by_s - now_s() > _MOMENT_S and not hearing.enough.is_set():
+            in_use = selection.current
+            is_next = in_use is None or twice.turn.is_next(in_use.name, twice.by_s)
+            sent, may_come = None, not is_next
+            if is_next:
+                sent, may_come = self._decisions.better(
+                    call.operation, by_s=twice.by_s, waypoint=call.waypoint
+                )
+            if sent is not None:
+                return sent
+            if hearing.waits.is_set() and not may_come:
+                return None
+            changes: list[Coroutine[Any, Any, object]] = [self._decisions.told()]
+            if not hearing.waits.is_set():
+                changes.append(hearing.waits.wait())
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(twice.by_s - now_s()):
+                    await first(*changes)
+        return None
 
     async def _fall_back(self, call: Invocation, attempt: Attempt) -> CallAnswer:
         """Compute on the drone: after a reported exception the same call, to test it; else perhaps a lighter one."""
@@ -399,6 +546,14 @@ class Calling:
 def _has_failed(call: asyncio.Task[Any]) -> bool:
     """Whether the call is over without an answer."""
     return call.done() and (call.cancelled() or call.exception() is not None or call.result() is None)
+
+
+async def _is_sooner(better: asyncio.Task[Any], local: asyncio.Task[Any]) -> bool:
+    """Whether the better answer is there before the drone's; returns when one of them is."""
+    await asyncio.wait((better, local), return_when=asyncio.FIRST_COMPLETED)
+    if better.done() and better.result() is None:
+        await asyncio.wait((local,))
+    return better.done() and better.result() is not None
 
 
 async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any] | None:

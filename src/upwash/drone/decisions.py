@@ -23,6 +23,7 @@ from upwash.core.selection.call_placement import Place
 from upwash.core.selection.commands import Command, Effect, ExpectedTimes, Full, Mapped, ServerPaused
 from upwash.core.selection.events import SelectionEvent, Tick
 from upwash.core.selection.selection import Selection
+from upwash.core.selection.settings import TwoAnswers
 from upwash.errors import AutopilotLost
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
@@ -125,6 +126,20 @@ class Decisions:
         if decision is not None:
             self._decided(operation, decision, (), position, waypoint)
         return decision, again_s
+
+    def two_answers(self, operation: Operation) -> TwoAnswers | None:
+        """What the drone computes at once of a call with two answers; None for a call with one."""
+        return self.selection.two_answers(operation)
+
+    def better(
+        self, operation: Operation, *, by_s: float, waypoint: int | None = None
+    ) -> tuple[Remote | None, bool]:
+        """The READY server for a call's better answer, logged, or None; and whether one may become of use by then."""
+        position = self._autopilot.position
+        decision, may_come = self.selection.better(operation, by_s=by_s, now_s=now_s(), position=position)
+        if decision is not None:
+            self._decided(operation, decision, (), position, waypoint)
+        return decision, may_come
 
     async def until_told(self, unless: asyncio.Task[object], *, until_s: float) -> None:
         """Return after the next event of the core, at `until_s`, or when the task `unless` is done."""

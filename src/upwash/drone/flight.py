@@ -36,7 +36,7 @@ from upwash.drone.onboard import OnboardServices
 from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls
 from upwash.drone.photographer import Photographer
-from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of
+from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of, unkept_deadlines
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.rows import RowRules
 from upwash.drone.site import Site
@@ -118,6 +118,7 @@ class Flight:
         self._thread = MissionThread()
         specs = {name: spec_of(cls) for name, cls in services.items()}
         self._order = order or order_of(config, specs)
+        self._unkept = list(unkept_deadlines(config, specs))
         self._speed_why = speed_why
         self._done = done
         self._plan = tuple(
@@ -176,6 +177,8 @@ class Flight:
             if self._speed_why:
                 speed_m_s = config.mission.ground_speed_m_s
                 journal.record(schema.SpeedChosen(ground_speed_m_s=speed_m_s, why=self._speed_why))
+            for why in self._unkept:
+                journal.record(schema.NoBetterAnswer(why=why))
             journal.record(
                 schema.MissionStarted(
                     drone=config.name,

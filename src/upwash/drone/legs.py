@@ -93,9 +93,10 @@ class Legs:
         if hold_s:
             await asyncio.sleep(hold_s)
 
-    async def until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
-        """Begin to fly; return True on arrival, or False, still in flight, when the answer is there."""
-        leg = self._leg = begin(verb)
+    async def until_answered(self, verb: Coroutine[Any, Any, None] | None, demand: Demand[Any]) -> bool:
+        """Begin to fly, or fly on; return True on arrival, or False, still in flight, when an answer is there."""
+        leg = self._leg = self._leg if verb is None else begin(verb)
+        assert leg is not None  # noqa: S101 - it was begun
         try:
             await first(asyncio.wait([leg]), demand.answered())
         except asyncio.CancelledError:

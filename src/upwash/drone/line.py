@@ -13,8 +13,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from upwash.core.operation import ON_DRONE, Operation, name_of
@@ -27,11 +28,16 @@ from upwash.drone.decisions import Decisions, now_s
 class Turn:
     """The turn of a call to be decided; `take` gets the decision, None for the drone without one.
 
-    With `on_drone` only the drone is free for it.
+    With `on_drone` only the drone is free for it. `leave` frees its place before the call is answered. `at_server` is
+    a block with the server as a further place, for a better answer; `is_next(server, by_s)` tells whether the server
+    is free for it, of the calls that it can answer by their times.
     """
 
     take: Callable[[Decision | None], None]
     on_drone: bool = False
+    leave: Callable[[], None] = lambda: None
+    is_next: Callable[[str, float], bool] = lambda *_: True
+    at_server: Callable[[str], contextlib.AbstractContextManager[object]] = contextlib.nullcontext
 
 
 AT_ONCE = Turn(lambda _: None)  # of a call that waits for no other
@@ -57,6 +63,7 @@ class CallLine:
         self._others: list[asyncio.Event] = []
         self._is_deciding = False
         self._placed: dict[object, tuple[str, float]] = {}  # calls, with the place and its expected end
+        self._wanted: dict[object, float] = {}  # calls for a better answer, and by when each must be sent
         self._only_on_drone = False
 
     @contextlib.asynccontextmanager
@@ -83,16 +90,58 @@ class CallLine:
             self._decisions.wake()  # another is first now
         self._is_deciding = True
 
+        is_placed = False
+
         def take(decision: Decision | None) -> None:
+            nonlocal is_placed
+            is_placed = True
             self._placed[call] = self._place(operation, decision)
             self._go_on()
 
-        try:
-            yield Turn(take, on_drone=free == "drone")
-        finally:
-            if self._placed.pop(call, None) is None:
-                self._is_deciding = False
+        def leave() -> None:
+            self._placed.pop(call, None)
             self._decisions.wake()
+
+        try:
+            yield Turn(
+                take,
+                on_drone=free == "drone",
+                leave=leave,
+                is_next=partial(self._is_next, call, operation),
+                at_server=partial(self._at_server, call, operation),
+            )
+        finally:
+            if not is_placed:
+                self._is_deciding = False
+            self._wanted.pop(call, None)
+            leave()
+
+    def _is_next(self, call: object, operation: Operation, server: str, by_s: float) -> bool:
+        """Whether the call is the next for a better answer of the server, which is free."""
+        self._wanted[call] = by_s - self._takes_s(server, operation)
+        if self._is_deciding or server in self._busy_places:
+            return False
+        in_time = [wanted for wanted, latest_s in self._wanted.items() if latest_s >= now_s()]
+        return bool(in_time) and in_time[self._first] is call
+
+    def _takes_s(self, server: str, operation: Operation) -> float:
+        return self._decisions.selection.estimates.remote_s(server, operation) or 0.0
+
+    @contextlib.contextmanager
+    def _at_server(self, call: object, operation: Operation, server: str) -> Iterator[None]:
+        """The server as the place of a call that the drone has computed, or computes."""
+        self._wanted.pop(call, None)
+        place = object()
+        self._placed[place] = server, now_s() + self._takes_s(server, operation)
+        try:
+            yield
+        finally:
+            del self._placed[place]
+            self._decisions.wake()
+
+    @property
+    def _busy_places(self) -> set[str]:
+        return {place for place, _ in self._placed.values()}
 
     @property
     def _first_in_line(self) -> asyncio.Event:
@@ -107,8 +156,7 @@ class CallLine:
         if self._is_deciding or call is not self._first_in_line:
             return ""
         if on_drone or self._only_on_drone:
-            places = {place for place, _ in self._placed.values()}
-            return "" if ON_DRONE in places or self._is_computing(operation.service) else "drone"
+            return "" if ON_DRONE in self._busy_places or self._is_computing(operation.service) else "drone"
         return self._decisions.free_place(operation, self._busy(operation))
 
     def _go_on(self) -> None:
@@ -120,12 +168,20 @@ class CallLine:
             return ON_DRONE, math.inf
         estimates = self._decisions.selection.estimates
         server = decision.server if isinstance(decision, Remote) and not decision.raced else None
-        takes_s = estimates.local_s(operation) if server is None else estimates.remote_s(server, operation)
+        if server is None:
+            takes_s = estimates.local_s(self._computed(operation))
+        else:
+            takes_s = estimates.remote_s(server, operation)
         return name_of(server), now_s() + (takes_s or 0.0)
 
     def _busy(self, operation: Operation) -> dict[str, float]:
         busy = dict(self._placed.values())
         if ON_DRONE not in busy and self._is_computing(operation.service):
-            local_s = self._decisions.selection.estimates.local_s(operation)
+            local_s = self._decisions.selection.estimates.local_s(self._computed(operation))
             busy[ON_DRONE] = now_s() + (local_s or 0.0)
         return busy
+
+    def _computed(self, operation: Operation) -> Operation:
+        """What the drone computes of a call of the operation."""
+        two = self._decisions.two_answers(operation)
+        return operation if two is None else two.first

@@ -20,10 +20,11 @@ from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
-from upwash.drone.calling import CallAnswer, Calling, Invocation
+from upwash.drone.calling import CallAnswer, Calling, Invocation, Twice
 from upwash.drone.decisions import Background, Decisions, now_s
 from upwash.drone.line import AT_ONCE, CallLine, Turn
 from upwash.drone.onboard import OnboardServices
+from upwash.drone.pending import Hearing
 from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import TransitionError, UpwashError
@@ -121,10 +122,12 @@ class Offloading:
         waypoint: int | None = None,
         *,
         urgent: bool = False,
+        hearing: Hearing,
     ) -> Any:
         """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
 
-        Of several open calls, the log has the `waypoint` of each; an `urgent` call comes before the others.
+        Of several open calls, the log has the `waypoint` of each; an `urgent` call comes before the others. A call
+        with two answers tells the first to `hearing`, and returns the last.
         Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
         when the drone's own service fails too.
         """
@@ -137,7 +140,7 @@ class Offloading:
             try:
                 async with self._turn(asked, urgent=urgent) as turn:
                     if not self._failed:
-                        return await self._invoke(asked, turn, asked_s=asked_s)
+                        return await self._invoke(asked, turn, hearing, asked_s=asked_s)
             except Exception as error:
                 if isinstance(error, UpwashError) and not isinstance(error, TransitionError):
                     raise
@@ -168,24 +171,33 @@ class Offloading:
         self._decisions.tell(NoMoreCalls())
         await self._radios.done()
 
-    async def _invoke(self, asked: Invocation, turn: Turn, *, asked_s: float) -> Any:
+    async def _invoke(self, asked: Invocation, turn: Turn, hearing: Hearing, *, asked_s: float) -> Any:
         began_s = now_s()
         decision = self._decisions.decide(asked.operation, waypoint=asked.waypoint, on_drone=turn.on_drone)
         call = asked.lighter(decision.inputs.lightened)
         wait: Literal["", "paid off", "failed"] = ""
         why = decision.why
-        if isinstance(decision, Wait):
+        two = self._decisions.two_answers(call.operation)
+        if isinstance(decision, Wait) and two is None:
             decision = await self._decisions.wait(call.operation, decision, waypoint=call.waypoint)
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = now_s() - began_s
         turn.take(decision)
-        answer = await self._calling.answer(decision, call)
-        if answer.server is None and isinstance(decision, Remote):
+        if two is None:
+            answer = await self._calling.answer(decision, call)
+        else:
+            twice = Twice(call.under(two.first), asked_s + two.within_s, hearing, turn, asked_s)
+            answer = await self._calling.answer_twice(decision, call, twice)
+        if two is not None:
+            why += _of_two(answer, is_first=answer.call is not call)
+        elif answer.server is None and isinstance(decision, Remote):
             why = f"{why}; {_lost(answer)} on the drone"
         elif answer.overtook:
             why = f"{why}; {answer.server} became of use, and was sooner"
-        lightened = answer.call.lightened
+        asked_for: dict[str, Any] = lightened.facts if (lightened := answer.call.lightened) else {}
+        if two is not None and answer.call is not call:
+            asked_for = {"asked": str(call.operation)}
         self._journal.record(
             schema.Call(
                 waypoint=call.waypoint,
@@ -202,7 +214,8 @@ class Offloading:
                 hedged_s=answer.hedged_s,
                 queued_s=began_s - asked_s + answer.queued_s or None,
                 remote_fault=answer.remote_fault,
-                **(lightened.facts if lightened else {}),
+                first_s=answer.first_s,
+                **asked_for,
             )
         )
         return answer.reply
@@ -251,6 +264,12 @@ class Offloading:
             defect = defect.exceptions[0]
         trace = "".join(traceback.format_exception(error))
         self._journal.record(schema.OffloadingFailed(why=f"{type(defect).__name__}: {defect}", trace=trace))
+
+
+def _of_two(answer: CallAnswer, *, is_first: bool) -> str:
+    if is_first:
+        return "; the first answer counts, as no better one came"
+    return "" if answer.first_s is None else f"; the better answer, of {answer.server}"
 
 
 def _lost(answer: CallAnswer) -> str:

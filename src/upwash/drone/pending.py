@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable
+from functools import partial
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
 from msgspec.structs import asdict
@@ -41,24 +42,47 @@ class Invoke(Protocol):
         waypoint: int | None = None,
         *,
         urgent: bool = False,
+        hearing: Hearing,
     ) -> Coroutine[Any, Any, Any]:
-        """The decoded reply."""
+        """The decoded reply; of two answers the last, and `hearing` gets the first."""
+
+
+class Hearing:
+    """The mission's part in a call with two answers, on the loop; `first` is the first answer, as decoded.
+
+    The mission sets `waits` when it waits for the better one at rest, and `enough` when it needs none. `note` gets
+    the operation and the delay of the first answer.
+    """
+
+    def __init__(self, note: Callable[[Operation, float], object] = lambda *_: None) -> None:
+        self.first: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self.waits, self.enough = asyncio.Event(), asyncio.Event()
+        self._note = note
+
+    def hear(self, first: Any, operation: Operation, delay_s: float) -> None:
+        """Take the first answer."""
+        self.first.set_result(first)
+        self._note(operation, delay_s)
 
 
 class Pending(Generic[T]):
-    """A call that was started and whose answer may come later; `Drone.start` returns it."""
+    """A call that was started and whose answer may come later; `Drone.start` returns it.
+
+    A call with two answers has a first one, and is over with the better one, or at its deadline.
+    """
 
     def __init__(self, calls: Calls, method: Method, waypoint: int | None) -> None:
         self._calls = calls
         self._method = method
         self._waypoint = waypoint
-        self._task: asyncio.Task[Any] | None = None  # the loop makes it before the mission's next verb
+        self._task: asyncio.Task[Any]  # the loop makes both before the mission's next verb
+        self._hearing: Hearing
         self._is_taken = False
         self.took_s = 0.0  # until it was over
 
     def done(self) -> bool:
         """Whether the call has ended, with an answer or without; for any thread."""
-        return self._task is not None and self._task.done()
+        return hasattr(self, "_task") and self._task.done()
 
     def result(self) -> T:
         """Waits for the answer and returns it; raises the call's exception."""
@@ -67,6 +91,14 @@ class Pending(Generic[T]):
             return self._answer()
         finally:
             self._take(waited_s)
+
+    def first(self) -> T:
+        """Waits for the first of two answers, which the drone computes at once, and returns it.
+
+        Where the call is over before, or has one answer, this is that answer; the call's exception is raised.
+        """
+        self._calls.do(self._heard())
+        return self._answer()
 
     def cancel(self) -> None:
         """Drops the answer. The computation goes on, and the mission's next call waits for its end."""
@@ -77,11 +109,18 @@ class Pending(Generic[T]):
         return Demand(self, question)
 
     async def _over(self) -> float:
-        """Returns once the answer is there, or will never be, after how many seconds; for the loop."""
+        """Returns once the last answer is there, or will never be, after how many seconds; for the loop."""
         begun_s = asyncio.get_running_loop().time()
-        assert self._task is not None  # noqa: S101 - the loop has made it
+        self._hearing.waits.set()
         if not self._task.done():
             await asyncio.wait((self._task,))
+        return asyncio.get_running_loop().time() - begun_s
+
+    async def _heard(self) -> float:
+        """The same of the first answer."""
+        begun_s = asyncio.get_running_loop().time()
+        if not (self._task.done() or self._hearing.first.done()):
+            await asyncio.wait((self._task, self._hearing.first), return_when=asyncio.FIRST_COMPLETED)
         return asyncio.get_running_loop().time() - begun_s
 
     def _wait(self) -> float:
@@ -89,13 +128,20 @@ class Pending(Generic[T]):
         return self._calls.do(self._over())
 
     def _answer(self) -> T:
-        assert self._task is not None  # noqa: S101 - it is over
-        return cast(T, self._method.result(self._task.result()))
+        """The last answer that is there."""
+        return cast(T, self._method.result(self._reply()))
+
+    def _reply(self) -> Any:
+        return self._task.result() if self._task.done() else self._hearing.first.result()
 
     @property
     def _failure(self) -> str:
-        assert self._task is not None  # noqa: S101 - it is over
-        return why_failed(self._task)
+        return why_failed(self._task) if self._task.done() else ""
+
+    async def _ended_now(self) -> None:
+        """Have no better answer come, and return when the call is over; for the loop."""
+        self._hearing.enough.set()
+        await asyncio.wait((self._task,))
 
     def _take(self, waited_s: float, *, demanded: bool = False) -> None:
         """Logs, once, that the mission has the answer or the failure."""
@@ -103,7 +149,10 @@ class Pending(Generic[T]):
             self._is_taken = True
             self._calls.note(
                 schema.AnswerTaken(
-                    waypoint=self._waypoint, waited_s=waited_s, demanded=demanded, failed=self._failure
+                    waypoint=self._waypoint,
+                    waited_s=waited_s,
+                    demanded=demanded,
+                    failed=self._failure,
                 )
             )
 
@@ -115,16 +164,36 @@ def why_failed(call: asyncio.Task[Any]) -> str:
 
 
 class Demand(Generic[T]):
-    """A question about a coming answer; True is a demand. A failed call counts as one, as its answer is unknown."""
+    """A question about a coming answer; True is a demand. A failed call counts as one, as its answer is unknown.
+
+    The question runs for the first of two answers, and again for a better one.
+    """
 
     def __init__(self, pending: Pending[T], question: Callable[[T], object]) -> None:
         self.pending = pending
         self._question = question
         self._holds: bool | None = None  # None before the question
+        self._asked: object = None  # its last reply
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether the question has run."""
+        return self._holds is not None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the question has not run for an answer that is there, or the call is over."""
+        return self.pending.done() or (self._holds is None and self.pending._hearing.first.done())
+
+    @property
+    def news(self) -> set[asyncio.Future[Any]]:
+        """Futures: the first that is done makes the question due."""
+        pending = self.pending
+        return {pending._task} if self._holds is not None else {pending._task, pending._hearing.first}
 
     async def answered(self) -> None:
-        """Return when the call has ended; for the loop."""
-        await self.pending._over()
+        """Return when the question is due; for the loop."""
+        await asyncio.wait(self.news, return_when=asyncio.FIRST_COMPLETED)
 
     def note(self) -> None:
         """Log the answer's demand, before the drone flies back to its waypoint."""
@@ -132,14 +201,16 @@ class Demand(Generic[T]):
         pending._calls.note(schema.Demanded(waypoint=pending._waypoint, failed=pending._failure))
 
     def holds(self) -> bool:
-        """Whether the answer of the ended call makes the question true; the question runs once."""
-        if self._holds is None:
-            try:
-                answer = self.pending._answer()
-            except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
-                self._holds = True
-            else:
-                self._holds = bool(self._question(answer))
+        """Whether the last answer makes the question true; the question runs once for each answer."""
+        try:
+            reply = self.pending._reply()
+            if self._holds is not None and reply is self._asked:
+                return self._holds
+            self._asked, answer = reply, self.pending._method.result(reply)
+        except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
+            self._holds = True
+        else:
+            self._holds = bool(self._question(cast(T, answer)))
         return self._holds
 
 
@@ -171,7 +242,7 @@ class Calls:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         self._require_free(operation)
         after, self._dropped = self._dropped, None
-        return self.do(self._run(operation, method, request, after, self._waypoint(), urgent=True))
+        return self.do(self._run(operation, method, request, after, waypoint=self._waypoint()))
 
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Makes a call of a service's method with these arguments, and does not wait.
@@ -191,7 +262,10 @@ class Calls:
                 started.took_s = asyncio.get_running_loop().time() - begun_s
                 _take_note(call)
 
-            started._task = begin(self._run(operation, method, request, after, waypoint))
+            started._hearing = Hearing(partial(self.note_first, waypoint))
+            started._task = begin(
+                self._run(operation, method, request, after, waypoint=waypoint, hearing=started._hearing)
+            )
             started._task.add_done_callback(note_end)
 
         if self._several and self._under_way is not None:
@@ -204,10 +278,15 @@ class Calls:
         """Drop the answer of the call."""
         if self._under_way is call:
             self._under_way, self._dropped = None, call
+        self._thread.post(lambda: call._hearing.enough.set())  # noqa: PLW0108 - the loop makes it
 
     def do(self, verb: Coroutine[Any, Any, T]) -> T:
         """Does that on the loop's thread, and waits for it."""
         return self._thread.call(verb)
+
+    def note_first(self, waypoint: int | None, operation: Operation, delay_s: float) -> None:
+        """Logs the first of two answers; for the loop."""
+        self._journal.record(schema.FirstAnswer(waypoint=waypoint, operation=str(operation), delay_s=delay_s))
 
     def note(self, event: Event) -> None:
         """Logs an event of the mission."""
@@ -232,15 +311,19 @@ class Calls:
         method: Method,
         request: bytes,
         after: Pending[Any] | None,
-        waypoint: int | None,
         *,
-        urgent: bool = False,
+        waypoint: int | None,
+        hearing: Hearing | None = None,
     ) -> Any:
+        urgent = hearing is None
+        if hearing is None:  # the mission waits
+            hearing = Hearing(partial(self.note_first, waypoint))
+            hearing.waits.set()
         if after is not None:
             await after._over()
         if not self._several:
-            return await self._invoke(operation, method, request)
-        return await self._invoke(operation, method, request, waypoint, urgent=urgent)
+            return await self._invoke(operation, method, request, hearing=hearing)
+        return await self._invoke(operation, method, request, waypoint, urgent=urgent, hearing=hearing)
 
 
 def _take_note(call: asyncio.Task[Any]) -> None:
@@ -311,8 +394,16 @@ class AnswerAction(Generic[T]):
         self.is_over = False
         self._is_noted = False
 
+    def hear(self) -> bool:
+        """Waits for the answer, of two for the first; acts on it, or returns False where a better one may come."""
+        waited_s = self.pending._calls.do(self.pending._heard())
+        if not self.demand.holds() and not self.pending.done():
+            return False
+        self.finish(waited_s)
+        return True
+
     def settle(self) -> None:
-        """Waits for the answer; if it has a demand, flies to its waypoint, acts, and comes back here."""
+        """Waits for the last answer; if it has a demand, flies to its waypoint, acts, and comes back here."""
         here, waited_s = self._vehicle.place(), self.pending._wait()
         if self.is_away and self.demand.holds():
             self.demand.note()
@@ -357,6 +448,8 @@ class AnswerAction(Generic[T]):
     def finish(self, waited_s: float) -> None:
         """Take the answer, and act if it has a demand."""
         self.is_over = True
+        if not self.pending.done():  # the first of two answers is acted on
+            self._calls.do(self.pending._ended_now())
         demanded = self.demand.holds()
         place = position_of(self.place) if self.place is not None else None
         self._rule.answered(self.pending.took_s, demanded=demanded, place=place)
@@ -374,10 +467,15 @@ class AnswerAction(Generic[T]):
         self._calls.note(schema.Acted(waypoint=self.waypoint))
 
 
-async def one_answered(answers: Iterable[AnswerAction[Any]]) -> None:
-    """Return when the call of one of the answers has ended; there must be an answer. For the loop."""
-    calls = [answer.pending._task for answer in answers]
-    await asyncio.wait([call for call in calls if call is not None], return_when=asyncio.FIRST_COMPLETED)
+async def one_answered(answers: Iterable[AnswerAction[Any]], *, waits: bool = False) -> None:
+    """Return when one of the calls has an answer that was not looked at; there must be a call. For the loop.
+
+    With `waits` the drone rests meanwhile, so that no server comes nearer.
+    """
+    for answer in answers if waits else ():
+        answer.pending._hearing.waits.set()
+    news = set().union(*(answer.demand.news for answer in answers))
+    await asyncio.wait(news, return_when=asyncio.FIRST_COMPLETED)
 
 
 class AnswerActions:
@@ -405,7 +503,8 @@ class AnswerActions:
             if verdict.goes:
                 self._vehicle.leave_open(answer)
                 return
-        answer.settle()
+        if not answer.hear():
+            self._vehicle.leave_open(answer)
 
     async def _judge(self, place: Place | None) -> StayVerdict:
         return self._rule.decide(self._outlook(), position_of(place) if place is not None else None)

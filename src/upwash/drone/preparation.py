@@ -33,7 +33,7 @@ from upwash.core.planning.order import Forecaster, Order, best_order
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
-from upwash.core.selection.settings import LighterSettings, SelectionSettings
+from upwash.core.selection.settings import LighterSettings, SelectionSettings, TwoAnswers
 from upwash.core.vehicle.geofence import breached_by_way
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
 from upwash.drone.own_policy import policy_of
@@ -61,6 +61,7 @@ def make_selection(
             gain_slot=policy.gain_slot,
             probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
             lighter=_lighter(config, specs, estimates),
+            two_answers=two_answers(config, specs, estimates),
             takeoff_m=config.mission.altitude_m,
             lands=ending(config.mission) == "land",
         ),
@@ -160,13 +161,52 @@ def _lighter(
                 "@service(profile_by=...), and name a value of that parameter"
             )
     for asked, lighter in operations.items():
-        try:
-            specs[asked.service].methods[asked.method].argument(lighter.key)
-        except ValueError as error:
-            raise UsageError(
-                f'mission.lighter.{asked.key}: {asked.service} has no "{lighter.key}": {error}: name another key'
-            ) from error
+        _require_key(specs[asked.service].methods[asked.method], lighter.key, f"mission.lighter.{asked.key}")
     return LighterSettings(by_s, operations)
+
+
+def two_answers(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
+) -> dict[Operation, TwoAnswers]:
+    """The operations whose calls have a first answer of the drone, which itself is an operation with one answer."""
+    found: dict[Operation, TwoAnswers] = {}
+    for service in config.services:
+        if (two := service.two_answers) is None:
+            continue
+        methods = {name: method for name, method in specs[service.name].methods.items() if method.profile_by}
+        for operation in estimates.operations:
+            method = methods.get(operation.method) if operation.service == service.name else None
+            if method is None or method.once or operation.key == two.first:
+                continue
+            _require_key(method, two.first, f"service.{service.name}.two_answers.first")
+            first = Operation(service.name, method.name, two.first)
+            found[operation] = TwoAnswers(first, two.within_s)
+        if not any(operation.service == service.name for operation in found):
+            raise UsageError(
+                f"service.{service.name}.two_answers.first: no method of {service.name} has a profile key: declare "
+                "it with @service(profile_by=...), or leave two_answers out"
+            )
+    return found
+
+
+def unkept_deadlines(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Iterator[str]:
+    """Each operation whose better answers no server has in time, as a sentence."""
+    estimates = make_estimates(config, specs)
+    for operation, two in two_answers(config, specs, estimates).items():
+        servers = [estimates.remote_s(server.name, operation) for server in config.servers]
+        least_s = min((call_s for call_s in servers if call_s is not None), default=None)
+        if least_s is not None and least_s > two.within_s and operation.key in ("", config.mission.mode):
+            yield (
+                f"no server answers {operation} within {two.within_s:g} s, the fastest takes {least_s:g} s: the "
+                "first answer of each call counts alone"
+            )
+
+
+def _require_key(method: Method, key: str, where: str) -> None:
+    try:
+        method.argument(key)
+    except ValueError as error:
+        raise UsageError(f'{where}: {method.service} has no "{key}": {error}: name another key') from error
 
 
 def mission_beliefs(

@@ -241,16 +241,20 @@ class Rows:
         self._open.append(answer)
         if self._stays:
             self._wait_below(1)
-        if len(self._open) >= self._rules.at_most:
-            waiting = len(self._open)
+        if (waiting := self._unheard) >= self._rules.at_most:
             self._note(schema.PhotosWait(waiting=waiting))
             self.stop()
             self._wait_below(self._rules.at_most)
 
+    @property
+    def _unheard(self) -> int:
+        """How many open answers are not there; of two the first counts."""
+        return sum(not answer.demand.is_heard for answer in self._open)
+
     def _wait_below(self, count: int) -> None:
         """Wait at rest until fewer answers are open, and meet their demands; come back where a plan has the way."""
         here, was_away = self._vehicle.position(), False
-        while len(self._open) >= count:
+        while self._unheard >= count:
             was_away |= self._take_next()
         if was_away and self._way:
             self.fly_around(here)
@@ -275,7 +279,7 @@ class Rows:
         here, was_away = self._vehicle.place(), self._end is not None
         self.stop()
         while self._open:
-            was_away |= self._take_next()
+            was_away |= self._take_next(waits=True)
         if was_away and comes_back:
             self._come_back(here)
 
@@ -342,7 +346,7 @@ class Rows:
         rules, rule = self._rules, self._rules.stay_or_go
         if rule.manner != "learn" or rule.answer_s is None or spot not in self._following:
             return None
-        if len(self._open) > _IN_TIME:  # late answers share detours, which cost less
+        if self._unheard > _IN_TIME:  # late answers share detours, which cost less
             return None
         return rule.decide(
             RowOutlook(
@@ -361,10 +365,10 @@ class Rows:
     def _taken(self, waited_s: float = 0.0) -> list[AnswerAction[Any]]:
         """The open answers that are there and have a demand; the others that are there are taken."""
         demanding = []
-        for answer in [answer for answer in self._open if answer.pending.done()]:
+        for answer in [answer for answer in self._open if answer.demand.is_due]:
             if answer.demands():
                 demanding.append(answer)
-            else:
+            elif answer.pending.done():
                 self._open.remove(answer)
                 answer.finish(waited_s)
                 waited_s = 0.0
@@ -433,9 +437,12 @@ class Rows:
         legs = range(len(self._way) - 1, 0, -1)
         return next((leg for leg in legs if lies_on(place, self._way[leg - 1], self._way[leg])), None)
 
-    def _take_next(self) -> bool:
-        """Wait at rest for an answer and meet its demand; return whether the drone left its place."""
-        waited_s = self._thread.call(_timed(one_answered(self._open)))
+    def _take_next(self, *, waits: bool = False) -> bool:
+        """Wait at rest for an answer and meet its demand; return whether the drone left its place.
+
+        With `waits` it rests here until every answer is in.
+        """
+        waited_s = self._thread.call(_timed(one_answered(self._open, waits=waits)))
         demanding = self._taken(waited_s)
         if demanding:
             self._meet(demanding)

@@ -254,14 +254,18 @@ class Vehicle:
         if self._thread.call(self._legs.until_answered(verb, unless)):
             return True
         try:
-            goes_on = not unless.holds()
-            if not goes_on:  # before it brakes: who takes the vehicle then has it with this left undone
-                unless.note()
+            while not unless.holds():
+                if unless.pending.done():
+                    self._thread.call(self._legs.arrive())
+                    return True
+                if self._thread.call(self._legs.until_answered(None, unless)):  # a better answer may come
+                    return True
+            unless.note()  # before it brakes: who takes the vehicle then has it with this left undone
         except BaseException:
             self._thread.call(self._legs.stop_short_of(position_of(place)))
             raise
-        self._thread.call(self._legs.arrive() if goes_on else self._legs.stop_short_of(position_of(place)))
-        return goes_on
+        self._thread.call(self._legs.stop_short_of(position_of(place)))
+        return False
 
     @contextlib.contextmanager
     def _settling(self, answer: AnswerAction[Any]) -> Iterator[AnswerAction[Any]]:

@@ -27,7 +27,7 @@ SAFE_ENDS = {
 WARNING = 4
 _SHORTEST_S = 0.05  # the shortest time in line that a sentence has
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
-_WITHOUT_SENTENCE = frozenset({schema.PhotoTaken, schema.Decided, schema.CallStarted})
+_WITHOUT_SENTENCE = frozenset({schema.PhotoTaken, schema.Decided, schema.CallStarted, schema.FirstAnswer})
 _OWNERS = {
     Owner.NOBODY: "nobody",
     Owner.PROGRAM: "the program",
@@ -226,6 +226,7 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
         schema.ArmingDelayed: "{now.doing}: {now.waits_for}",
         schema.UnsignedPort: "{event.why}",
         schema.SiteDoubt: "{event.why}",
+        schema.NoBetterAnswer: "{event.why}",
         schema.LinkTrouble: "{event.why}",
         schema.WaitingForVehicle: "{now.doing} for {event.waited_s:.0f} of {event.within_s:g} s: {event.why}",
         schema.LinkLost: "the vehicle is not heard any more, for {event.silent_s:.1f} s",

@@ -266,6 +266,11 @@ def call_lines(call: ExplainedCall) -> Iterator[str]:
             f"{outcome.asked} was asked for: so the mission would have ended at {outcome.forecast_s:.0f} s, "
             f"{outcome.forecast_s - outcome.finish_by_s:.1f} s later than it was to"
         )
+    if outcome.first_s is not None:
+        better = f"no better one came in {outcome.delay_s:.2f} s"
+        if not outcome.asked:
+            better = f"the better one of {outcome.place} was there after {outcome.delay_s:.2f} s"
+        yield f"the drone's first answer was there after {outcome.first_s:.2f} s; {better}"
     if outcome.hedged_s is not None:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
     if outcome.waypoint is None and outcome.queued_s and outcome.queued_s >= SHORTEST_S:

@@ -34,8 +34,8 @@ _COUNTED = (
     }
 )
 _RARE = (
-    "hidden_s", "went_on", "turns_back", "never_ready", "not_acted_on", "not_looked_at", "failed_calls",
-    "offloading_failed",
+    "hidden_s", "first_s", "first_answers", "first_alone", "went_on", "turns_back", "never_ready", "not_acted_on",
+    "not_looked_at", "failed_calls", "offloading_failed",
 )  # fmt: skip
 _LEAST_HIDDEN_S = 0.01  # less is the time between the end of a call and the mission's next step
 
@@ -47,7 +47,7 @@ class CallResult:
     `place` is where the call ran in the end: "local" for the drone, or a server's name. `delay_s` is the delay of the
     answer, `waited_s` the part spent waiting for a server. The mission made the call at `at_s` of its time. `asked`
     is the operation that the mission asked for, if a lighter one ran. During `hidden_s` of the delay the mission did
-    other things.
+    other things. Of a call with two answers the first was there after `first_s`.
     """
 
     waypoint: int | None
@@ -59,6 +59,7 @@ class CallResult:
     at_s: float
     asked: str = ""
     hidden_s: float = 0.0
+    first_s: float | None = None
 
     @property
     def key(self) -> str:
@@ -79,6 +80,8 @@ class Totals:
     time, and `switches` the selections of a server. `lighter` counts the calls that ran lighter than the mission
     asked for. `went_on` counts the answers that the drone did not wait for, and `turns_back` its ways back for
     answers. `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
+    `first_answers` counts the calls with two answers whose first one was there before a better one, and
+    `first_alone` those of them that got no better one by the deadline.
     """
 
     calls: int
@@ -93,6 +96,8 @@ class Totals:
     went_on: int = 0
     turns_back: int = 0
     hidden_s: float = 0.0
+    first_answers: int = 0
+    first_alone: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +157,11 @@ class RunResult:
         None where nothing measured says: an operation never ran on the drone, or the mission went on before answers.
         Where it did other things during a part of a call and then waited, it would have waited on the drone too.
         """
-        if self.totals.went_on or any(call.hidden_s >= call.delay_s for call in self.calls if call.hidden_s):
+        if (
+            self.totals.went_on
+            or self.totals.first_answers
+            or any(call.hidden_s >= call.delay_s for call in self.calls if call.hidden_s)
+        ):
             return None
         local = mean_local_delay_s(self.calls)
         if any(call.operation not in local for call in self.calls):
@@ -269,10 +278,12 @@ class Tally:
                 switches=self._switches,
                 fallbacks=self._fallbacks,
                 service_delay_s=sum(call.delay_s for call in self._calls),
-                lighter=sum(bool(call.asked) for call in self._calls),
+                lighter=sum(bool(call.asked) and call.first_s is None for call in self._calls),
                 went_on=self._went_on,
                 turns_back=self._turned_back,
                 hidden_s=sum((call.hidden_s for call in self._calls), 0.0),
+                first_answers=sum(call.first_s is not None for call in self._calls),
+                first_alone=sum(bool(call.asked) and call.first_s is not None for call in self._calls),
             ),
             waypoints=self._waypoints,
             undone=[index for index in range(self._waypoints) if index not in self._reached],
@@ -319,6 +330,7 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
         waited_s=event.waited_s,
         at_s=event.t - event.delay_s - began_s,
         asked=event.asked,
+        first_s=event.first_s,
     )
 
 

@@ -221,6 +221,10 @@ class SpeedChosen(Event, frozen=True, kw_only=True):
     why: Text
 
 
+class NoBetterAnswer(_Explained, frozen=True, kw_only=True):
+    """Before take-off: no server is expected to give the second of two answers by its deadline."""
+
+
 class MissionStarted(Event, frozen=True, kw_only=True):
     """The drone, the policy, the number of planned waypoints, and in a resumed flight the indices already `done`."""
 
@@ -320,6 +324,17 @@ class CallStarted(Event, frozen=True, kw_only=True):
 
     operation: Text
     waypoint: Index | None
+
+
+class FirstAnswer(Event, frozen=True, kw_only=True):
+    """The mission hears the first answer of a call with two, `delay_s` after the call, by the drone as `operation`.
+
+    The event `call` tells where the better answer came from, or that none came by the deadline.
+    """
+
+    waypoint: Index | None
+    operation: Text
+    delay_s: Number
 
 
 class StayOrGo(Event, frozen=True, kw_only=True):
@@ -891,7 +906,8 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     several may be open at the same time. `remote_fault` is `confirmed` or `denied` if the
     server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not
     the log's. `operation` is what ran. If a heavier operation was `asked` for, the mission would have ended at
-    `forecast_s` of its time, later than `finish_by_s`.
+    `forecast_s` of its time, later than `finish_by_s`. Of a call with two answers the first one was there after
+    `first_s`; if no better one came by the deadline, `operation` is that of the first.
     """
 
     waypoint: Index | None = None
@@ -910,6 +926,7 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     fell_back: bool
     hedged_s: Number | None = None
     queued_s: Number | None = None
+    first_s: Number | None = None
     remote_fault: Literal["", "confirmed", "denied"] = ""
 
     @property

@@ -147,6 +147,8 @@ def print_result(
     _print_waypoints(result, console)
     if result.calls:
         say(_calls_line(totals, servers=servers), console)
+    if totals.first_answers:
+        say(first_answers_line(totals), console)
     if totals.lighter:
         say(_lighter_line(result), console)
     if going := _going_line(totals):
@@ -192,6 +194,14 @@ def _waits(totals: Totals) -> str:
     if not totals.waits:
         return "no waits"
     return f"{counted(totals.waits, 'wait')}, {totals.waits_failed or 'none'} wasted"
+
+
+def first_answers_line(totals: Totals) -> str:
+    """How many calls had a better answer after the first, and how many none by the deadline."""
+    better, alone = totals.first_answers - totals.first_alone, totals.first_alone or "none"
+    return (
+        f"two answers: {better} better ones after {counted(totals.first_answers, 'first one')}, {alone} alone"
+    )
 
 
 def _lighter_line(result: RunResult) -> str:

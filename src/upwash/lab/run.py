@@ -42,7 +42,7 @@ from upwash.lab.observer import Observation, RangeInterval, drone_observer, obse
 from upwash.missions.bundled import load_mission, load_services, load_specs
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.sim.camera import ModelCamera, RenderedCamera, eventful
+from upwash.sim.camera import ModelCamera, RenderedCamera, eventful, mistaken
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
@@ -342,10 +342,12 @@ def _camera(config: DroneConfig, chance: Chance) -> Camera:
     camera = config.camera
     if camera.park_seed is not None:
         return RenderedCamera(camera.park_seed, photo_s=camera.photo_s, in_thread=False)
-    events = eventful(config.event, waypoints(config.mission), chance)
+    places = waypoints(config.mission)
+    events = eventful(config.event, places, chance)
     return ModelCamera(
         photo_s=camera.photo_s,
         events=[waypoint.position for waypoint in events],
+        mistaken=mistaken(config.event, places, events, chance),
         in_flight=config.mission.photos is not None,
     )
 

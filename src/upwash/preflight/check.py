@@ -21,7 +21,7 @@ from upwash.config import (
     waypoints,
 )
 from upwash.core.planning.order import Order
-from upwash.drone.preparation import make_estimates, order_of
+from upwash.drone.preparation import make_estimates, order_of, unkept_deadlines
 from upwash.drone.speed import with_speed
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
@@ -118,6 +118,7 @@ def check(
         farthest=farthest(config),
         warnings=(
             *warnings(config, covered, list(beliefs(plan.config, alone)), predictions),
+            *(PreflightWarning("no-better-answer", why) for why in unkept_deadlines(plan.config, specs)),
             *_refusals(plan.config, alone),
         ),
         notices=tuple(plan_notices(plan.config)),
@@ -142,6 +143,7 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
     """What is believed of each operation that the mission called."""
     estimates = make_estimates(config, load_specs(config.services))
     called = {call.operation for call in run.result.calls}
+    called |= {call.asked for call in run.result.calls if call.first_s is not None}
     for operation in estimates.operations:
         local_s = estimates.local_s(operation)
         if local_s is None or str(operation) not in called:

@@ -68,7 +68,8 @@ def warnings(
     if config.policy.name != LOCAL_ONLY:
         found += _range_concerns(config.servers, covered)
         found += _operation_concerns(config, beliefs)
-        if not config.mission.lighter:  # else each case takes the time that it may
+        gains_time = not any(service.two_answers for service in config.services)  # else better answers
+        if gains_time and not config.mission.lighter:  # else each case takes the time that it may
             found += _gain_concerns(config, predictions)
     found += _failure_concerns(predictions)
     found += (PreflightWarning(kind, text) for kind, text in photo_doubts(config))

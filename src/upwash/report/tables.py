@@ -92,6 +92,11 @@ def totals(records: Sequence[Record]) -> Markup:
         rows.append(
             ["calls lighter than asked for", *(str(record.result.totals.lighter) for record in records)]
         )
+    if any(record.result.totals.first_answers for record in records):
+        rows += [
+            ["first answers of the drone", *(str(record.result.totals.first_answers) for record in records)],
+            ["without a better one in time", *(str(record.result.totals.first_alone) for record in records)],
+        ]
     if any(record.answers for record in records):
         rows += [
             ["went on before the answer", *(str(record.result.totals.went_on) for record in records)],

@@ -13,7 +13,7 @@ from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.ports import Photo
 from upwash.sim.chance import Chance
-from upwash.sim.runtime import EVENT
+from upwash.sim.runtime import EVENT, mistake_of
 from upwash.support.loading import extra
 
 if TYPE_CHECKING:
@@ -28,13 +28,22 @@ _SAME_PLACE_M = 1.0
 class ModelCamera:
     """Returns the same few bytes after `photo_s`: the radio model knows the size of a photo.
 
-    At the places of `events` the photo shows an event, which modelled services detect. The shutter opens when the
-    photo is there, or `in_flight` at once.
+    At the places of `events` the photo shows an event, which modelled services detect, except those that are
+    `mistaken` there: pairs of a place and a profile key. The shutter opens when the photo is there, or `in_flight`
+    at once.
     """
 
-    def __init__(self, *, photo_s: float, events: Sequence[Position] = (), in_flight: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        photo_s: float,
+        events: Sequence[Position] = (),
+        mistaken: Sequence[tuple[Position, str]] = (),
+        in_flight: bool = False,
+    ) -> None:
         self._photo_s = photo_s
         self._events = events
+        self._mistaken = mistaken
         self._in_flight = in_flight
 
     async def take_photo(self, at: Position) -> Photo:
@@ -44,6 +53,9 @@ class ModelCamera:
         captured_s = asked_s if self._in_flight else asyncio.get_running_loop().time()
         shows_event = any(ground_distance_m(at, place) < _SAME_PLACE_M for place in self._events)
         photo = _JPEG + EVENT if shows_event else _JPEG
+        for place, key in self._mistaken:
+            if ground_distance_m(at, place) < _SAME_PLACE_M:
+                photo += mistake_of(key)
         return Photo(photo, captured_s, source="model")
 
 
@@ -94,4 +106,19 @@ def eventful(event: EventConfig | None, waypoints: Sequence[Waypoint], chance: C
         waypoint
         for waypoint in waypoints
         if chance.stream(f"event/{waypoint.index}").random() < event.chance(waypoint.position)
+    ]
+
+
+def mistaken(
+    event: EventConfig | None, waypoints: Sequence[Waypoint], eventful: Sequence[Waypoint], chance: Chance
+) -> list[tuple[Position, str]]:
+    """The waypoints, and the profile keys of calls that are mistaken about an event there; each draws alone."""
+    if event is None:
+        return []
+    demanding = {waypoint.index for waypoint in eventful}
+    return [
+        (waypoint.position, key)
+        for waypoint in waypoints
+        for key, share in event.mistakes(demands=waypoint.index in demanding).items()
+        if chance.stream(f"mistake/{waypoint.index}/{key}").random() < share
     ]

@@ -204,7 +204,11 @@ class ModelInstance:
         self._called(drone.key)
         try:
             answered_s = await self._computer.compute(self._spec, operation)
-            reply = reply_to(method, body) if self._target is None else method.perform(self._target, body)[1]
+            reply = (
+                reply_to(method, body, operation.key)
+                if self._target is None
+                else method.perform(self._target, body)[1]
+            )
             outcome = "raised" if carries_fault(reply) else "value"
         except Raises as error:
             answered_s, reply, outcome = _now_s(), method.fault_reply(error), "raised"
@@ -254,9 +258,14 @@ async def _until(time_s: float) -> None:
 EVENT = b"an event that the scenario put here"
 
 
-def reply_to(method: Method, request: bytes) -> bytes:
-    """A reply with an empty value of the method's result type, or a truthy value if the photo shows an event."""
-    return _reply(method.reply, EVENT in request)
+def mistake_of(key: str) -> bytes:
+    """What a photo has where calls with the profile key are mistaken about the event."""
+    return f"mistaken: {key};".encode()
+
+
+def reply_to(method: Method, request: bytes, key: str = "") -> bytes:
+    """A reply with an empty value of the method's result type, or a truthy value if the call sees an event."""
+    return _reply(method.reply, (EVENT in request) != (mistake_of(key) in request))
 
 
 @functools.cache

@@ -34,7 +34,8 @@ class CallPlace(Struct, frozen=True):
 class CallForecast:
     """Foresees the places of coming calls, from the server in use and the estimates of one moment.
 
-    `unusable_s` has the seconds until a server may be used; services run on the servers of `running`.
+    `unusable_s` has the seconds until a server may be used; services run on the servers of `running`. Calls with two
+    answers are over with the `first` one, or the server's if that is sooner.
     """
 
     _policy: Policy
@@ -42,6 +43,7 @@ class CallForecast:
     here: CallPlace
     unusable_s: Mapping[str, float]
     running: set[str] = field(default_factory=set)
+    first: Mapping[Operation, Operation] = field(default_factory=dict)
     _choices: dict[tuple[str | None, tuple[str, ...], Position | None], str | None] = field(
         default_factory=dict
     )
@@ -80,6 +82,12 @@ class CallForecast:
         return delay_s
 
     def _decided_s(self, place: CallPlace, operation: Operation, at: Position | None) -> float:
+        first = self.first.get(operation)
+        decided_s = self._placed_s(place, operation, at)
+        first_s = self._estimates.local_s(first) if first is not None else None
+        return decided_s if first_s is None else min(first_s, decided_s)
+
+    def _placed_s(self, place: CallPlace, operation: Operation, at: Position | None) -> float:
         server, local_s = place.server, self._estimates.local_s(operation) or 0.0
         remote_s = self._estimates.remote_s(server, operation, at) if server is not None else None
         if server is None or remote_s is None:

@@ -32,11 +32,13 @@ class CallPlacement:
     _estimates: Estimates
     _recovery: Recovery | None
 
-    def free_place(self, operation: Operation, busy_until_s: Mapping[str, float], now_s: float) -> Place:
+    def free_place(
+        self, operation: Operation, busy_until_s: Mapping[str, float], now_s: float, first: Operation
+    ) -> Place:
         """Where a call may be decided now, one of several that are open; "" while it waits for a busy place.
 
         It is "either" place, or only the drone, because the server is busy for longer than the drone would take.
-        `busy_until_s` has the expected end of what each busy place computes.
+        `busy_until_s` has the expected end of what each busy place computes, `first` what the drone would compute.
         """
         server, is_drone_free = self._radios.in_use, ON_DRONE not in busy_until_s
         local_s = self._estimates.local_s(operation)
@@ -48,10 +50,15 @@ class CallPlacement:
         ):
             return "either" if is_drone_free else ""
         remote_end_s = max(now_s, busy_until_s.get(server.name, now_s)) + remote_s
-        local_end_s = max(now_s, busy_until_s.get(ON_DRONE, now_s)) + local_s
+        first_s = self._first_s(first, local_s)
+        local_end_s = max(now_s, busy_until_s.get(ON_DRONE, now_s)) + first_s
         if remote_end_s < local_end_s:
             return "" if server.name in busy_until_s else "either"
         return "drone" if is_drone_free else ""
+
+    def _first_s(self, first: Operation, local_s: float) -> float:
+        first_s = self._estimates.local_s(first)
+        return local_s if first_s is None else first_s
 
     def _answers(self, server: Server, operation: Operation) -> bool:
         """Whether the server can take a call, and is not on trial."""
@@ -59,11 +66,12 @@ class CallPlacement:
         return server.in_range and server.state is State.READY and not in_doubt
 
     def decide(
-        self, operation: Operation, now_s: float, *, on_drone: bool = False
+        self, operation: Operation, now_s: float, *, on_drone: bool = False, first: Operation | None = None
     ) -> tuple[Decision, list[Effect]]:
         """Decide where a call made now runs; leave the server in use if it is out of range.
 
-        With `on_drone` the server in use is busy with earlier calls for too long.
+        With `on_drone` the server in use is busy with earlier calls for too long. A call whose `first` answer the
+        drone has sooner than the server runs at both.
         """
         inputs, server = self._inputs(operation, now_s), self._radios.in_use
         if server is None:
@@ -81,6 +89,8 @@ class CallPlacement:
         decision = self._on_trial(server, operation, local_s, now_s)
         if decision is None:
             decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
+        if first is not None and isinstance(decision, Remote) and self._first_s(first, local_s) < remote_s:
+            decision = replace(decision, raced=True)
         return replace(decision, inputs=inputs), []
 
     def _call(
@@ -146,6 +156,32 @@ class CallPlacement:
         if not isinstance(decision, Remote):
             return None, math.inf
         return replace(decision, why=f"{server.name} is ready, and sooner", raced=True), math.inf
+
+    def better(self, operation: Operation, by_s: float, now_s: float) -> tuple[Remote | None, bool]:
+        """The server in use, READY to answer by then a call whose first answer the drone computes; None without one.
+
+        The second value tells whether the server may become of use in time.
+        """
+        server = self._radios.in_use
+        if server is None or not server.in_range or server.state not in (State.READY, *CHECKING):
+            return None, False
+        remote_s = self._estimates.remote_s(server.name, operation)
+        if remote_s is None or server.is_full(now_s):
+            return None, False
+        begins_s = now_s
+        if server.state is not State.READY:
+            begins_s += max(0.0, (self._check_s(server) or 0.0) - (now_s - server.checked_since_s))
+        elif self._recovery is not None:
+            begins_s = max(now_s, self._recovery.trial_due_s(server.name, operation))
+        if begins_s + remote_s > by_s:
+            return None, False
+        if server.state is not State.READY or begins_s > now_s:
+            return None, True
+        decision, _ = self.decide(operation, now_s)
+        if not isinstance(decision, Remote):
+            return None, False
+        deadline_s = min(decision.deadline_s, by_s - now_s)
+        return replace(decision, deadline_s=deadline_s, why="for the better answer", raced=True), True
 
     def _on_trial(
         self, server: Server, operation: Operation, local_s: float, now_s: float

@@ -41,7 +41,7 @@ from upwash.core.selection.mission_times import Lighter, Timetable
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
 from upwash.core.selection.server_planning import ServerPlanning
-from upwash.core.selection.settings import SelectionSettings
+from upwash.core.selection.settings import SelectionSettings, TwoAnswers
 
 _READY = frozenset({State.READY})
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
@@ -60,6 +60,7 @@ class Selection:
         mission: MissionBeliefs | None = None,
     ) -> None:
         settings, beliefs = settings or SelectionSettings(), mission or MissionBeliefs()
+        self._settings = settings
         index = AreaIndex(list(areas.values()))
         self.estimates = estimates
         self.policy = policy
@@ -143,7 +144,14 @@ class Selection:
     ) -> Place:
         """Where a call may be decided now, one of several that are open; "" while it waits for a busy place."""
         self._locate(position, now_s)
-        return self._placement.free_place(operation, busy_until_s, now_s)
+        first = self._settings.two_answers.get(operation)
+        return self._placement.free_place(
+            operation, busy_until_s, now_s, first=first.first if first else operation
+        )
+
+    def two_answers(self, operation: Operation) -> TwoAnswers | None:
+        """What the drone computes at once of a call with two answers; None for a call with one."""
+        return self._settings.two_answers.get(operation)
 
     def decide(
         self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
@@ -155,7 +163,10 @@ class Selection:
         self._planning.mission.call_begun(operation, now_s=now_s)
         lightened = self._lighter.judge(operation, now_s=now_s, position=position) if self._lighter else None
         operation = lightened.operation if lightened else operation
-        decision, effects = self._placement.decide(operation, now_s, on_drone=on_drone)
+        first = self._settings.two_answers.get(operation)
+        decision, effects = self._placement.decide(
+            operation, now_s, on_drone=on_drone, first=first.first if first else None
+        )
         self._planning.decided(decision, operation, now_s)
         if lightened is not None:
             decision = replace(decision, inputs=structs.replace(decision.inputs, lightened=lightened))
@@ -192,6 +203,16 @@ class Selection:
         if decision is not None:
             self._planning.under_way = decision
         return decision, again_s
+
+    def better(
+        self, operation: Operation, *, by_s: float, now_s: float, position: Position
+    ) -> tuple[Remote | None, bool]:
+        """The server that can answer a call by then whose first answer the drone computes; None without one.
+
+        The second value tells whether the server in use may become of use in time.
+        """
+        self._locate(position, now_s)
+        return self._placement.better(operation, by_s, now_s)
 
     def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""

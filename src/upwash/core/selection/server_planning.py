@@ -102,6 +102,9 @@ class ServerPlanning:
                 expected_s = self._estimates.remote_s(server, operation)
             case Wait(_, at_most_s):
                 expected_s = at_most_s
+        first = self._settings.two_answers.get(operation)
+        if first is not None and (first_s := self._estimates.local_s(first.first)) is not None:
+            expected_s = first_s if expected_s is None else min(expected_s, first_s)
         self.mission.call_ends(now_s + (expected_s or 0.0))
 
     def answered(self, now_s: float) -> None:
@@ -215,6 +218,7 @@ class ServerPlanning:
             here=here,
             running={server.name for server in self._table.servers.values() if server.state in running},
             unusable_s=dict(self._banned(now_s)),
+            first={asked: two.first for asked, two in self._settings.two_answers.items()},
         )
 
     def _options(self, now_s: float) -> list[Option]:

@@ -17,12 +17,19 @@ class LighterSettings(Struct, frozen=True):
     operations: Mapping[Operation, Operation]
 
 
+class TwoAnswers(Struct, frozen=True):
+    """What the drone computes at once of a call, and how long after the call a server's answer counts."""
+
+    first: Operation
+    within_s: float
+
+
 class SelectionSettings(Struct, frozen=True):
     """How long `Selection` remembers, and how many servers it may select at a time.
 
     With `probing`, `blacklist_s` has no effect. A server that others wait for is used only if it saves more than
     the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at its last waypoint
-    or else returns home.
+    or else returns home. Calls of the operations in `two_answers` have a first answer of the drone.
     """
 
     blacklist_s: float = 60.0
@@ -32,5 +39,6 @@ class SelectionSettings(Struct, frozen=True):
     probing: Probing | None = None
     gain_slot: float = 0.25
     lighter: LighterSettings | None = None
+    two_answers: Mapping[Operation, TwoAnswers] = {}
     takeoff_m: float = 0.0
     lands: bool = False

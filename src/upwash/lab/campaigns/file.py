@@ -53,15 +53,17 @@ class CampaignRow(msgspec.Struct, frozen=True):
     jain: float | None = None
     bound_shared_s: float | None = None
     lighter: int | None = None  # calls, with mission.lighter
+    first_answers: int | None = None  # with two answers
+    first_alone: int | None = None
 
 
 ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
 _FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
 _LIGHTER = ("lighter",)
 _GOING = ("went_on", "turns_back", "hidden_s")
-_COLUMNS = tuple(
-    name for name in CampaignRow.__struct_fields__[1:] if name not in (*ENERGY, *_FLEET, *_LIGHTER, *_GOING)
-)
+_TWO_ANSWERS = ("first_answers", "first_alone")
+_SOME = frozenset((*ENERGY, *_FLEET, *_LIGHTER, *_GOING, *_TWO_ANSWERS))
+_COLUMNS = tuple(name for name in CampaignRow.__struct_fields__[1:] if name not in _SOME)
 
 
 class Note(msgspec.Struct, frozen=True):
@@ -87,7 +89,9 @@ class CampaignFile:
         together = _FLEET if any("drone" in document for document in documents) else ()
         timed = _LIGHTER if any("lighter" in document["mission"] for document in documents) else ()
         goes = _GOING if any(_may_go(document) for document in documents) else ()
-        self._columns = (*_COLUMNS, *metered, *together, *timed, *goes)
+        services = [service for document in documents for service in document.get("service", ())]
+        twice = _TWO_ANSWERS if any("two_answers" in service for service in services) else ()
+        self._columns = (*_COLUMNS, *metered, *together, *timed, *goes, *twice)
 
     @classmethod
     def open(cls, out: Path, sweep: ParameterSweep) -> CampaignFile:
