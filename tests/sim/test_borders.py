@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
 import pytest
 
@@ -33,6 +34,26 @@ async def test_a_border_is_told_to_who_has_waited_since_before_the_leg_that_cros
     leg = asyncio.create_task(autopilot.goto(Position(100.0, 0.0, 5.0)))
     await crossing
     assert autopilot.position.east_m == pytest.approx(80.0, abs=0.01)
+    await leg
+
+
+@pytest.mark.virtual
+async def test_a_border_is_told_once_if_a_timer_is_due_a_moment_before() -> None:
+    autopilot = await hovering()
+    loop, here, there = asyncio.get_running_loop(), Position(0.0, 0.0, 5.0), Position(100.0, 0.0, 5.0)
+    begun_s, leg = loop.time(), asyncio.create_task(autopilot.goto(there))
+    await autopilot.border_crossed(AREA)
+    takes_s = loop.time() - begun_s
+    await leg
+    await autopilot.goto(here)
+    loop.call_later(takes_s - 5e-10, lambda: None)
+    leg, told = asyncio.create_task(autopilot.goto(there)), 0
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(60.0):
+            while told < 3:
+                await autopilot.border_crossed(AREA)
+                told += 1
+    assert told == 1
     await leg
 
 

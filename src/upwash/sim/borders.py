@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from upwash.core.geo import Circle, ground_distance_m
 from upwash.core.knowledge.ranges import AreaIndex
+from upwash.sim.loop import ALIKE_S
 from upwash.vehicle.body.kinematics import Motion, Phase, elapsed_s
 
 _ROUNDING_M = 1e-6
@@ -89,7 +90,7 @@ class Borders:
         """The time just after the motion next crosses one of the circles; None if it crosses none."""
         if asked.crossings_s is None:
             asked.crossings_s = sorted(self._all_crossings_s(asked))
-        later = bisect_right(asked.crossings_s, self._loop.time())
+        later = bisect_right(asked.crossings_s, self._loop.time() + ALIKE_S)
         return asked.crossings_s[later] if later < len(asked.crossings_s) else None
 
     def _all_crossings_s(self, asked: _Asked) -> Iterator[float]:

@@ -24,7 +24,7 @@ from upwash.sim.turns import Interrupts, MissionTurn, OverstayedError, RunningTu
 
 T = TypeVar("T")
 
-_ALIKE_S = 1e-9  # timers that are no further apart are due together
+ALIKE_S = 1e-9  # timers that are no further apart are due together
 _FEW_TIMERS = 100  # as many as may be cancelled before they are looked through
 _MOST_ROUNDS = 100_000  # without time going on: a thousand times what a flight with a hundred servers needs
 
@@ -186,7 +186,7 @@ class VirtualLoop(base_events.BaseEventLoop):
             self._now_s, self._rounds = timers[0][0], 0
         else:  # which a timer of no time is, too
             self._count_round()
-        due_s = self._now_s + _ALIKE_S
+        due_s = self._now_s + ALIKE_S
         while timers and timers[0][0] < due_s:
             self._ready.append(self._pop_timer())
         self._left = len(self._ready)
