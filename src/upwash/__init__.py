@@ -24,6 +24,7 @@ from upwash.errors import (
     ModelError,
     OutcomeUnknown,
     ServiceError,
+    Unanswered,
     UpwashError,
     UsageError,
 )
@@ -66,6 +67,7 @@ __all__ = [
     "Simulation",
     "Telemetry",
     "Totals",
+    "Unanswered",
     "Unplaced",
     "UpwashError",
     "UsageError",

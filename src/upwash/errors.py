@@ -21,6 +21,7 @@ UpwashError
 │   └── GarbledReply            an answer that cannot be decoded
 ├── InstanceError             a service instance did not start, or crashed
 │   └── EngineError             the container engine refused, failed, or does not answer
+├── Unanswered                no server answered a call that only servers compute
 ├── ServiceError              the service's own exception, of a class that is unknown here
 ├── NotWritten                a file could not be written: names what was kept
 ├── NotKept                   the work was done, but not all of its output could be written
@@ -60,6 +61,7 @@ __all__ = [
     "ReserveReached",
     "ServiceError",
     "TransitionError",
+    "Unanswered",
     "Unreachable",
     "UpwashError",
     "UsageError",
@@ -225,6 +227,10 @@ class OutcomeUnknown(InstanceError):
 
 class EngineError(InstanceError):
     """The container engine refused or failed an operation, or does not answer."""
+
+
+class Unanswered(UpwashError):
+    """No server answered a call in time, of a service that only servers run."""
 
 
 class ServiceError(UpwashError):

@@ -86,13 +86,18 @@ def never_offloaded(config: DroneConfig) -> Iterator[str]:
     """A warning for each service that always runs on the drone, as no server is believed to offer it."""
     offered = {name for server in config.servers for name in (*server.processing_s, *server.remote_call_s)}
     for service in config.services if config.servers else ():
-        if service.name not in offered:
+        if service.name not in offered and not only_on_servers(service):
             keys = [f"{key} = 0.5" for key in service.local_call_s if key]
             example = f"{{ {', '.join(keys)} }}" if keys else "0.5"
             yield (
                 f"{service.name} always runs on the drone, as no [[server]] has a time for it: add what a call takes "
                 f"to the servers that offer it, as in remote_call_s = {{ {service.name} = {example} }}"
             )
+
+
+def only_on_servers(service: ServiceConfig) -> bool:
+    """Whether the file gives the service no delay on the drone."""
+    return all(call_s == math.inf for call_s in service.local_call_s.values())
 
 
 def _drone_problems(drone: FleetDroneConfig, config: DroneConfig) -> Iterator[Problem]:
@@ -205,7 +210,11 @@ def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:
         key = f"mission.lighter.{asked}"
         if lighter in mission.lighter:
             yield key, f'"{lighter}" has a lighter key itself: name the one at the end for each'
-        delays = [service.local_call_s for service in services if asked in service.local_call_s]
+        delays = [
+            service.local_call_s
+            for service in services
+            if asked in service.local_call_s and not only_on_servers(service)
+        ]
         if not delays:
             names = dict.fromkeys(name for service in services for name in service.local_call_s if name)
             yield key, unknown("profile key", asked, names)

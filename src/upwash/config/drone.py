@@ -293,6 +293,8 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
     demand_map: values.DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
+    detour_s: values.NotNegative = 120.0
+    """The longest stop, with the way there, for answers of [a service that only servers run](only-servers.md)."""
 
     def __post_init__(self) -> None:
         if self.settings and not is_own(self.name):
@@ -366,7 +368,10 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The largest reply of a server: a larger one is not received, and the drone computes the call."""
     local_call_s: values.SecondsOfEachKey
     """A call on the drone, in seconds: one number, or one for each profile key or method; `upwash profile`
-    measures it."""
+    measures it. Left out of [a service that only servers run](only-servers.md)."""
+    waiting_bytes: values.Bytes = 268_435_456
+    """If only servers run it: the most that requests of waiting calls keep in memory, in bytes; beyond it the oldest
+    ends without an answer."""
     local_first_extra_s: values.NotNegative = 0.0
     """How much longer the first call after a start takes, in seconds."""
     local_pace_s: values.SecondsByKey = {}

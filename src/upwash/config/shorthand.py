@@ -5,6 +5,7 @@ This runs before the types are checked: a value that is not recognised here stay
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,14 @@ _REMOTE = ("processing_s", "remote_call_s")
 
 
 def written_out(document: Document, folder: Path) -> Document:
-    """The document without shorthands, its times by service and profile key, its paths from the folder."""
+    """The document without shorthands, its times by service and profile key, its paths from the folder.
+
+    A service with a program of its own and without a delay on the drone gets an infinite delay: only servers run it.
+    """
     found = document.get("service")
+    if isinstance(found, list):
+        found = [_with_local_keys(table, document) if isinstance(table, dict) else table for table in found]
+        document = document | {"service": found}
     services = [table for table in found if isinstance(table, dict)] if isinstance(found, list) else []
     changes: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         "camera": lambda table: _with_film_from(table, folder),
@@ -33,6 +40,18 @@ def written_out(document: Document, folder: Path) -> Document:
     }
     tables = {name: each_table(document[name], changes[name]) for name in changes if name in document}
     return document | tables
+
+
+def _with_local_keys(service: dict[str, Any], document: Document) -> dict[str, Any]:
+    """The service; without a delay on the drone, an infinite one for each profile key of its times at servers."""
+    if "program" not in service or not service.keys().isdisjoint(_LOCAL):
+        return service
+    servers = document.get("server")
+    tables = [table for table in servers if isinstance(table, dict)] if isinstance(servers, list) else []
+    times = [times for table in tables for name in _REMOTE if isinstance(times := table.get(name), dict)]
+    by_key = [its for its_times in times if isinstance(its := its_times.get(service.get("name")), dict)]
+    keys = dict.fromkeys(key for its in by_key for key in its) or [""]
+    return service | {"local_call_s": dict.fromkeys(keys, math.inf)}
 
 
 def each_table(value: object, write_out: Callable[[dict[str, Any]], dict[str, Any]]) -> object:

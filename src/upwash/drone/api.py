@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Final, ParamSpec, TypeVar
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.operation import Operation
@@ -15,11 +16,12 @@ from upwash.drone.vehicle import Vehicle
 from upwash.errors import UsageError
 from upwash.plans import Ending
 from upwash.ports import Notifier
-from upwash.rpc.service import Method, make_stub, spec_of
+from upwash.rpc.service import Method, Patience, make_stub, spec_of
 
 P = ParamSpec("P")
 T = TypeVar("T")
 Mission = Callable[["Drone"], None]
+_NOTHING: Final = object()  # is told
 
 
 class User:
@@ -100,18 +102,39 @@ class Drone:
             raise UsageError("mission.home is missing: no place of this mission is known in degrees")
         return LocalFrame(self.home).geo(position_of(place))
 
-    def service(self, cls: type[T]) -> T:
+    def service(self, cls: type[T], *, unanswered: object = _NOTHING, within_s: float | None = None) -> T:
         """An object of the service's class; upwash decides for each call of a method where it runs.
 
-        Raises UsageError for a service that the configuration does not name.
+        A service with `where="servers"` needs `unanswered`: what a call returns that no server answers within
+        `within_s`, or else before the drone has landed. With `unanswered=Unanswered` the call raises that. Raises
+        UsageError for a service that the configuration does not name.
         """
-        name = spec_of(cls).name
+        spec = spec_of(cls)
+        name = spec.name
         if name not in self._services:
             raise UsageError(
                 f"the mission calls the service {name!r}, which the configuration does not name: add a [[service]] "
                 f'table with name = "{name}"; it names {", ".join(sorted(self._services)) or "none"}'
             )
-        return make_stub(cls, self._call)
+        if spec.on_drone:
+            if unanswered is not _NOTHING or within_s is not None:
+                raise UsageError(
+                    f"drone.service({cls.__name__}, ...): the drone can answer each call of {name}: leave unanswered "
+                    'and within_s out, or declare the service with @service(where="servers")'
+                )
+            return make_stub(cls, self._call)
+        if unanswered is _NOTHING:
+            raise UsageError(
+                f"drone.service({cls.__name__}): only servers run {name}, and perhaps none is in reach: say what a "
+                f"call without an answer returns, as in drone.service({cls.__name__}, unanswered=None), or write "
+                "unanswered=upwash.Unanswered to have that raised"
+            )
+        if within_s is not None and not 0 < within_s < math.inf:
+            raise UsageError(
+                f"drone.service({cls.__name__}): within_s is {within_s!r}: give seconds above 0, or leave it out to "
+                "wait until the drone has landed"
+            )
+        return make_stub(cls, self._call, Patience(unanswered, within_s))
 
     def start(self, call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
         """Starts a call of a service's method, `drone.start(detector.process_photo, photo)`, and does not wait.

@@ -179,6 +179,24 @@ class Calling:
         reply = await self.at_server(attempt)
         return await self._fall_back(call, attempt) if reply is None else CallAnswer(reply, call, attempt)
 
+    async def by_server(self, decision: Remote, call: Invocation, *, raised_before: bool) -> CallAnswer | str:
+        """The answer to a call that only servers compute; else the exception that the server reports, "" for none.
+
+        A server's first report counts against the server, a second one, after `raised_before`, against the call.
+        """
+        attempt = self.attempt(call, decision)
+        if (reply := await self.at_server(attempt)) is not None:
+            return CallAnswer(reply, call, attempt)
+        if not attempt.raised:
+            return ""
+        why = f"{attempt.server} says that {call.operation} raised {attempt.raised}"
+        self._decisions.tell(
+            events.RemoteFaultTested(
+                attempt.server, attempt.check, call.operation, attempt.delay_s, why, raised_before
+            )
+        )
+        return why
+
     async def queue(self, service: str) -> float:
         """Waits until the drone's service is done with calls that servers answered; returns the seconds waited."""
         began_s = now_s()
@@ -263,6 +281,10 @@ class Calling:
     def _doubt(self, attempt: Attempt) -> None:
         """Log the reported exception; the mission only gets exceptions of the drone's own service."""
         server, operation, raised = attempt.server, str(attempt.call.operation), attempt.raised
+        why = f"{server} says that {operation} raised {raised}"
+        if attempt.call.method.patience is not None:  # the drone cannot test it
+            self._journal.record(schema.RemoteFailed(server=server, check=attempt.check, why=why))
+            return
         self._journal.record(
             schema.RemoteRaised(server=server, check=attempt.check, operation=operation, raised=raised)
         )
@@ -274,7 +296,6 @@ class Calling:
         elif attempt.rival is not None and attempt.late:
             self.test(attempt, attempt.rival.result())
         else:
-            why = f"{server} says that {operation} raised {raised}"
             self._decisions.tell(events.RemoteCallRaised(server, why))
 
     def test(self, attempt: Attempt, onboard: Any) -> None:

@@ -64,6 +64,10 @@ class Decisions:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
         return self.selection.outlook(now_s=now_s(), position=self._autopilot.position)
 
+    def reach_s(self, operation: Operation) -> float | None:
+        """Seconds until a server in range answers a call that only servers compute; None where none can."""
+        return self.selection.reach_s(operation, now_s=now_s(), position=self._autopilot.position)
+
     def tell(self, event: SelectionEvent) -> None:
         """Pass the event to the core, and carry out its effects."""
         effects = self.selection.handle(event, now_s=now_s(), position=self._autopilot.position)

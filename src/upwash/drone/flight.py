@@ -39,6 +39,7 @@ from upwash.drone.photographer import Photographer
 from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of, unkept_deadlines
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.rows import RowRules
+from upwash.drone.seeking import Seeking
 from upwash.drone.site import Site
 from upwash.drone.vehicle import Vehicle, VehicleHandle
 from upwash.errors import (
@@ -64,7 +65,7 @@ from upwash.ports import (
     Runtime,
     VehicleNews,
 )
-from upwash.rpc.service import spec_of
+from upwash.rpc.service import ServiceSpec, spec_of
 from upwash.support.background import end, start
 from upwash.support.heat import Surroundings
 
@@ -131,12 +132,13 @@ class Flight:
         self._stop_following = asyncio.Event()
         # The vehicle's, with their times.
         self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(maxlen=_WORDS_KEPT)
-        self._onboard = _onboard_services(config, programs, ports)
+        self._onboard = _onboard_services(config, specs, programs, ports)
         selection = make_selection(config, specs, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self.demand_map = demand_map_of(config, self._plan)
         self._stay_rule = StayRule(config.policy.stay_or_go, self.demand_map)
-        self._offloading = _offloading(config, selection, ports, self._onboard)
+        self._offloading = _offloading(config, specs, selection, ports, self._onboard)
+        self._watch = self._reserve_watch()
         self._vehicle = Vehicle(
             ports.autopilot,
             self._thread,
@@ -152,7 +154,7 @@ class Flight:
                 home=planned_home(config.mission),
             ),
             tell=self._offloading.tell,
-            rows=_row_rules(config, self._stay_rule),
+            rows=self._row_rules(specs, selection),
         )
         self._handle = VehicleHandle(self._vehicle)
         self._ends: ComingDown | None = None  # how the flight is ended safely, while it is
@@ -162,7 +164,7 @@ class Flight:
             self._offloading.invoke,
             ports.journal,
             waypoint=lambda: self._vehicle.waypoint,
-            several=config.mission.photos is not None,
+            several=self._offloading.server_calls is not None,
         )
 
     async def run(self) -> None:
@@ -200,6 +202,39 @@ class Flight:
     def _log_end(self, how: schema.MissionCompleted | schema.MissionEnded) -> None:
         self._ports.journal.record(how)
         self.has_ended = True
+
+    def _row_rules(self, specs: Mapping[str, ServiceSpec], selection: Selection) -> RowRules | None:
+        """How the drone flies with several answers open; None if it makes one call at a time."""
+        config, autopilot, photos = self._config, self._ports.autopilot, self._config.mission.photos
+        calls = self._offloading.server_calls
+        if calls is None:
+            return None
+        pace = told_pace(config.vehicle) or pace_in_numbers(config.vehicle)
+        returns = ending(config.mission) == "return"
+        seeking = Seeking(
+            calls,
+            self._ports.journal,
+            estimates=selection.estimates,
+            areas={
+                name: area
+                for name, area in server_areas(config).items()
+                if isinstance(area, Circle) and config.policy.name != "local-only"
+            },
+            plan=self._plan,
+            home=lambda: (autopilot.energy.home or Position(0.0, 0.0)) if returns else None,
+            ground_speed_m_s=config.mission.ground_speed_m_s,
+            detour_s=config.policy.detour_s,
+            spare_s=self._watch.spare_s,
+        )
+        return RowRules(
+            photos.at_most if photos else len(self._plan) + 1,
+            self._stay_rule,
+            config.mission.ground_speed_m_s,
+            pace.acceleration_m_s2,
+            config.camera.photo_s,
+            rests=photos is None,
+            servers=None if all(spec.on_drone for spec in specs.values()) else (calls, seeking),
+        )
 
     def _planned(self) -> schema.Planned:
         mission = self._config.mission
@@ -394,17 +429,22 @@ class Flight:
             self._follows = True
             await follow(autopilot, journal, until=self._stop_following)
 
-    async def _watch_battery(self) -> None:
-        vehicle, default_m_s = self._vehicle, self._config.mission.ground_speed_m_s
-        watch = ReserveWatch(
+    def _reserve_watch(self) -> ReserveWatch:
+        def leg_speed_m_s() -> float | None:
+            vehicle, default_m_s = self._vehicle, self._config.mission.ground_speed_m_s
+            return (vehicle.ground_speed_m_s or default_m_s) if vehicle.on_a_leg else None
+
+        return ReserveWatch(
             self._config,
             self._ports.autopilot,
             self._ports.journal,
-            flying=lambda: vehicle.in_the_air,
-            leg_speed_m_s=lambda: (vehicle.ground_speed_m_s or default_m_s) if vehicle.on_a_leg else None,
+            flying=lambda: self._vehicle.in_the_air,
+            leg_speed_m_s=leg_speed_m_s,
             down_s=lambda: self._descent.left_s,
         )
-        self._end_at_reserve(await watch.reached())
+
+    async def _watch_battery(self) -> None:
+        self._end_at_reserve(await self._watch.reached())
 
     def _end_unwatched(self, defect: Exception) -> None:
         """End the mission as at the reserve, because the watch of the reserve failed."""
@@ -451,26 +491,15 @@ class Flight:
         )
 
 
-def _row_rules(config: DroneConfig, rule: StayRule) -> RowRules | None:
-    photos = config.mission.photos
-    if photos is None:
-        return None
-    pace = told_pace(config.vehicle) or pace_in_numbers(config.vehicle)
-    return RowRules(
-        photos.at_most,
-        rule,
-        config.mission.ground_speed_m_s,
-        pace.acceleration_m_s2,
-        config.camera.photo_s,
-    )
-
-
-def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], ports: Ports) -> OnboardServices:
+def _onboard_services(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: Ports
+) -> OnboardServices:
     heats = Surroundings(config.heat.ambient_c, config.heat.load_w) if config.heat else None
     return OnboardServices(
         [
             InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s, heats=heats)
             for service in config.services
+            if specs[service.name].on_drone
         ],
         drone=config.name,
         start_timeout_s=config.start_timeout_s,
@@ -481,8 +510,16 @@ def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], port
 
 
 def _offloading(
-    config: DroneConfig, selection: Selection, ports: Ports, onboard: OnboardServices
+    config: DroneConfig,
+    specs: Mapping[str, ServiceSpec],
+    selection: Selection,
+    ports: Ports,
+    onboard: OnboardServices,
 ) -> Offloading:
+    photos = config.mission.photos
+    waiting_bytes = {
+        service.name: service.waiting_bytes for service in config.services if not specs[service.name].on_drone
+    }
     return Offloading(
         selection,
         endpoints(config, selection.estimates, ports.finder),
@@ -493,7 +530,8 @@ def _offloading(
         onboard=onboard,
         journal=ports.journal,
         hedging=make_hedging(config, selection.estimates),
-        first=config.mission.photos.order if config.mission.photos else None,
+        first=photos.order if photos else "oldest" if waiting_bytes else None,
+        waiting_bytes=waiting_bytes,
     )
 
 

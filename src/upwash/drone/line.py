@@ -4,6 +4,8 @@
     its place       where it is expected to be answered soonest (core/selection): it waits until that place is free;
                     the drone, for a call that runs once, and for all calls once deciding has failed
     decided         once its place is free, as any call is; then the next call is first
+    only servers    the calls of each service that no drone can run have a line of their own, and hold up no others; a
+                    free server takes them before calls that the drone could compute
 
 A place is busy from the decision on until the call is answered, wherever it is computed in the end.
 """
@@ -11,10 +13,11 @@ A place is busy from the decision on until the call is answered, wherever it is 
 from __future__ import annotations
 
 import asyncio
+import bisect
 import contextlib
 import math
 from collections.abc import AsyncIterator, Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
 
@@ -40,6 +43,40 @@ class Turn:
     at_server: Callable[[str], contextlib.AbstractContextManager[object]] = contextlib.nullcontext
 
 
+@dataclass(slots=True, eq=False)
+class _InLine:
+    """A call in line."""
+
+    operation: Operation
+    since_s: float
+    is_first: asyncio.Event = field(default_factory=asyncio.Event)  # set once it may be
+
+
+class _Line:
+    """Calls one behind the other; those that the mission waits for come before all others."""
+
+    def __init__(self, first: int) -> None:
+        self._first = first
+        self.urgent: list[_InLine] = []
+        self.others: list[_InLine] = []
+
+    @property
+    def first(self) -> _InLine | None:
+        """The first in line."""
+        return self.urgent[0] if self.urgent else self.others[self._first] if self.others else None
+
+    def enter(self, call: _InLine, *, urgent: bool) -> None:
+        """Put the call behind all that were made before it."""
+        line = self.urgent if urgent else self.others
+        bisect.insort(line, call, key=lambda call: call.since_s)
+
+    def leave(self, call: _InLine) -> None:
+        """Take the call out, and wake the first of the others."""
+        (self.urgent if call in self.urgent else self.others).remove(call)
+        if self.first is not None:
+            self.first.is_first.set()
+
+
 AT_ONCE = Turn(lambda _: None)  # of a call that waits for no other
 
 
@@ -59,8 +96,9 @@ class CallLine:
         self._decisions = decisions
         self._is_computing = is_computing
         self._first = 0 if first == "oldest" else -1
-        self._urgent: list[asyncio.Event] = []  # of each call, set once it is the first
-        self._others: list[asyncio.Event] = []
+        self._lines: dict[str, _Line] = {
+            "": _Line(self._first)
+        }  # by the service, of those that only servers run
         self._is_deciding = False
         self._placed: dict[object, tuple[str, float]] = {}  # calls, with the place and its expected end
         self._wanted: dict[object, float] = {}  # calls for a better answer, and by when each must be sent
@@ -68,25 +106,24 @@ class CallLine:
 
     @contextlib.asynccontextmanager
     async def turn(
-        self, operation: Operation, *, urgent: bool, on_drone: bool = False
+        self, operation: Operation, *, urgent: bool, on_drone: bool = False, since_s: float = math.inf
     ) -> AsyncIterator[Turn]:
         """Enter the line; the block begins when the call may be decided, and ends when it is answered.
 
-        With `on_drone` the call runs nowhere else.
+        With `on_drone` the call runs nowhere else. `since_s` is when a call was made that is in line again.
         """
-        call, line = asyncio.Event(), self._urgent if urgent else self._others
-        line.append(call)
+        call, needs_server = _InLine(operation, since_s), self._needs_server(operation)
+        line = self._lines.setdefault(operation.service if needs_server else "", _Line(self._first))
+        line.enter(call, urgent=urgent)
         try:
-            while not (free := self._free_place(call, operation, on_drone=on_drone)):
-                if call is self._first_in_line:
+            while not (free := self._free_place(call, line, on_drone=on_drone)):
+                if call is line.first:
                     await self._decisions.told()
                 else:
-                    call.clear()
-                    await call.wait()
+                    call.is_first.clear()
+                    await call.is_first.wait()
         finally:
-            line.remove(call)
-            if self._urgent or self._others:
-                self._first_in_line.set()
+            line.leave(call)
             self._decisions.wake()  # another is first now
         self._is_deciding = True
 
@@ -143,21 +180,34 @@ class CallLine:
     def _busy_places(self) -> set[str]:
         return {place for place, _ in self._placed.values()}
 
-    @property
-    def _first_in_line(self) -> asyncio.Event:
-        return self._urgent[0] if self._urgent else self._others[self._first]
-
     def keep_on_drone(self) -> None:
         """From now on have every call run on the drone."""
         self._only_on_drone = True
         self._decisions.wake()
 
-    def _free_place(self, call: object, operation: Operation, *, on_drone: bool) -> Place:
-        if self._is_deciding or call is not self._first_in_line:
+    def _free_place(self, call: _InLine, line: _Line, *, on_drone: bool) -> Place:
+        operation = call.operation
+        if self._is_deciding or call is not line.first:
             return ""
+        if self._needs_server(operation):
+            return self._decisions.free_place(operation, self._busy(operation))
         if on_drone or self._only_on_drone:
             return "" if ON_DRONE in self._busy_places or self._is_computing(operation.service) else "drone"
-        return self._decisions.free_place(operation, self._busy(operation))
+        busy, server = self._busy(operation), self._decisions.selection.current
+        if server is not None and call not in line.urgent and self._is_wanted(busy):
+            busy[server.name] = math.inf
+        return self._decisions.free_place(operation, busy)
+
+    def _needs_server(self, operation: Operation) -> bool:
+        return self._decisions.selection.estimates.needs_server(operation)
+
+    def _is_wanted(self, busy: dict[str, float]) -> bool:
+        """Whether the server in use is free for a call that only servers compute."""
+        heads = [line.first.operation for line in self._lines.values() if line.first is not None]
+        return any(
+            self._needs_server(operation) and self._decisions.free_place(operation, busy)
+            for operation in heads
+        )
 
     def _go_on(self) -> None:
         self._is_deciding = False

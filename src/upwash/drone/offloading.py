@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import traceback
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Literal, NoReturn, TypeVar
 
 from upwash.core.geo import Circle
@@ -26,6 +27,7 @@ from upwash.drone.line import AT_ONCE, CallLine, Turn
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.pending import Hearing
 from upwash.drone.radios import RadioWorker, RadioWorkers
+from upwash.drone.server_calls import ServerCalls
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema
@@ -40,6 +42,7 @@ class Offloading:
     """Makes one drone's calls, and selects, checks and leaves servers for them.
 
     Calls are made one at a time. With `first`, the order of waiting calls, several may be open at the same time.
+    `waiting_bytes` has the services that only servers run, with the bound of their waiting requests.
     """
 
     def __init__(
@@ -55,6 +58,7 @@ class Offloading:
         journal: Journal,
         hedging: Hedging,
         first: Literal["oldest", "newest"] | None = None,
+        waiting_bytes: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
         self._journal = journal
         self._radios = RadioWorkers(
@@ -81,6 +85,19 @@ class Offloading:
         )
         self._calling = Calling(self._decisions, self._radios, onboard, journal, hedging)
         self._line = CallLine(self._decisions, self._calling.is_computing, first=first) if first else None
+        self.server_calls = (
+            ServerCalls(
+                self._decisions,
+                self._calling,
+                self._line,
+                journal,
+                tell=self.tell,
+                reach_s=self._reach_s,
+                most_bytes=waiting_bytes,
+            )
+            if self._line is not None
+            else None
+        )
         self._failed = False
         self._background: asyncio.Task[Any] | None = None
 
@@ -114,6 +131,9 @@ class Offloading:
         """Pass the event to the core, and carry out its commands."""
         self._guarded(lambda: self._decisions.tell(event))
 
+    def _reach_s(self, operation: Operation) -> float | None:
+        return self._guarded(lambda: self._decisions.reach_s(operation))
+
     async def invoke(
         self,
         operation: Operation,
@@ -129,13 +149,15 @@ class Offloading:
         Of several open calls, the log has the `waypoint` of each; an `urgent` call comes before the others. A call
         with two answers tells the first to `hearing`, and returns the last.
         Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
-        when the drone's own service fails too.
+        when the drone's own service fails too. A call that only servers compute may end without an answer.
         """
         asked, asked_s, fails = (
             Invocation(operation, method, request, waypoint=waypoint),
             now_s(),
             self._failed,
         )
+        if method.patience is not None:
+            return await self._invoke_at_server(asked, hearing, asked_s, urgent=urgent)
         while not fails and not method.once:
             try:
                 async with self._turn(asked, urgent=urgent) as turn:
@@ -220,6 +242,17 @@ class Offloading:
         )
         return answer.reply
 
+    async def _invoke_at_server(
+        self, asked: Invocation, hearing: Hearing, asked_s: float, *, urgent: bool
+    ) -> Any:
+        assert self.server_calls is not None  # noqa: S101 - with such a service there is a line
+        if not self._failed:
+            try:
+                return await self.server_calls.answer(asked, hearing, urgent=urgent)
+            except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
+                self._fail(error)
+        return self.server_calls.unanswered(asked, "offloading has failed", asked_s)
+
     async def _invoke_alone(self, asked: Invocation, *, began_s: float) -> Any:
         """Run a call on the drone and decide nothing: where deciding has failed, or the method runs once."""
         await self._calling.queue(asked.operation.service)
@@ -257,6 +290,8 @@ class Offloading:
         self._failed = True
         if self._line is not None:
             self._line.keep_on_drone()
+        if self.server_calls is not None:
+            self.server_calls.end("offloading has failed")
         if self._background is not None:
             self._background.cancel()
         defect: BaseException = error

@@ -20,7 +20,7 @@ from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook, StayRule, StayVerdict
 from upwash.drone.mission import MissionThread
-from upwash.errors import UsageError
+from upwash.errors import Unanswered, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import Journal
@@ -71,14 +71,16 @@ class Pending(Generic[T]):
     A call with two answers has a first one, and is over with the better one, or at its deadline.
     """
 
-    def __init__(self, calls: Calls, method: Method, waypoint: int | None) -> None:
+    def __init__(self, calls: Calls, operation: Operation, method: Method, waypoint: int | None) -> None:
         self._calls = calls
+        self.operation = operation
         self._method = method
         self._waypoint = waypoint
         self._task: asyncio.Task[Any]  # the loop makes both before the mission's next verb
         self._hearing: Hearing
         self._is_taken = False
         self.took_s = 0.0  # until it was over
+        self.needs_server = method.patience is not None
 
     def done(self) -> bool:
         """Whether the call has ended, with an answer or without; for any thread."""
@@ -207,6 +209,8 @@ class Demand(Generic[T]):
             if self._holds is not None and reply is self._asked:
                 return self._holds
             self._asked, answer = reply, self.pending._method.result(reply)
+        except Unanswered:
+            self._holds = False  # there is nothing to act on
         except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
             self._holds = True
         else:
@@ -252,7 +256,7 @@ class Calls:
         operation, method, request = request_of(call, args, kwargs)
         self._require_free(operation)
         after, waypoint = self._dropped, self._waypoint()
-        started = Pending[T](self, method, waypoint)
+        started = Pending[T](self, operation, method, waypoint)
 
         def on_loop() -> None:
             self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
@@ -452,10 +456,9 @@ class AnswerAction(Generic[T]):
             self._calls.do(self.pending._ended_now())
         demanded = self.demand.holds()
         place = position_of(self.place) if self.place is not None else None
-        self._rule.answered(self.pending.took_s, demanded=demanded, place=place)
+        if not self.needs_server:  # else it says little of the answers that the drone may wait for
+            self._rule.answered(self.pending.took_s, demanded=demanded, place=place)
         self.pending._take(waited_s, demanded=demanded)
-        if not demanded:
-            return
         try:
             answer = self.pending._answer()
         except Exception as error:
@@ -463,11 +466,21 @@ class AnswerAction(Generic[T]):
                 raise
             self._failed(error)
         else:
+            if not demanded:
+                return
             self._act(answer)
-        self._calls.note(schema.Acted(waypoint=self.waypoint))
+        if demanded:
+            self._calls.note(schema.Acted(waypoint=self.waypoint))
+
+    @property
+    def needs_server(self) -> bool:
+        """Whether only servers compute the call."""
+        return self.pending.needs_server
 
 
-async def one_answered(answers: Iterable[AnswerAction[Any]], *, waits: bool = False) -> None:
+async def one_answered(
+    answers: Iterable[AnswerAction[Any]], *, waits: bool = False, within_s: float | None = None
+) -> None:
     """Return when one of the calls has an answer that was not looked at; there must be a call. For the loop.
 
     With `waits` the drone rests meanwhile, so that no server comes nearer.
@@ -475,7 +488,7 @@ async def one_answered(answers: Iterable[AnswerAction[Any]], *, waits: bool = Fa
     for answer in answers if waits else ():
         answer.pending._hearing.waits.set()
     news = set().union(*(answer.demand.news for answer in answers))
-    await asyncio.wait(news, return_when=asyncio.FIRST_COMPLETED)
+    await asyncio.wait(news, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
 
 
 class AnswerActions:
@@ -494,7 +507,7 @@ class AnswerActions:
     ) -> None:
         """Waits for the answer and acts on it, or leaves it open and returns."""
         answer = AnswerAction(self._vehicle, self._calls, self._rule, demand, act, failed=failed)
-        if self._vehicle.flies_rows:
+        if self._vehicle.flies_rows or answer.needs_server:
             self._vehicle.leave_open(answer)
             return
         if self._rule.manner != "stay" and not demand.pending.done():

@@ -16,6 +16,7 @@ from upwash.config import (
     finish_by_s,
     geofence,
     leaving,
+    only_on_servers,
     pace_in_numbers,
     server_areas,
     stands,
@@ -90,13 +91,16 @@ def make_hedging(config: DroneConfig, estimates: Estimates) -> Hedging:
 
 
 def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Estimates:
-    """The offline estimates of every operation that has a local delay in the configuration."""
+    """The offline estimates of every operation that has a local delay in the file, or that only servers run."""
+    for service in config.services:
+        _require_agreement(service, specs[service.name])
     profiled = {service.name: dict(_profile(service, specs[service.name])) for service in config.services}
     return Estimates(
         local_s={
             operation: config_service.local_call_s[key]
             for config_service in config.services
             for operation, key in profiled[config_service.name].items()
+            if specs[config_service.name].on_drone
         },
         servers={
             server.name: Beliefs(
@@ -114,7 +118,22 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
         },
         slow_apart=config.policy.probing is not None,
         coverage=coverage_of(config),
+        on_servers=[name for name, spec in specs.items() if not spec.on_drone],
     )
+
+
+def _require_agreement(service: ServiceConfig, spec: ServiceSpec) -> None:
+    """Raise UsageError where the file has a delay on the drone of a service that only servers run, or has none."""
+    if spec.on_drone and only_on_servers(service):
+        raise UsageError(
+            f"service {service.name}: local_call_s is missing: add what a call takes on the drone, in seconds, or "
+            'declare the service with @service(where="servers") if no drone can run it'
+        )
+    if not spec.on_drone and not only_on_servers(service):
+        raise UsageError(
+            f'service {service.name}: it has a local_call_s, and is declared with where="servers": leave one of the '
+            "two out"
+        )
 
 
 def endpoints(
@@ -152,7 +171,9 @@ def _lighter(
     operations = {
         operation: Operation(operation.service, operation.method, mission.lighter[operation.key])
         for operation in estimates.operations
-        if operation.key in mission.lighter and not specs[operation.service].methods[operation.method].once
+        if operation.key in mission.lighter
+        and specs[operation.service].on_drone  # else a lighter call saves the mission no time
+        and not specs[operation.service].methods[operation.method].once
     }
     for key in mission.lighter:
         if not any(operation.key == key for operation in operations):

@@ -54,6 +54,13 @@ class ReserveWatch:
         self._home = _HOME  # where it was last seen before it took off
         self._has_flown = False
         self._told: tuple[float, float] | None = None  # when, and the margin
+        self._now: Margin | None = None
+
+    def spare_s(self) -> float | None:
+        """The seconds of flight that the reserve leaves; None if nothing tells."""
+        if self._now is None or not self._now.rate_percent_s:
+            return None
+        return max(0.0, self._now.percent) / self._now.rate_percent_s
 
     async def reached(self) -> str:
         """Waits until the mission must end, and returns why; never returns without a reserve."""
@@ -113,6 +120,7 @@ class ReserveWatch:
         if now is not None and (down_s := self._down_s()) is not None:
             now = replace(now, home_s=down_s)
         if now is not None:
+            self._now = now
             self._tell(now, report.time_s)
         return now
 

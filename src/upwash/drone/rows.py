@@ -10,6 +10,10 @@
 
 With `policy.stay_or_go = "learn"` the drone rests at the next spot and waits for the answer, where frequent demands
 make that faster.
+
+A plan that stops at each waypoint is flown so too if the mission calls a service that only servers run: then each leg
+ends at rest, and the drone leaves a waypoint as the mission says. Answers of such a service are waited for where they
+come soon, and otherwise left open (server_calls.py); what waits at the end has stops of its own (seeking.py).
 """
 
 from __future__ import annotations
@@ -28,6 +32,8 @@ from upwash.core.geo import Position, Via, Waypoint, distance_m
 from upwash.core.planning.stay_or_go import RowOutlook, StayRule, StayVerdict
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Place, one_answered, position_of
+from upwash.drone.seeking import Seeking
+from upwash.drone.server_calls import ServerCalls
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
@@ -36,6 +42,7 @@ _LEAST_S = 0.005  # between two looks at the position: 4 cm at 8 m/s
 _FASTER = 1.25  # a vehicle may exceed the speed of its leg: a PX4 flew 4.4 m/s for 4
 _THERE_M = 1.0  # from a photo's place, at rest
 _BESIDE_M = 2.0  # by wind and GPS
+_LATER = 2.0  # times what an answer is expected to take that the drone waits for
 _LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
 
 
@@ -121,13 +128,18 @@ class LegVerbs(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RowRules:
-    """When a drone stops on its rows: with `at_most` open answers, and where the rule finds that this saves time."""
+    """When a drone stops on its rows: with `at_most` open answers, and where the rule finds that this saves time.
+
+    If it `rests`, it stops at each waypoint. `servers` are the calls that only servers compute, with their stops.
+    """
 
     at_most: int
     stay_or_go: StayRule
     ground_speed_m_s: float
     acceleration_m_s2: float
     photo_s: float
+    rests: bool = False
+    servers: tuple[ServerCalls, Seeking] | None = None
 
 
 class Rows:
@@ -158,11 +170,17 @@ class Rows:
         self._rest: Position | None = None  # on the row, as demands are frequent there
         self._acts = False
 
+    @property
+    def rests_always(self) -> bool:
+        """Whether the drone stops at each waypoint."""
+        return self._rules.rests
+
     def goto(self, place: Place) -> None:
         """Fly to a place, or on along a row until it is passed."""
         if self._acts:
             self._vehicle.fly(place)
             return
+        self._before_leaving(place)
         flown = self.fly_over(place)
         ends = position_of(place), self._rest, place.row_end if isinstance(place, Waypoint) else None
         if self._end not in ends or not self._vehicle.passes(place):
@@ -183,7 +201,7 @@ class Rows:
             self._end, self._left_at = None, position_of(place)
             self._stays = isinstance(place, Waypoint) and self._rests_at(place)
             hold_s = place.hold_s if isinstance(place, Waypoint) else 0.0
-            if not self._stays and not hold_s:
+            if not self._stays and not hold_s and not self._rules.rests:
                 self._set_off_for_next(place)
             if self._end is None:
                 self._thread.call(self._vehicle.arrive())
@@ -239,6 +257,9 @@ class Rows:
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
         self._open.append(answer)
+        if answer.needs_server:
+            self._wait_if_soon(answer)
+            return
         if self._stays:
             self._wait_below(1)
         if (waiting := self._unheard) >= self._rules.at_most:
@@ -248,8 +269,65 @@ class Rows:
 
     @property
     def _unheard(self) -> int:
-        """How many open answers are not there; of two the first counts."""
-        return sum(not answer.demand.is_heard for answer in self._open)
+        """How many open answers are not there and come without a server too; of two the first counts."""
+        return sum(not (answer.demand.is_heard or answer.needs_server) for answer in self._open)
+
+    def _wait_if_soon(self, answer: AnswerAction[Any]) -> None:
+        """Wait at a waypoint where the drone rests for an answer that a server gives soon."""
+        rules, operation = self._rules, answer.pending.operation
+        if rules.servers is None or not rules.rests or rules.stay_or_go.manner == "go":
+            return
+        calls, _ = rules.servers
+
+        if (soon_s := self._thread.call(calls.soon_s(operation))) is not None:
+            waited_s = self._thread.call(_timed(one_answered([answer], within_s=_LATER * soon_s)))
+            self._take_here(answer, waited_s)
+
+    def _take_here(self, answer: AnswerAction[Any], waited_s: float) -> None:
+        """Take an answer that is there, and meet its demand at once; the demands of others wait."""
+        if answer.pending.done():
+            self._open = [other for other in self._open if other is not answer]
+            answer.demands()
+            answer.finish(waited_s)
+
+    def _before_leaving(self, place: Place) -> None:
+        """Stop in the last range of the way if calls wait for a server, and meet what is demanded by now."""
+        rules = self._rules
+        if rules.servers is None or not isinstance(place, Waypoint) or not self._open:
+            return
+        _, seeking = rules.servers
+        here = self._vehicle.position()
+        if self._thread.call(seeking.leads_away(here, place)):
+            self.stop()
+            self._thread.call(seeking.wait_here(here))
+        if self._end is None and (demanding := self._taken()):
+            self._meet(demanding)
+
+    def seek_answers(self) -> None:
+        """Fly to a place where servers answer what waits, if that is worth it, before the way home."""
+        if self._rules.servers is None or not self._open:
+            return
+        _, seeking = self._rules.servers
+        here = self._vehicle.position()
+        place = self._thread.call(seeking.beside_way_home(here, self._vehicle.allows))
+        if place is None:
+            return
+        if distance_m(here, place) > _THERE_M:
+            self._vehicle.fly(place)
+        self._thread.call(seeking.wait_here(place, here))
+        if demanding := self._taken():
+            self._meet(demanding)
+
+    def after_landing(self) -> None:
+        """Wait for the answers that servers give at home, and take all; the others have none."""
+        if self._rules.servers is None:
+            return
+        _, seeking = self._rules.servers
+        self._thread.call(seeking.after_landing())
+        for answer in self._open:
+            answer.demands()
+        while self._open:
+            self._open.pop(0).finish(0.0)
 
     def _wait_below(self, count: int) -> None:
         """Wait at rest until fewer answers are open, and meet their demands; come back where a plan has the way."""
@@ -278,8 +356,12 @@ class Rows:
             return
         here, was_away = self._vehicle.place(), self._end is not None
         self.stop()
-        while self._open:
+        while any(not answer.needs_server for answer in self._open):
             was_away |= self._take_next(waits=True)
+        if self._open:
+            self._thread.call(asyncio.sleep(0))  # the loop begins the last call
+            if demanding := self._taken():
+                was_away = self._meet(demanding) is not None
         if was_away and comes_back:
             self._come_back(here)
 
@@ -442,7 +524,8 @@ class Rows:
 
         With `waits` it rests here until every answer is in.
         """
-        waited_s = self._thread.call(_timed(one_answered(self._open, waits=waits)))
+        answers = [answer for answer in self._open if not (waits and answer.needs_server)]
+        waited_s = self._thread.call(_timed(one_answered(answers, waits=waits)))
         demanding = self._taken(waited_s)
         if demanding:
             self._meet(demanding)

@@ -283,6 +283,7 @@ class Vehicle:
     ) -> None:
         if self._rows is not None:
             self._rows.settle(comes_back=how == "land")
+            self._rows.seek_answers()
         else:
             self._settle()
         self._coming_down = how
@@ -291,6 +292,8 @@ class Vehicle:
             self._in_the_air = self._found_flying = False
         finally:
             self._coming_down = None
+        if self._rows is not None:
+            self._rows.after_landing()
 
     async def _turn_to(self, heading_deg: float) -> None:
         await self._autopilot.turn_to(heading_deg)
@@ -383,7 +386,7 @@ class VehicleHandle:
     @property
     def flies_rows(self) -> bool:
         """Whether it flies rows without stopping, with several answers open."""
-        return self._vehicle._rows is not None
+        return self._vehicle._rows is not None and not self._vehicle._rows.rests_always
 
     def rests(self) -> bool:
         """Whether the last leg is over."""

@@ -201,6 +201,7 @@ _DOING: Mapping[type[Event], str] = {  # from the event on
     schema.Armed: "armed",
     schema.TookOff: "in the air",
     schema.PhotosWait: "waiting for answers",
+    schema.SoughtAnswers: "waiting for answers",
     schema.Returning: "returning",
     schema.LeftHovering: "hovering",
     schema.Landed: "landed",
@@ -289,7 +290,17 @@ def _sentence(event: Event) -> Sentence | None:
         case schema.ClockSet(before=before, after=after):
             said = f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}"
             return Sentence(f"{said}, as the vehicle's GPS has it")
-    return _handover_sentence(event) or _vehicle_sentence(event)
+    return _waiting_sentence(event) or _handover_sentence(event) or _vehicle_sentence(event)
+
+
+def _waiting_sentence(event: Event) -> Sentence | None:
+    match event:
+        case schema.Unanswered(waypoint=waypoint, operation=operation, why=why):
+            return Sentence(f"{named(waypoint)}: no answer of {operation}: {why}", Tone.TROUBLE)
+        case schema.SoughtAnswers(waiting=waiting, extra_s=extra_s):
+            beside = f", {extra_s:.0f} s beside its way" if extra_s >= 1 else ""
+            return Sentence(f"stopping for {counted(waiting, 'call')} that a server here can answer{beside}")
+    return None
 
 
 def _handover_sentence(event: Event) -> Sentence | None:
@@ -399,6 +410,9 @@ def left_undone(result: RunResult) -> Iterator[str]:
     if result.not_looked_at:
         answers = "the answer" if len(result.not_looked_at) == 1 else "the answers"
         yield f"not looked at: {answers} at {_places(result.not_looked_at)}"
+    for why, places in result.unanswered.items():
+        calls = "the call" if len(places) == 1 else "the calls"
+        yield f"without an answer: {calls} at {_places(places)}, as {why}"
 
 
 def _places(waypoints: Sequence[int | None]) -> str:

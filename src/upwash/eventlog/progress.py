@@ -108,6 +108,8 @@ class CallPlaces:
                     self._under_way.remove(self.of_call)
                     self._untaken.append((self.of_call, self._calls))
                 self._calls += 1
+            case schema.Unanswered(waypoint=waypoint) if waypoint in self._under_way:
+                self._under_way.remove(waypoint)
             case schema.AnswerTaken(waypoint=waypoint, failed=""):
                 self.answered = self._taken(waypoint)
             case schema.AnswerTaken(waypoint=waypoint) if waypoint in self._under_way:

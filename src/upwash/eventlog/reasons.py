@@ -311,6 +311,8 @@ def decision_lines(decision: schema.Decided) -> Iterator[str]:
 def _beliefs(decision: schema.Decided) -> str:
     local_s, remote_s = decision.local_s, decision.remote_s
     drone = f"expected: {_seconds(local_s)} on the drone"
+    if local_s is None and decision.decision == "remote":
+        drone = "expected: no answer on the drone, which cannot run it"
     if decision.selected is None:
         return drone
     state = str(decision.state)

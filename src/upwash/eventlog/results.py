@@ -30,12 +30,13 @@ _COUNTED = (
         schema.EnergyUsed,
         schema.LeftHovering,
         schema.OffloadingFailed,
+        schema.Unanswered,
         *schema.STEPS.values(),
     }
 )
 _RARE = (
     "hidden_s", "first_s", "first_answers", "first_alone", "went_on", "turns_back", "never_ready", "not_acted_on",
-    "not_looked_at", "failed_calls", "offloading_failed",
+    "not_looked_at", "failed_calls", "offloading_failed", "unanswered",
 )  # fmt: skip
 _LEAST_HIDDEN_S = 0.01  # less is the time between the end of a call and the mission's next step
 
@@ -126,6 +127,7 @@ class RunResult:
     The mission's time is counted from arming; `arming_s` is how long it had waited for that. `energy` is None
     in real flights: only simulations meter it. `never_ready` says of servers that failed, and never were of use,
     why they did at last. `offloading_failed` is the defect after which every call ran on the drone, "" for none.
+    `unanswered` has the waypoints of calls that no server answered, of services that only servers run, by the reason.
     """
 
     policy: str
@@ -143,6 +145,7 @@ class RunResult:
     failed_calls: list[int | None] = field(default_factory=list)
     not_looked_at: list[int | None] = field(default_factory=list)
     offloading_failed: str = ""
+    unanswered: dict[str, list[int | None]] = field(default_factory=dict)
 
     def made_the_calls_of(self, other: RunResult) -> bool:
         """Whether the two runs asked for the same calls at the same waypoints, in the same order."""
@@ -201,12 +204,13 @@ class Tally:
         self._waits: list[str] = []
         self._switches = self._fallbacks = self._went_on = self._turned_back = 0
         self._offloading_failed = ""
+        self._unanswered: dict[str, list[int | None]] = {}
         self._energy: EnergyTotals | None = None
         self._open = OpenDemands()
         self._calling: set[int | None] = set()  # where the call was made that is not over
         self._ready, self._failed = set[str](), dict[str, str]()  # servers; why each failed last
 
-    def take(self, event: Event) -> None:
+    def take(self, event: Event) -> None:  # noqa: PLR0912 - a case for each kind
         """Takes in the next event."""
         self._ended_s = max(self._ended_s, event.t)  # in a stranger's log times may go back
         if type(event) not in _COUNTED:
@@ -234,6 +238,8 @@ class Tally:
                 self._energy = EnergyTotals(**parts)
             case schema.Decided():
                 self._calling = {self._whereabouts.of_call_under_way}
+            case schema.Unanswered(why=why):
+                self._unanswered.setdefault(why, []).append(event.waypoint)
             case schema.Call():
                 self._calling = set()
                 self._calls.append(_call(event, self._whereabouts.of_call, self._began.at_s or 0.0))
@@ -299,6 +305,7 @@ class Tally:
             failed_calls=_in_order(self._open.failures),
             not_looked_at=[] if self.completed else _in_order(self._not_looked_at),
             offloading_failed=self._offloading_failed,
+            unanswered={why: _in_order(places) for why, places in self._unanswered.items()},
         )
 
 

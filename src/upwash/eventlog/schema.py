@@ -337,6 +337,30 @@ class FirstAnswer(Event, frozen=True, kw_only=True):
     delay_s: Number
 
 
+class Unanswered(_Explained, frozen=True, kw_only=True):
+    """A call that only servers compute ended without an answer, and why.
+
+    The mission made it at `at_s` of the log, and allowed `within_s`; null if it may wait until the drone has landed.
+    """
+
+    waypoint: Index | None
+    operation: Text
+    at_s: Number
+    waited_s: Number
+    within_s: Number | None = None
+
+
+class SoughtAnswers(Event, frozen=True, kw_only=True):
+    """The drone stops for `waiting` calls that only servers compute, at a place where a server can answer them.
+
+    It is the last such place of its way, or lies beside the way home, with `extra_s` more until it has landed.
+    """
+
+    waiting: Count
+    position: Position
+    extra_s: Number
+
+
 class StayOrGo(Event, frozen=True, kw_only=True):
     """Whether the drone leaves the waypoint before the answer arrives, and why.
 

@@ -9,11 +9,20 @@ from statistics import fmean
 
 from msgspec import structs
 
-from upwash.config import DroneConfig, PolicyConfig, ServerTruth, ServiceConfig, server_places, server_truth
+from upwash.config import (
+    DroneConfig,
+    PolicyConfig,
+    ServerTruth,
+    ServiceConfig,
+    only_on_servers,
+    server_places,
+    server_truth,
+)
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.schedule import ComingCall, Offer
 from upwash.drone.preparation import make_estimates
+from upwash.errors import MissionFailed
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
@@ -136,8 +145,8 @@ def _truths(config: DroneConfig) -> dict[str, ServerTruth]:
 
 def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> _Mission:
     mission_s = run.result.mission_time_s
-    if config.mission.photos is not None:
-        return _Mission([], _least_of_rows_s(run, config), may_go=True)
+    if config.mission.photos is not None or any(map(only_on_servers, config.services)):
+        return _Mission([], min(mission_s, _least_alone_s(run, config)), may_go=True)
     if config.policy.stay_or_go == "stay":
         other_s = mission_s - run.result.totals.service_delay_s
         return _Mission(list(_made(run, config, truths)), other_s, may_go=False)
@@ -149,13 +158,18 @@ def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -
     return _Mission(calls, other_s, may_go=True)
 
 
-def _least_of_rows_s(run: Run, config: DroneConfig) -> float:
-    """The time of the rows alone, without a wait or a way back, and of the actions that answers demand."""
+def _least_alone_s(run: Run, config: DroneConfig) -> float:
+    """The time of the way alone, without a wait or a way back, and of the actions that answers demand.
+
+    A call that only servers compute need not be waited for.
+    """
     replace = structs.replace
     services = tuple(
         replace(
             service, local_call_s=dict.fromkeys(service.local_call_s, _NO_TIME_S), local_first_extra_s=0.0
         )
+        if not only_on_servers(service)
+        else service
         for service in config.services
     )
     mission = config.mission
@@ -174,9 +188,11 @@ def _least_of_rows_s(run: Run, config: DroneConfig) -> float:
         policy=PolicyConfig(name="local-only", stay_or_go=config.policy.stay_or_go),
     )
     acted = sum(isinstance(event, schema.Acted) for event in run.events)
-    rows_s = time_alone_s(alone)
-    assert rows_s is not None  # noqa: S101 - the mission was completed, and without faults it is
-    return rows_s + acted * config.mission.action_s
+    try:
+        alone_s = time_alone_s(alone)
+    except MissionFailed:  # a program that needs its answers
+        alone_s = None
+    return math.inf if alone_s is None else alone_s + acted * config.mission.action_s
 
 
 def _begun_s(run: Run) -> float:

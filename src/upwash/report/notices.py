@@ -39,6 +39,7 @@ _PASSED_OVER = frozenset(
         schema.Energy,
         schema.RemoteFailed,
         schema.RemoteRaised,
+        schema.Unanswered,
     }
 )
 

@@ -11,6 +11,9 @@ twice: on a server and, if that gives no usable answer, on the drone. A method c
 
         @once
         def drop_parcel(self) -> None: ...                                # on the drone alone, never again
+
+`@service(where="servers")` declares a service that no drone can run. Its stub knows what a call without an answer
+returns.
 """
 
 from __future__ import annotations
@@ -19,16 +22,23 @@ import enum
 import inspect
 import sys
 import typing
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from types import MappingProxyType, ModuleType
-from typing import Any, ParamSpec, TypeVar, cast, overload
+from typing import Any, Literal, ParamSpec, TypeAlias, TypeVar, cast, get_args, overload
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
 from upwash.core.operation import Operation
-from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
+from upwash.errors import (
+    DeclarationError,
+    GarbledReply,
+    ServiceError,
+    Unanswered,
+    UpwashError,
+    UsageError,
+)
 from upwash.rpc.operations import operations_of
 from upwash.rpc.settings import describe_settings
 from upwash.rpc.wire import Encoding, require_sendable
@@ -45,6 +55,24 @@ _STUB = "__upwash_stub__"
 _MOST_CONCURRENCY = 64  # more threads of one process only wait for each other
 _LONGEST_MESSAGE = 10_000  # characters of an exception's that is too long to send
 _LONGEST_SUMMARY = 200  # characters of an exception that is not raised
+Where: TypeAlias = Literal["anywhere", "servers"]
+
+
+@dataclass(frozen=True)
+class Patience:
+    """What a mission chose for calls that only servers compute: `value` for one without an answer `within_s`.
+
+    The value may be the class Unanswered, which is raised.
+    """
+
+    value: object
+    within_s: float | None = None
+
+
+class NoAnswer(msgspec.Struct, frozen=True):
+    """In place of a decoded reply: no server answered, and why."""
+
+    why: str
 
 
 class ServiceFault(msgspec.Struct, frozen=True):
@@ -59,7 +87,7 @@ class ServiceFault(msgspec.Struct, frozen=True):
 class Method:
     """One operation of a service: encodes its calls for a stub, and performs them in an instance.
 
-    With `once` a call runs only on the drone, and never a second time.
+    With `once` a call runs only on the drone, and never a second time. With `patience` only servers compute it.
     """
 
     service: str
@@ -71,6 +99,7 @@ class Method:
     reply: Encoding[Any]
     once: bool = False
     key_type: Any = None  # the type hint of the parameter that `profile_by` names
+    patience: Patience | None = None
 
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
         """The profile key and the request of a call with these arguments.
@@ -131,7 +160,14 @@ class Method:
         return printable(f"{decoded.fault.type.replace(':', '.')}: {decoded.fault.message}", _LONGEST_SUMMARY)
 
     def result(self, decoded: Any) -> object:
-        """The value of a decoded reply; raises the service's exception if the reply has one."""
+        """The value of a decoded reply; raises the service's exception if the reply has one.
+
+        Without an answer, the value that the mission chose; raises Unanswered if it chose that.
+        """
+        if isinstance(decoded, NoAnswer):
+            if self.patience is None or self.patience.value is Unanswered:
+                raise Unanswered(f"{self.service}.{self.name}(): {decoded.why}")
+            return self.patience.value
         if decoded.fault is not UNSET:
             raise _rebuild(decoded.fault)
         return decoded.value
@@ -163,12 +199,18 @@ class Method:
 
 @dataclass(frozen=True)
 class ServiceSpec:
-    """A declared service; an instance of it computes `concurrency` calls at a time."""
+    """A declared service; an instance of it, `where` it may be, computes `concurrency` calls at a time."""
 
     name: str
     methods: Mapping[str, Method]
     settings: type[msgspec.Struct]  # what its constructor takes
     concurrency: int = 1
+    where: Where = "anywhere"
+
+    @property
+    def on_drone(self) -> bool:
+        """Whether the drone has an instance."""
+        return self.where != "servers"
 
 
 Invoke = Callable[[Operation, Method, bytes], Any]  # runs a request somewhere; returns its decoded reply
@@ -180,7 +222,11 @@ def service(declared: type[T], /) -> type[T]: ...
 
 @overload
 def service(
-    *, name: str | None = None, profile_by: str | None = None, concurrency: int = 1
+    *,
+    name: str | None = None,
+    profile_by: str | None = None,
+    concurrency: int = 1,
+    where: Where = "anywhere",
 ) -> Callable[[type[T]], type[T]]: ...
 
 
@@ -191,13 +237,14 @@ def service(
     name: str | None = None,
     profile_by: str | None = None,
     concurrency: int = 1,
+    where: Where = "anywhere",
 ) -> type[T] | Callable[[type[T]], type[T]]:
     """Declares a class as a service, called `name` (by default the class's name in lower case).
 
     Its public methods are its operations; each value of the parameter that `profile_by` names has its own estimates.
     An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be safe
-    for threads. Raises DeclarationError if a parameter, its default or a result cannot be sent, and for public
-    attributes that are neither plain methods nor data.
+    for threads. With `where="servers"` no call runs on the drone. Raises DeclarationError if a parameter, its default
+    or a result cannot be sent, and for public attributes that are neither plain methods nor data.
     """
 
     if declared is not None and not isinstance(declared, type):
@@ -206,7 +253,7 @@ def service(
         )
 
     def declare(cls: type[T]) -> type[T]:
-        setattr(cls, _SPEC, _describe(cls, name or cls.__name__.lower(), profile_by, concurrency))
+        setattr(cls, _SPEC, _describe(cls, name or cls.__name__.lower(), profile_by, concurrency, where))
         return cls
 
     return declare if declared is None else declare(declared)
@@ -242,10 +289,13 @@ def load_service(program: str) -> type:
     return found
 
 
-def make_stub(cls: type[T], invoke: Invoke) -> T:
+def make_stub(cls: type[T], invoke: Invoke, patience: Patience | None = None) -> T:
     """An object with the service's methods, which send their calls through `invoke`."""
     spec = spec_of(cls)
-    methods = {method.name: _stub_method(spec.name, method, invoke) for method in spec.methods.values()}
+    described: Iterable[Method] = spec.methods.values()
+    if patience is not None:
+        described = [replace(method, patience=patience) for method in described]
+    methods = {method.name: _stub_method(spec.name, method, invoke) for method in described}
     return cast(T, type(f"{cls.__name__}Stub", (), methods)())
 
 
@@ -277,7 +327,7 @@ def request_of(
     return Operation(service_name, method.name, key), method, request
 
 
-def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) -> ServiceSpec:
+def _describe(cls: type, name: str, profile_by: str | None, concurrency: int, where: Where) -> ServiceSpec:
     if type(concurrency) is not int or not 1 <= concurrency <= _MOST_CONCURRENCY:
         raise DeclarationError(
             f"service {cls.__name__}: concurrency is {concurrency!r}: give how many calls an instance computes at a "
@@ -291,11 +341,21 @@ def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) ->
         raise DeclarationError(
             f"service {cls.__name__}: no method has the parameter {profile_by!r} of profile_by"
         )
-    settings = describe_settings(cls, lambda hint: _used_by(cls, hint))
-    return ServiceSpec(name, MappingProxyType(methods), settings, concurrency)
+    if where not in get_args(Where):
+        raise DeclarationError(
+            f'service {cls.__name__}: where is {where!r}: write where="servers" if no drone can run it, or nothing'
+        )
+    acting = [method.name for method in methods.values() if method.once]
+    if where == "servers" and acting:
+        raise DeclarationError(
+            f'service {cls.__name__}: {", ".join(acting)} runs once, and on the drone alone, and where="servers" '
+            "says that no drone can run the service: leave one of the two out"
+        )
+    settings = describe_settings(cls, lambda hint: _used_by(cls, hint, where))
+    return ServiceSpec(name, MappingProxyType(methods), settings, concurrency, where)
 
 
-def _used_by(cls: type, hint: Any) -> type[msgspec.Struct] | None:
+def _used_by(cls: type, hint: Any, where: Where) -> type[msgspec.Struct] | None:
     """The settings of the service in a type hint, perhaps one of `Service | None`; None without a service."""
     parts = [part for part in typing.get_args(hint) if part is not type(None)] or [hint]
     spec = vars(parts[0]).get(_SPEC) if len(parts) == 1 and isinstance(parts[0], type) else None
@@ -305,6 +365,11 @@ def _used_by(cls: type, hint: Any) -> type[msgspec.Struct] | None:
         raise DeclarationError(
             f"service {cls.__name__} uses {spec.name}, whose {', '.join(acting)} runs once, and on the drone alone, "
             f"but {cls.__name__} may run on a server: have the mission call {spec.name} itself"
+        )
+    if where == "anywhere" and not spec.on_drone:
+        raise DeclarationError(
+            f"service {cls.__name__} uses {spec.name}, which only servers run, but {cls.__name__} may run on the "
+            f'drone: declare it with @service(where="servers") too'
         )
     return spec.settings
 

@@ -401,7 +401,7 @@ def _beside(event: Event, before: str) -> str:
     match event:
         case schema.TurnedBack():
             return "detour"
-        case schema.PhotosWait():
+        case schema.PhotosWait() | schema.SoughtAnswers():
             return "wait"
         case schema.SetOff(back=False) | schema.Returning() | schema.Landing() | schema.SafeEnd():
             return ""

@@ -6,7 +6,7 @@ Symbols of Table 3.1: `Call` is `local_s`, `Call_s` is `remote_s`, `Check_s` and
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -45,6 +45,7 @@ class Window:
         return sum(self.values) / len(self.values)
 
 
+_ALONE_FACTOR = 4.0  # times the slowest call at a server: a call that no server is there for
 _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
 
 
@@ -68,7 +69,8 @@ def offline_remote_s(*, processing_s: float, data_bytes: int, bandwidth_bit_s: f
 class Estimates:
     """Every estimate of one drone, learnt from its calls and checks.
 
-    The operations are the keys of `local_s`; a server hosts those that its beliefs name. With `slow_apart` a call
+    The operations are the keys of `local_s`, and those of the services `on_servers`, which no drone can run. A server
+    hosts those that its beliefs name. With `slow_apart` a call
     slower than on the drone stays out of the mean: it is the lower bound of the next call, until a faster call or
     `forget_slow_calls`; a call that was cut short teaches nothing.
 
@@ -83,8 +85,14 @@ class Estimates:
         servers: Mapping[str, Beliefs],
         slow_apart: bool = False,
         coverage: Coverage | None = None,
+        on_servers: Collection[str] = (),
     ) -> None:
         self.coverage = coverage
+        self._on_servers = frozenset(on_servers)
+        hosted = [operation for beliefs in servers.values() for operation in beliefs.remote_s]
+        self._calls = dict.fromkeys(
+            [*local_s, *(operation for operation in hosted if self.needs_server(operation))], 0
+        )
         self._here: Position | None = None
         # What the coverage says of the servers, where the drone is.
         self._seen: Sequence[object] = [None for _ in coverage.servers] if coverage else ()
@@ -96,7 +104,7 @@ class Estimates:
             server: {
                 operation: Window.filled(delay_s)
                 for operation, delay_s in beliefs.remote_s.items()
-                if operation in self._local
+                if operation in self._calls
             }
             for server, beliefs in servers.items()
         }
@@ -104,7 +112,6 @@ class Estimates:
         self._check_running = {
             server: Window.filled(beliefs.check_running_s) for server, beliefs in servers.items()
         }
-        self._calls = dict.fromkeys(self._local, 0)
         self._weights = self._weigh()
         self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
         self._warm: dict[str, set[str]] = {server: set() for server in servers}  # called since their start
@@ -113,7 +120,11 @@ class Estimates:
     @property
     def operations(self) -> Iterable[Operation]:
         """The operations with an offline estimate; no other may be offloaded."""
-        return self._local.keys()
+        return self._calls.keys()
+
+    def needs_server(self, operation: Operation) -> bool:
+        """Whether no drone can run the operation."""
+        return operation.service in self._on_servers
 
     def locate(self, position: Position) -> bool:
         """Set where the drone is; return whether that changes the estimate of a server without a range."""
@@ -128,6 +139,16 @@ class Estimates:
         """Expected delay (s) of a local call (`Call`); None for an operation without an offline estimate."""
         window = self._local.get(operation)
         return window.mean_s if window else None
+
+    def alone_s(self, operation: Operation) -> float | None:
+        """What a call counts (s) that no server takes: `local_s`, or four times the slowest server's delay.
+
+        The second is for operations that no drone can run, so that every server of theirs is worth its use.
+        """
+        if not self.needs_server(operation):
+            return self.local_s(operation)
+        delays_s = [its[operation].mean_s for its in self._remote.values() if operation in its]
+        return _ALONE_FACTOR * max(delays_s) if delays_s else None
 
     def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
         """Expected delay (s) of a remote call, transfer included (`Call_s`); None if the server does not host it."""
@@ -195,7 +216,12 @@ class Estimates:
     ) -> None:
         """Add the delay of a remote call that succeeded; a `late` call was counted as a local call already."""
         self._learn_remote(server, operation, delay_s, now_s=now_s)
-        if not late:
+        if not late and not self.needs_server(operation):
+            self._count(operation)
+
+    def call_waits(self, operation: Operation) -> None:
+        """Count a call that only servers compute: it matters from the moment that it is made."""
+        if operation in self._calls:
             self._count(operation)
 
     def observe_remote_cut(self, server: str, operation: Operation, waited_s: float, *, now_s: float) -> None:
@@ -228,7 +254,7 @@ class Estimates:
         for operation, last_s in self._last_remote_call_s[server].items():
             if now_s - last_s < retry_s:
                 continue
-            if windows[operation].mean_s >= self._local[operation].mean_s:
+            if self._is_slow(operation, windows[operation].mean_s):
                 windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
             elif slow_s.pop(operation, None) is None:
                 continue
@@ -240,7 +266,7 @@ class Estimates:
         """The time at which `forget_slow_calls` next changes an estimate; infinite if never."""
         windows, slow_s, next_s = self._remote[server], self._slow_s[server], math.inf
         for operation, last_s in self._last_remote_call_s[server].items():
-            if operation in slow_s or windows[operation].mean_s >= self._local[operation].mean_s:
+            if operation in slow_s or self._is_slow(operation, windows[operation].mean_s):
                 next_s = min(next_s, last_s + retry_s)
         return next_s
 
@@ -253,15 +279,15 @@ class Estimates:
         if place is None:
             return None
         known_s = place.call_s(operation)
-        return self._local[operation].mean_s if known_s is None and not place.reached else known_s
+        return self.alone_s(operation) if known_s is None and not place.reached else known_s
 
     def _faster_s(self, operation: Operation, server: str | None, at: Position | None = None) -> float:
-        call_s = self._local[operation].mean_s
+        call_s = self.alone_s(operation) or 0.0
         remote_s = self.remote_s(server, operation, at) if server else None
         return call_s if remote_s is None else min(call_s, remote_s)
 
     def _learn_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
-        if self._slow_apart and delay_s >= self._local[operation].mean_s:
+        if self._slow_apart and self._is_slow(operation, delay_s):
             self._slow_s[server][operation] = delay_s
         else:
             self._slow_s[server].pop(operation, None)
@@ -269,6 +295,10 @@ class Estimates:
         self._warm[server].add(operation.service)
         self._last_remote_call_s[server][operation] = now_s
         self._mean_call_s.clear()
+
+    def _is_slow(self, operation: Operation, delay_s: float) -> bool:
+        """Whether the drone would not be slower; never of an operation that it cannot run."""
+        return not self.needs_server(operation) and delay_s >= self._local[operation].mean_s
 
     def _count(self, operation: Operation) -> None:
         self._calls[operation] += 1

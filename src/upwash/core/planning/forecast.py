@@ -88,7 +88,7 @@ def _calls(
     for call in expected:
         before_s = clock.at_s
         clock.begin(call)
-        local_s = estimates.local_s(call.operation) or 0.0
+        local_s = estimates.alone_s(call.operation) or 0.0
         its_delays_s = delays_s.get(call.operation)
         if its_delays_s is None:
             remote_s = {server: estimates.remote_s(server, call.operation) for server in gaining}

@@ -92,6 +92,8 @@ class CallForecast:
         remote_s = self._estimates.remote_s(server, operation, at) if server is not None else None
         if server is None or remote_s is None:
             return local_s
+        if self._estimates.needs_server(operation):  # a drone that would have to wait flies on
+            return 0.0 if place.ready_in_s > 0 else remote_s
         state = State.CHECK if place.ready_in_s > 0 else State.READY
         decision = self._policy.decide(
             CallInputs(

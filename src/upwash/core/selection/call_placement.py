@@ -2,6 +2,8 @@
 
 With probing, a server that failed is in doubt until it answers a call in time. Until then calls to it are trials: the
 drone's own service computes them too. A call that runs on the drone is also sent to a server that becomes READY.
+
+An operation that only servers run has its place at the server in use, once that is READY, or none yet.
 """
 
 from __future__ import annotations
@@ -41,6 +43,9 @@ class CallPlacement:
         `busy_until_s` has the expected end of what each busy place computes, `first` what the drone would compute.
         """
         server, is_drone_free = self._radios.in_use, ON_DRONE not in busy_until_s
+        if self._estimates.needs_server(operation):
+            is_free = server is not None and server.name not in busy_until_s
+            return "either" if is_free and isinstance(self._at_server(operation, now_s), Remote) else ""
         local_s = self._estimates.local_s(operation)
         remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
         if server is None or local_s is None or remote_s is None or not self._answers(server, operation):
@@ -73,6 +78,8 @@ class CallPlacement:
         With `on_drone` the server in use is busy with earlier calls for too long. A call whose `first` answer the
         drone has sooner than the server runs at both.
         """
+        if self._estimates.needs_server(operation):
+            return self._at_server(operation, now_s), []
         inputs, server = self._inputs(operation, now_s), self._radios.in_use
         if server is None:
             return Local("no server selected", inputs), []
@@ -92,6 +99,21 @@ class CallPlacement:
         if first is not None and isinstance(decision, Remote) and self._first_s(first, local_s) < remote_s:
             decision = replace(decision, raced=True)
         return replace(decision, inputs=inputs), []
+
+    def _at_server(self, operation: Operation, now_s: float) -> Decision:
+        """Remote for a call that only servers compute, or why no server takes it now."""
+        inputs, server = self._inputs(operation, now_s), self._radios.in_use
+        alone_s, remote_s = self._estimates.alone_s(operation), inputs.remote_s
+        if server is None:
+            return Local("no server selected", inputs)
+        if alone_s is None or remote_s is None:
+            return Local(f"{server.name} does not offer {operation}", inputs)
+        if not server.in_range or server.state is not State.READY:
+            return Local(f"{server.name} is not ready", inputs)
+        decision = self._policy.decide(self._call(server, operation, alone_s, remote_s, now_s))
+        if isinstance(decision, Remote):
+            decision = replace(decision, raced=False)
+        return replace(decision, inputs=inputs)
 
     def _call(
         self, server: Server, operation: Operation, local_s: float, remote_s: float, now_s: float

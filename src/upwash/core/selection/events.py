@@ -115,6 +115,19 @@ class PeerPrepared(SelectionEvent, frozen=True):
     by: str
 
 
+class CallWaits(SelectionEvent, frozen=True):
+    """A call that only servers compute waits for one; `again` if a server failed in it."""
+
+    operation: Operation
+    again: bool = False
+
+
+class CallOver(SelectionEvent, frozen=True):
+    """A call that only servers compute is over, with an answer or without one."""
+
+    operation: Operation
+
+
 class LocalCallEnded(SelectionEvent, frozen=True):
     """A call ran on the drone."""
 

@@ -12,6 +12,7 @@ Laws:
 - with probing, a call on the drone also goes to a server that becomes READY before the drone is done;
 - a reported exception counts as an answer if the drone's own service raises too, and as a failed call otherwise;
 - during the descent no server is selected, unless a call is open or the mission calls again;
+- a call that only servers compute waits for one, and has a server wanted until it is over;
 - each event ends with a new look at the selection; a decision on a call may leave a server, but selects none;
 - commands are carried out in their order; with one radio a server is selected after the former is left.
 """
@@ -100,7 +101,8 @@ class Selection:
         """Why no call needs a server any more; "" while one may."""
         if self._ended:
             return "mission ended"
-        return "on the way down" if self._comes_down and self._planning.under_way is None else ""
+        needed = self._planning.under_way is not None or self._planning.waiting
+        return "on the way down" if self._comes_down and not needed else ""
 
     def is_awaited(self, check: int) -> bool:
         """Whether a call may wait for that check; False once the server has refused a slot."""
@@ -160,8 +162,11 @@ class Selection:
         self._locate(position, now_s)
         if self._comes_down:
             self._comes_down, self._planning.changed = False, True
-        self._planning.mission.call_begun(operation, now_s=now_s)
-        lightened = self._lighter.judge(operation, now_s=now_s, position=position) if self._lighter else None
+        lightened = None
+        if not self.estimates.needs_server(operation):  # else it was made before
+            self._planning.mission.call_begun(operation, now_s=now_s)
+            if self._lighter is not None:
+                lightened = self._lighter.judge(operation, now_s=now_s, position=position)
         operation = lightened.operation if lightened else operation
         first = self._settings.two_answers.get(operation)
         decision, effects = self._placement.decide(
@@ -219,6 +224,11 @@ class Selection:
         self._locate(position, now_s)
         return self._planning.outlook(now_s)
 
+    def reach_s(self, operation: Operation, *, now_s: float, position: Position) -> float | None:
+        """Seconds until a server in range answers a call that only servers compute; None where none can."""
+        self._locate(position, now_s)
+        return self._planning.reach_s(operation, now_s, position)
+
     def _locate(self, position: Position, now_s: float) -> None:
         if self._table.locate(position, now_s) | self.estimates.locate(position):
             self._planning.changed = True
@@ -267,12 +277,14 @@ class Selection:
                 self._comes_down = True
             case events.NoMoreCalls():
                 self._ended = True
+            case events.CallWaits() | events.CallOver():
+                self._planning.waits(event, now_s)
             case events.LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
                 self._planning.answered(now_s)
             case events.RemoteCallEnded(name, operation, delay_s, late):
                 self._learn_remote(name, operation, delay_s, now_s, late=late)
-                if not late:
+                if not late and not self.estimates.needs_server(operation):
                     self._planning.answered(now_s)
             case events.RemoteCallCut(name, operation, waited_s):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s)
@@ -401,7 +413,8 @@ class Selection:
         self, name: str, operation: Operation, delay_s: float, now_s: float, *, late: bool
     ) -> None:
         if self._recovery is not None:
-            local_s = self.estimates.local_s(operation) or 0.0
+            needs_server = self.estimates.needs_server(operation)
+            local_s = math.inf if needs_server else self.estimates.local_s(operation) or 0.0
             self._recovery.answered(name, operation, delay_s, local_s=local_s, now_s=now_s)
         self.servers[name].turns_lost = 0
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)

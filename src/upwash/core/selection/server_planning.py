@@ -7,6 +7,7 @@ forgotten, so that a slow server gets another chance, and an announcement become
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TypeGuard
@@ -32,7 +33,7 @@ from upwash.core.policies.policy import (
 )
 from upwash.core.selection.call_forecast import CallForecast, CallPlace
 from upwash.core.selection.commands import Prepare
-from upwash.core.selection.events import LegBegun, LegEnded, TargetUnknown
+from upwash.core.selection.events import CallOver, CallWaits, LegBegun, LegEnded, TargetUnknown
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import REST_S, Recovery
 from upwash.core.selection.settings import SelectionSettings
@@ -89,11 +90,16 @@ class ServerPlanning:
     under_way: Decision | None = None  # on the call whose answer is not there yet
     changed: bool = True  # since the policy last chose
     _operation: Operation | None = None  # of the call under way
+    waiting: Counter[Operation] = field(default_factory=Counter)  # calls that only servers compute
     _prewarm: PrewarmNotifier = field(default_factory=PrewarmNotifier)
     _short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
 
     def decided(self, decision: Decision, operation: Operation, now_s: float) -> None:
         """Note that the mission has made a call, and where it runs."""
+        if self._estimates.needs_server(operation):  # the mission does not wait for it, or not for long
+            if isinstance(decision, Remote):
+                self.under_way, self._operation = decision, operation
+            return
         self.under_way, self._operation = decision, operation
         match decision:
             case Local():
@@ -106,6 +112,32 @@ class ServerPlanning:
         if first is not None and (first_s := self._estimates.local_s(first.first)) is not None:
             expected_s = first_s if expected_s is None else min(expected_s, first_s)
         self.mission.call_ends(now_s + (expected_s or 0.0))
+
+    def waits(self, event: CallWaits | CallOver, now_s: float) -> None:
+        """Note that a call that only servers compute waits for one, waits again, or is over."""
+        match event:
+            case CallWaits(operation, again=False):
+                self.waiting[operation] += 1
+                self._estimates.call_waits(operation)
+                self.mission.call_begun(operation, now_s=now_s)
+                return
+            case CallOver(operation):
+                self.waiting -= Counter({operation: 1})
+        if self._operation == event.operation:
+            self.under_way = None
+
+    def reach_s(self, operation: Operation, now_s: float, position: Position) -> float | None:
+        """Seconds until a server in range answers a call, if one can that the policy uses; None without one."""
+        server = self._radios.in_use
+        if server is None or not server.in_range:
+            name = self.choose(now_s, position).server
+            server = self._table.servers[name] if name is not None else None
+        remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
+        if server is None or remote_s is None:
+            return None
+        if server in self._radios.selected:
+            return rest_of_check_s(server, self._estimates, now_s) + remote_s
+        return self._estimates.check_s(server.name, running=server.state is State.AVL_R) + remote_s
 
     def answered(self, now_s: float) -> None:
         """Note that the mission has the answer to its call."""
@@ -265,8 +297,9 @@ class ServerPlanning:
     def _forecast(self, now_s: float, position: Position) -> Forecast | None:
         if not self._policy.horizon:
             return None
+        waiting = [self.made_now(operation, now_s) for operation in self.waiting]
         return make_forecast(
-            self.mission.coming(position, now_s=now_s, count=self._policy.horizon),
+            [*waiting, *self.mission.coming(position, now_s=now_s, count=self._policy.horizon)],
             self._table.servers,
             self._estimates,
             self._radios.selected,

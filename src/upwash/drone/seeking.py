@@ -1,0 +1,133 @@
+"""Stops for calls that only servers compute, where a server can answer them.
+
+    in the last range   before a leg after which the rest of the way, home included, passes no range
+    beside the way home the place in a range that makes the way least longer, unless home is in a range
+    at home             once the drone has landed: until they are answered, or no server there answers
+
+No stop lasts longer than `policy.detour_s`, or than the reserve of the battery allows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from upwash.core.geo import Circle, Position, Waypoint
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.planning.answer_stops import AnswerStops, longer_m
+from upwash.drone.server_calls import ServerCalls
+from upwash.eventlog import schema
+from upwash.ports import Journal
+
+_LEAST_GAIN_S = 1.0  # a stop that may not last so long is none
+
+
+class Seeking:
+    """Decides about these stops, and waits; on the loop.
+
+    `home` returns where the vehicle lands, None if it does not return; `spare_s` the seconds of flight that the
+    reserve leaves, None if unknown.
+    """
+
+    def __init__(
+        self,
+        calls: ServerCalls,
+        journal: Journal,
+        *,
+        estimates: Estimates,
+        areas: Mapping[str, Circle],
+        plan: Sequence[Waypoint],
+        home: Callable[[], Position | None],
+        ground_speed_m_s: float,
+        detour_s: float,
+        spare_s: Callable[[], float | None],
+    ) -> None:
+        self._calls = calls
+        self._journal = journal
+        self._estimates = estimates
+        self._areas = areas
+        self._plan = plan
+        self._home = home
+        self._ground_speed_m_s = ground_speed_m_s
+        self._detour_s = detour_s
+        self._spare_s = spare_s
+        self._last_legs: dict[frozenset[str], int] = {}  # of the plan that passes a range of these servers
+
+    async def leads_away(self, here: Position, target: Waypoint) -> bool:
+        """Whether the leg to the target leaves the last range of the way, while calls wait."""
+        stops = self._stops()
+        return stops.contains(here) and not self._leads_through(stops, target)
+
+    def _leads_through(self, stops: AnswerStops, target: Waypoint) -> bool:
+        """Whether the way from the target on passes a range."""
+        if target not in self._plan:
+            return True  # nothing is known of the way
+        home, servers = self._home(), frozenset(self._hosting())
+        places = [waypoint.position for waypoint in self._plan]
+        if home is not None and stops.passed([places[-1], home]):
+            return True
+        if servers not in self._last_legs:
+            legs = range(len(places) - 1, 0, -1)
+            self._last_legs[servers] = next(
+                (leg for leg in legs if stops.passed(places[leg - 1 : leg + 1])), 0
+            )
+        return self._plan.index(target) < self._last_legs[servers] or stops.contains(target.position)
+
+    async def beside_way_home(
+        self, here: Position, allows: Callable[[Position, Position], bool]
+    ) -> Position | None:
+        """The place to stop at on the way home; None if none is worth it, or a fence forbids the way."""
+        home, stops = self._home(), self._stops()
+        if home is None:
+            return here if stops.contains(here) else None
+        if stops.contains(home):
+            return None
+        place = stops.beside(here, home)
+        if place is None or self._most_s(self._extra_s(here, place, home)) < self._needed_s():
+            return None
+        return place if allows(here, place) and allows(place, home.at_altitude(place.altitude_m)) else None
+
+    async def wait_here(self, here: Position, left_from: Position | None = None) -> None:
+        """Wait at the place, which was chosen when the drone was at `left_from`."""
+        home = self._home()
+        extra_s = 0.0 if home is None or left_from is None else self._extra_s(left_from, here, home)
+        waiting = len(self._calls.waiting)
+        if not waiting or (most_s := self._most_s(extra_s)) < _LEAST_GAIN_S:
+            return
+        self._journal.record(schema.SoughtAnswers(waiting=waiting, position=here, extra_s=round(extra_s, 1)))
+        await self._calls.answered_here(most_s)
+
+    async def after_landing(self) -> None:
+        """Wait for answers at home, and end the calls that none answers."""
+        await self._calls.answered_here()
+        await self._calls.end_all("the flight is over, and no server in range answers")
+
+    def _hosting(self) -> list[str]:
+        """The servers with a range that can answer a waiting call."""
+        waiting = dict.fromkeys(self._calls.waiting)
+        return [
+            name
+            for name in self._areas
+            if any(self._estimates.is_hosted(name, operation) for operation in waiting)
+        ]
+
+    def _stops(self) -> AnswerStops:
+        return AnswerStops([self._areas[name] for name in self._hosting()])
+
+    def _extra_s(self, here: Position, place: Position, home: Position) -> float:
+        return max(0.0, longer_m(here, place, home)) / self._ground_speed_m_s
+
+    def _most_s(self, extra_s: float) -> float:
+        """How long a stop may last that makes the way longer by that time."""
+        spare_s = self._spare_s()
+        return min(self._detour_s, math.inf if spare_s is None else spare_s) - extra_s
+
+    def _needed_s(self) -> float:
+        """The least time in which the oldest call is answered there."""
+        hosting, waiting = self._hosting(), self._calls.waiting
+        times_s = [
+            self._estimates.check_s(name, running=False) + remote_s
+            for name in hosting
+            if (remote_s := self._estimates.remote_s(name, waiting[0])) is not None
+        ]
+        return min(times_s, default=math.inf)
