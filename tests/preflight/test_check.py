@@ -16,7 +16,7 @@ from upwash.lab.campaigns.campaign import Chunk, fly_chunk
 from upwash.lab.campaigns.file import CampaignRow
 from upwash.lab.run import simulate
 from upwash.preflight.check import MissionCheck, check, missions_to_fly, read_plan
-from upwash.preflight.placement import STEPS, candidates, missions_to_place, place
+from upwash.preflight.placement import STEPS, Places, Trials, best_places, candidates, place
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, without
 from upwash.preflight.worth import Worth
 
@@ -154,21 +154,59 @@ def test_candidates_are_spread_over_the_field() -> None:
 def test_a_server_is_placed_where_none_is_and_none_where_it_gains_nothing(file: Path) -> None:
     plan = read_plan(file)
     _, times_s = checked(file)
-    flown: list[int] = []
-    places, document = place(plan.document, plan.config, file, servers=3, fly=here, flown=flown.append)
-    assert places[0].server == "new1"
+    placement, document = place(plan.document, plan.config, file, more=3, fly=here)
+    places = placement.places
+    assert [server["name"] for server in document["server"]] == ["s1", "new1"]
+    assert [site.server for site in places] == ["new1"]
     assert places[0].east_m > 240.0  # within range of the last two waypoints
-    assert places[0].mission_time_s < times_s[AS_CONFIGURED]
-    assert len(places) < 3
-    assert [server["name"] for server in document["server"]] == ["s1", *(each.server for each in places)]
-    assert sum(flown) <= missions_to_place(3)
+    assert placement.mission_time_s < times_s[AS_CONFIGURED]
+    assert placement.one_less_s == pytest.approx(times_s[AS_CONFIGURED])
+    assert places[0].gain_s == pytest.approx(times_s[AS_CONFIGURED] - placement.mission_time_s)
+
+
+def test_the_servers_of_the_file_are_placed_anew(file: Path) -> None:
+    file.write_text(SCENARIO + SECOND)
+    plan = read_plan(file)
+    placement, document = place(plan.document, plan.config, file, more=0, fly=here)
+    assert [server["name"] for server in document["server"]] == [site.server for site in placement.places]
+    assert {site.server for site in placement.places} <= {"s1", "s2"}
+    assert placement.mission_time_s <= checked(file)[1][AS_CONFIGURED]
+
+
+LINE = [Position(float(east_m), 0.0) for east_m in range(0, 101, 10)]
+
+
+def left_out_with(*reach_m: float) -> Trials:
+    """Trials that count how many places of the line no server covers."""
+
+    def times_s(trials: Sequence[Places]) -> list[float]:
+        return [sum(not covered(at, places) for at in LINE) for places in trials]
+
+    def covered(at: Position, places: Places) -> bool:
+        sites = zip(places, reach_m, strict=False)
+        return any(site is not None and abs(site.east_m - at.east_m) <= reach for site, reach in sites)
+
+    return Trials(times_s)
+
+
+def test_two_servers_share_the_way_where_the_best_place_of_one_is_the_middle() -> None:
+    trials = left_out_with(25.0, 25.0)
+    (alone,) = best_places(LINE, 1, trials)
+    assert alone is not None
+    assert 25.0 <= alone.east_m <= 75.0
+    assert trials.time_s(best_places(LINE, 2, trials)) == 0.0
+
+
+def test_no_server_is_placed_that_gains_nothing() -> None:
+    trials = left_out_with(50.0, 30.0)
+    assert len(best_places(LINE, 2, trials)) == 1
 
 
 def test_without_a_server_to_be_like_nothing_is_placed(file: Path) -> None:
     file.write_text(SCENARIO.partition("[[server]]")[0])
     plan = read_plan(file)
-    with pytest.raises(UsageError, match="needs one"):
-        place(plan.document, plan.config, file, servers=1, fly=here)
+    with pytest.raises(UsageError, match=r"without a \[\[server\]\]"):
+        place(plan.document, plan.config, file, more=1, fly=here)
 
 
 # --- the command --------------------------------------------------------------------------------------------
@@ -222,7 +260,7 @@ def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.C
     found = json.loads(capsys.readouterr().out)
     assert list(found) == [
         "config", "waypoints", "order", "uncovered", "servers", "predictions", "usable_s", "usable_wh", "farthest",
-        "warnings", "notices", "places", "worth",
+        "warnings", "notices", "worth",
     ]  # fmt: skip
     assert [each["case"] for each in found["predictions"]] == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]
     assert (figures / "coverage.png").is_file()

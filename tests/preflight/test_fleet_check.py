@@ -99,9 +99,9 @@ def test_without_anything_to_warn_of_it_ends_well(fleet: Path, capsys: pytest.Ca
     assert "nothing to warn of" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("option", ["--place 1", "--figures there"])
+@pytest.mark.parametrize("option", ["--place 1", "--place-all", "--figures there"])
 def test_what_is_of_one_drones_way_is_refused(
     fleet: Path, capsys: pytest.CaptureFixture[str], option: str
 ) -> None:
     assert main(["check", str(fleet), *option.split()]) == 2
-    assert "--place and --figures are of one drone's way" in capsys.readouterr().err
+    assert "--place, --place-all and --figures are of one drone's way" in capsys.readouterr().err

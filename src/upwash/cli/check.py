@@ -21,7 +21,8 @@ ARGUMENTS = {
     "config": option("the drone's configuration or a scenario, a TOML file", type=Path),
     **seeds_of("where there is noise, fly each prediction", default=5),
     "--workers N": "processes, where they pay (default: one per core)",
-    "--place N": option("suggest where N more servers would help most", default=0),
+    "--place N": option("suggest where N more servers would help most, together", default=0),
+    "--place-all": "suggest where the file's own servers would help most, together",
     **figures_with("the coverage"),
     "--json": "print the results as one JSON object",
     "only": OneOf(
@@ -51,16 +52,18 @@ def run(options: argparse.Namespace) -> bool:
     if options.capacity:
         return show_capacity(plan.config, str(plan.file), as_json=options.json)
     if plan.config.drones:
-        if options.place or options.figures is not None:
+        if options.place or options.place_all or options.figures is not None:
             raise UsageError(
-                "--place and --figures are of one drone's way, and this file has [[drone]] tables: leave them out, "
-                "or check a file with one of the drones"
+                "--place, --place-all and --figures are of one drone's way, and this file has [[drone]] tables: "
+                "leave them out, or check a file with one of the drones"
             )
         return show_fleet_check(plan, seeds=options.seeds, as_json=options.json, workers=options.workers)
+    if options.place and options.place_all:
+        raise UsageError("--place adds servers and --place-all moves those of the file: give one of them")
     return show_check(
         plan,
         seeds=options.seeds,
-        servers_to_place=options.place,
+        more_servers=0 if options.place_all else options.place or None,
         as_json=options.json,
         figures=figures_of(options),
         fly=here_first(options.workers),

@@ -28,7 +28,7 @@ from upwash.eventlog import schema
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
-from upwash.preflight.placement import SuggestedPlace
+from upwash.preflight.placement import Placement
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
 from upwash.preflight.speed import SpeedCheck, check_speed
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
@@ -52,7 +52,8 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
     plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
     them. `speed` is the check of the ground speed, if photos are taken in flight. `worth` is what the servers save a
-    drone that is flown well; UNSET without a server or with lighter calls.
+    drone that is flown well; UNSET without a server or with lighter calls. `placement` has places of servers, if
+    asked for.
     """
 
     config: str
@@ -66,7 +67,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     farthest: Farthest
     warnings: tuple[PreflightWarning, ...]
     notices: tuple[str, ...] = ()
-    places: tuple[SuggestedPlace, ...] = ()
+    placement: Placement | UnsetType = UNSET
     demanding_share: float | UnsetType = UNSET
     speed: SpeedCheck | UnsetType = UNSET
     worth: Worth | UnsetType = UNSET

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 
 import msgspec
@@ -18,7 +18,7 @@ from upwash.eventlog.narration import spans
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.figures import FigureFiles
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
-from upwash.preflight.placement import missions_to_place, place
+from upwash.preflight.placement import Placement, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
 from upwash.preflight.speed import told_speed
 from upwash.preflight.warnings import PreflightWarning, is_for_flight
@@ -39,7 +39,7 @@ def show_check(
     plan: CheckInput,
     *,
     seeds: int,
-    servers_to_place: int = 0,
+    more_servers: int | None = None,
     as_json: bool = False,
     figures: FigureFiles | None = None,
     fly: Fly,
@@ -49,17 +49,17 @@ def show_check(
     with _progress("flying it in simulation", missions_to_fly(plan, seeds)) as flown:
         found = check(plan, seeds=seeds, fly=fly, flown=flown)
     drawn = plan.config
-    if servers_to_place:
-        with _progress("trying places", missions_to_place(servers_to_place)) as flown:
-            places, document = place(
-                plan.document, plan.config, plan.file, servers=servers_to_place, fly=fly, flown=flown
+    if more_servers is not None:
+        with _progress("trying places", None) as flown:
+            placement, document = place(
+                plan.document, plan.config, plan.file, more=more_servers, fly=fly, flown=flown
             )
-        found = msgspec.structs.replace(found, places=tuple(places))
+        found = msgspec.structs.replace(found, placement=placement)
         drawn = drone_config(document, plan.file)
     if as_json:
         sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
     else:
-        _print(found, plan.config, servers_to_place, Console(markup=False))
+        _print(found, plan.config, more_servers or len(plan.config.servers), Console(markup=False))
     if figures is not None:
         from upwash.lab.figures.coverage import draw_coverage
 
@@ -68,7 +68,7 @@ def show_check(
 
 
 @contextmanager
-def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
+def _progress(what: str, missions: int | None) -> Generator[Callable[[int], None]]:
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -76,7 +76,7 @@ def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
         yield lambda flown: progress.advance(task, flown)
 
 
-def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, console: Console) -> None:
+def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Console) -> None:
     say(
         f"{found.config} is understood: {counted(found.waypoints, 'waypoint')}, "
         f"{counted(len(config.services), 'service')}, {counted(len(config.servers), 'server')}",
@@ -113,16 +113,28 @@ def _print(found: MissionCheck, config: DroneConfig, servers_to_place: int, cons
             say(line, console)
     if config.mission.reserve_s is not None:
         say(_farthest_line(found.farthest, config), console)
-    for site in found.places:
-        say(
-            f"one more server helps most at {site.east_m:.0f} m east, {site.north_m:.0f} m north "
-            f"({site.server}): {site.mission_time_s / 60:.2f} min",
-            console,
-        )
-    if len(found.places) < servers_to_place:
-        console.print("one more server would gain nothing, wherever it stands")
+    if found.placement is not UNSET:
+        console.print()
+        for line in _told_placement(found.placement, to_place):
+            say(line, console)
     console.print()
     print_findings(found.notices, found.warnings, console)
+
+
+def _told_placement(placement: Placement, asked: int) -> Iterator[str]:
+    count = len(placement.places)
+    for site in placement.places:
+        yield (
+            f"{site.server} at {site.east_m:.0f} m east, {site.north_m:.0f} m north: without it the mission takes "
+            f"{site.gain_s:.0f} s longer"
+        )
+    if count:
+        yield (
+            f"with {counted(count, 'server')} there it takes {placement.mission_time_s / 60:.2f} min, and with one "
+            f"less, at the best places for that, {placement.one_less_s / 60:.2f} min"
+        )
+    if count < asked:
+        yield "one more server would gain nothing, wherever it stands"
 
 
 def print_findings(notices: Sequence[str], warnings: Sequence[PreflightWarning], console: Console) -> None:
