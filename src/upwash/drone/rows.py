@@ -324,10 +324,11 @@ class Rows:
             return
         _, seeking = self._rules.servers
         self._thread.call(seeking.after_landing())
-        for answer in self._open:
-            answer.demands()
         while self._open:
-            self._open.pop(0).finish(0.0)
+            self._thread.call(one_answered(self._open))
+            for answer in self._taken():
+                self._open.remove(answer)
+                answer.finish(0.0)
 
     def _wait_below(self, count: int) -> None:
         """Wait at rest until fewer answers are open, and meet their demands; come back where a plan has the way."""
