@@ -188,3 +188,28 @@ class Vandal:
             except OSError:
                 pass
         return written
+
+
+@service
+class Halve:
+    """Sends the first half; the first word may say something else."""
+
+    def echo(self, data: bytes) -> bytes:
+        match data[:5]:
+            case b"raise":
+                raise Overheated(91.5)
+            case b"crash":
+                os._exit(3)
+            case b"hangs":
+                time.sleep(60.0)
+            case b"grows":
+                return data * 2
+            case b"equal":
+                return data
+        return data[: len(data) // 2]
+
+
+@service(before_sending=Halve)
+class Carrier:
+    def echo(self, data: bytes, times: int = 1) -> bytes:
+        return data * times

@@ -324,6 +324,7 @@ class InstanceSpec:
     )  # that it declares, as far as known: answers of others are not believed
     limits: Limits = NO_LIMITS
     devices: tuple[str, ...] = ()  # of the machine, which it may use
+    before: str = ""  # the service before whose requests it runs, on the drone
 
     @property
     def name(self) -> str:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.knowledge.estimates import Beliefs, Estimates, Window, offline_remote_s
+from upwash.core.knowledge.sending import BothWays, Less
 from upwash.core.operation import Operation, name_of, server_of
 
 LIGHT = Operation("detector", "process_photo", "light")
@@ -280,3 +281,69 @@ def test_a_call_that_was_cut_short_was_a_call(waited_s: float) -> None:
     estimates = two_operations()
     estimates.observe_remote_cut("s1", LIGHT, waited_s, now_s=5.0)
     assert not estimates.is_first_call("s1", LIGHT)
+
+
+# --- a part before sending ----------------------------------------------------------------------------------
+
+
+def less(*, loss: float = 0.01, most_loss: float = 0.02) -> Estimates:
+    """Heavy calls take 2 s, of which the transfer takes 1.6 s; a part of 0.1 s leaves a quarter of it."""
+    return Estimates(
+        local_s={LIGHT: 3.0, HEAVY: 10.0},
+        servers={"s1": Beliefs(11.5, 3.5, {LIGHT: 1.0, HEAVY: 2.0}, transfer_s={HEAVY: 1.6, LIGHT: 0.8})},
+        slow_apart=True,
+        less={HEAVY: Less(takes_s=0.1, share=0.25, loss=loss)},
+        most_loss=most_loss,
+    )
+
+
+@pytest.mark.parametrize(
+    ("loss", "most_loss", "remote_s"),
+    [(0.01, 0.02, 0.9), (0.02, 0.02, 0.9), (0.03, 0.02, 2.0), (0.01, 0.0, 2.0), (0.0, 0.0, 2.0)],
+)
+def test_less_is_sent_only_where_the_user_allows_some_loss(
+    loss: float, most_loss: float, remote_s: float
+) -> None:
+    known = less(loss=loss, most_loss=most_loss)
+    assert known.remote_s("s1", HEAVY) == pytest.approx(remote_s)
+    assert known.usual_s("s1", HEAVY) == pytest.approx(remote_s)
+    assert known.remote_s("s1", LIGHT) == 1.0
+    assert (known.both_ways_s("s1", HEAVY) is None) == (remote_s == 2.0)
+
+
+@given(whole_s=delays_s, takes_s=st.floats(0.0, 1.0), share=st.floats(0.01, 1.0), fixed_s=st.floats(0.0, 9.0))
+def test_what_calls_with_less_to_send_took_is_what_the_next_one_is_expected_to_take(
+    whole_s: float, takes_s: float, share: float, fixed_s: float
+) -> None:
+    both = BothWays(Less(takes_s, share, 0.0), fixed_s)
+    assert both.whole_s(both.less_s(whole_s)) == pytest.approx(whole_s, rel=1e-6)
+
+
+def test_a_link_that_gets_faster_has_the_request_sent_whole_again_and_a_slow_one_has_not() -> None:
+    known = less()
+    for delay_s, expected in ((0.9, (2.0, 0.9)), (0.52, (0.48, 0.52)), (3.0, (10.4, 3.0))):
+        for _ in range(3):
+            known.observe_remote("s1", HEAVY, delay_s, now_s=0.0, less=True)
+        assert known.both_ways_s("s1", HEAVY) == pytest.approx(expected)
+        assert known.remote_s("s1", HEAVY) == pytest.approx(min(expected))
+
+
+def test_a_call_with_less_to_send_is_slow_by_what_it_took_and_not_by_what_it_had_taken_whole() -> None:
+    known = less()
+    for delay_s in (9.0, 9.0, 9.0):
+        known.observe_remote("s1", HEAVY, delay_s, now_s=0.0, less=True)
+    assert known.remote_s("s1", HEAVY) == pytest.approx(9.0)
+    assert not known.forget_slow_calls("s1", now_s=1000.0, retry_s=300.0)
+
+
+def test_a_part_that_fails_three_times_in_a_row_is_not_tried_any_more() -> None:
+    known = less()
+    for _ in range(2):
+        known.part_failed("detector")
+    known.observe_remote("s1", HEAVY, 0.9, now_s=0.0, less=True)
+    for _ in range(2):
+        known.part_failed("detector")
+        assert known.remote_s("s1", HEAVY) == pytest.approx(0.9)
+    known.part_failed("detector")
+    assert not known.tries_part("detector")
+    assert known.remote_s("s1", HEAVY) == pytest.approx(2.0)

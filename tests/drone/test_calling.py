@@ -77,7 +77,7 @@ class Field:
     def called(self, operation: Operation) -> None: ...
     def plan(self, *_: object, **__: object) -> None: ...
 
-    def answered(self, server: str, operation: Operation, delay_s: float) -> None:
+    def answered(self, server: str, operation: Operation, delay_s: float, *, less: bool) -> None:
         assert (server, operation) == ("s1", OPERATION)
         self.known_s.append(delay_s)
 

@@ -68,7 +68,7 @@ class CutWire(Wire):
     def __init__(self) -> None:
         self.cut = False
 
-    async def send(self, server: str, path: str, *, reply: bool) -> None:
+    async def send(self, server: str, path: str, *, reply: bool, less: bool = False) -> None:
         if self.cut:
             raise Unreachable("the service has crashed")
 

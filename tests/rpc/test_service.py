@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import importlib
+import inspect
 import sys
 import types
 from collections.abc import Callable, Iterator
@@ -279,6 +280,72 @@ def test_a_method_without_self_is_refused_or_can_be_called(kind: Callable[..., A
         assert "service Adder, method add" in str(refusal)
     else:
         assert perform(Adder(), method, method.encode((1, 2), {})[1]) == 3
+
+
+def part(**given: Any) -> type:
+    """A service with a method `look` of these parameters, and with that result."""
+
+    def look(self: object, *values: Any) -> Any:
+        return values
+
+    result = given.pop("returns", next(iter(given.values()), None))
+    names = [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in ("self", *given)]
+    look.__signature__ = inspect.Signature(names)  # type: ignore[attr-defined]
+    look.__annotations__ = {**given, "return": result}
+    return service(type("Less", (), {"look": look}))
+
+
+class Looking:
+    def look(self, photo: bytes, mode: Literal["light", "heavy"], sizes: list[int]) -> int:
+        return len(photo)
+
+    @once
+    def act(self, photo: bytes) -> None: ...
+
+
+@service
+class Acting:
+    def act(self, photo: bytes) -> bytes:
+        return photo
+
+
+@service
+class Staring:
+    def stare(self, photo: bytes) -> bytes:
+        return photo
+
+
+@pytest.mark.parametrize(
+    ("before", "said"),
+    [
+        (bytes, "name a class with @service above it"),
+        ("Less", "name a class with @service above it"),
+        (Staring, r"Staring\.stare: .*give it the name of the operation"),
+        (Acting, r"Acting\.act: calls of a method with @once are never sent"),
+        (part(returns=bytes), "it has no parameter"),
+        (part(photo=str), "parameter 'photo' .*: write photo: bytes"),
+        (part(other=bytes), "parameter 'other' .*: write one of photo, mode, sizes"),
+        (part(mode=Literal["light", "heavy"]), "'mode' says which operation it is"),
+        (part(photo=bytes, returns=str), "write -> bytes"),
+        (part(photo=bytes, sizes=list[int]), r"write -> tuple\[bytes, list\[int\]\]"),
+    ],
+)
+def test_a_part_before_sending_that_does_not_fit_is_refused_with_the_remedy(before: Any, said: str) -> None:
+    with pytest.raises(DeclarationError, match=f"service Looking: before_sending.*{said}"):
+        service(profile_by="mode", before_sending=before)(Looking)
+
+
+def test_a_part_before_sending_may_change_several_parameters_and_never_their_types() -> None:
+    less = part(photo=bytes, sizes=list[int], returns=tuple[bytes, list[int]])
+    operation = spec_of(service(profile_by="mode", before_sending=less)(Looking)).methods["look"]
+    changing = spec_of(less).methods["look"]
+    request = operation.encode((b"1234", "heavy", [1, 2]), {})[1]
+    assert changing.request.decode(operation.request_of_part(request)).sizes == [1, 2]
+    smaller = operation.reduced(request, changing.reply.encode({"value": (b"12", [1])}))
+    assert smaller == operation.encode((b"12", "heavy", [1]), {})[1]
+    for value in ("12", (b"12", ["1"]), (b"12",), None):
+        with pytest.raises(GarbledReply):
+            operation.reduced(request, changing.reply.encode({"value": value}))
 
 
 @pytest.mark.parametrize("name", ["speed", "self"])

@@ -38,7 +38,7 @@ from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import spec_of
 from upwash.rpc.settings import construct, plain
-from upwash.services import Detection, Detector, Mode, ModelFiles, NotAPhoto
+from upwash.services import Detection, Detector, Mode, ModelFiles, NotAPhoto, Shrink
 from upwash.services.darknet.conversion import converted
 from upwash.services.darknet.heads import HEADS_METADATA, Head, decode_heads
 from upwash.services.inference import Engine, open_inference
@@ -616,3 +616,14 @@ def test_without_its_packages_the_detector_says_what_to_install(
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(UsageError, match=r"pip install 'upwash\[detector\]'"):
         Detector(model=model)
+
+
+def test_of_a_smaller_photo_the_boxes_are_in_pixels_of_the_whole_one() -> None:
+    whole = render_photo(3).jpeg
+    smaller = Shrink(px=720, quality=90).process_photo(whole)
+    assert len(smaller) < len(whole) / 2
+    found, again = (Detector().process_photo(each, confidence=0.5) for each in (whole, smaller))
+    assert [box.label for box in again] == [box.label for box in found]
+    for box, other in zip(found, again, strict=True):
+        assert (box.left_px, box.top_px) == pytest.approx((other.left_px, other.top_px), abs=4.0)
+        assert (box.width_px, box.height_px) == pytest.approx((other.width_px, other.height_px), abs=4.0)

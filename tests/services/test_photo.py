@@ -23,7 +23,10 @@ from upwash.services.photo import (
     NotAPhoto,
     decode_photo,
     in_8_bits,
+    photo_size,
     read_photo,
+    shrunk,
+    whole_size,
 )
 from upwash.support.jpeg import EOI, MOST_SEGMENTS, SOS, segments_of, size_of
 
@@ -462,3 +465,28 @@ def test_photos_within_a_photo_and_after_it_do_not_count() -> None:
     with_both = PHOTO[:2] + exif + PHOTO[2:] + progressive(gradient(40, 30), more_scans=1000)
     assert markers_of(with_both).count(SOS) == 1
     np.testing.assert_array_equal(read_photo(with_both, 320)[0], read_photo(PHOTO, 320)[0])
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+@pytest.mark.parametrize(("width_px", "height_px"), [(1440, 1080), (1080, 1441), (4001, 37)])
+def test_a_smaller_photo_has_the_shape_of_the_whole_one_and_says_its_size(
+    width_px: int, height_px: int, kind: str
+) -> None:
+    noise = np.random.default_rng(1).integers(0, 255, (height_px, width_px, 3), np.uint8)
+    whole = saved(noise, kind)
+    smaller = shrunk(whole, 720, 85)
+    small_px = photo_size(smaller)
+    assert max(small_px) == 720
+    assert small_px[0] / width_px == pytest.approx(small_px[1] / height_px, abs=1 / height_px)
+    assert whole_size(smaller) == whole_size(shrunk(smaller, 360, 50)) == (width_px, height_px)
+    assert whole_size(whole) is None
+
+
+def test_a_photo_that_would_not_be_smaller_is_sent_as_it_is() -> None:
+    small = jpeg_of(gradient(64, 48))
+    assert shrunk(small, 720, 100) == small
+
+
+def test_what_is_no_photo_is_not_made_smaller() -> None:
+    with pytest.raises(NotAPhoto):
+        shrunk(b"\xff\xd8\xff garbage", 720, 85)

@@ -50,7 +50,7 @@ class Computer:
     async def start(self, spec: InstanceSpec) -> None:
         """At once."""
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+    async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
         self._calls += 1
         crashes = self._calls == self._crashes_in
         await asyncio.sleep(COMPUTED_S)

@@ -70,6 +70,9 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
         key = f"service[{index}]"
         yield from _key_problems(f"{key}.local_pace_s", service, service.local_pace_s)
         yield from _key_problems(f"{key}.local_joining_slowdown", service, service.local_joining_slowdown)
+        if (part := service.before_sending) is not None:
+            named = {name: loss for name, loss in part.loss.items() if name}
+            yield from _key_problems(f"{key}.before_sending.loss", service, named)
     for index, server in enumerate(config.servers):
         yield from below(f"server[{index}]", _server_problems(server, config))
     for index, fault in enumerate(config.faults):

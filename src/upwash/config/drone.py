@@ -295,6 +295,8 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
     detour_s: values.NotNegative = 120.0
     """The longest stop, with the way there, for answers of [a service that only servers run](only-servers.md)."""
+    most_loss: values.Fraction = 0.0
+    """The largest `loss` of a part [before sending](less-to-send.md) that may be used; 0: all is sent whole."""
 
     def __post_init__(self) -> None:
         if self.settings and not is_own(self.name):
@@ -351,6 +353,20 @@ class TwoAnswersConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """How long after the call the better answer counts, in seconds."""
 
 
+class BeforeSendingConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the part of a service that makes requests smaller costs and loses; `upwash profile` measures it."""
+
+    takes_s: values.NotNegative
+    """Its time on the drone, in seconds."""
+    request_bytes: values.Count
+    """The mean size of a request afterwards, in bytes."""
+    loss: values.FractionsByKey
+    """The share of the answers that it costs, from 0 to 1: one number, or one for each profile key or method. An
+    operation without one is sent whole."""
+    settings: values.Settings | None = None
+    """Arguments of its class's constructor."""
+
+
 class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A service that the mission calls, and what its calls cost on the drone."""
 
@@ -382,6 +398,8 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Its calls have a first answer of the drone, and a better one of a server: [two answers](two-answers.md)."""
     settings: values.Settings | None = None
     """Arguments of its class's constructor."""
+    before_sending: BeforeSendingConfig | None = None
+    """Its part that makes requests smaller before they are sent: [less to send](less-to-send.md)."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

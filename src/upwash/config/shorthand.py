@@ -31,7 +31,9 @@ def written_out(document: Document, folder: Path) -> Document:
         "camera": lambda table: _with_film_from(table, folder),
         "mission": lambda table: _with_program_from(table, folder),
         "policy": lambda table: _with_path_from(table, "name", folder),
-        "service": lambda table: _with_program_from(table, folder) | _by_key(table, *_LOCAL),
+        "service": lambda table: (
+            _with_program_from(table, folder) | _by_key(table, *_LOCAL) | _before_sending(table)
+        ),
         "server": lambda table: _server(table, services, folder),
         "user": lambda table: _with_program_from(table, folder),
         "drone": lambda table: (
@@ -101,6 +103,11 @@ def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _by_key(table: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: {"": table[name]} for name in names if _is_number(table.get(name))}
+
+
+def _before_sending(service: dict[str, Any]) -> dict[str, Any]:
+    table = service.get("before_sending")
+    return {"before_sending": table | _by_key(table, "loss")} if isinstance(table, dict) else {}
 
 
 def _server(server: dict[str, Any], services: list[dict[str, Any]], folder: Path) -> dict[str, Any]:

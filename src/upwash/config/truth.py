@@ -27,7 +27,8 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
 
     An instance computes `lanes` calls at a time; None: as many as its service declares. A call of `remote_call_s`
     occupies a lane for its `occupying_s`; where that is unknown, for all of its time. `processing_s` has the
-    means of `service_times`, which are by operation as the trace names it.
+    means of `service_times`, which are by operation as the trace names it. `saved_s` is by how much a call of a
+    service, given from end to end, is shorter with less to send.
     """
 
     join_s: float
@@ -46,6 +47,7 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     lanes: int | None
     images: tuple[str, ...]
     peers: tuple[str, ...]
+    saved_s: Mapping[str, float]
 
 
 def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> ServerTruth:
@@ -71,6 +73,11 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
         lanes=truth.lanes,
         images=tuple(service.name for service in services) if truth.images is None else truth.images,
         peers=truth.peers,
+        saved_s={
+            service.name: 8 * (service.request_bytes - part.request_bytes) / server.bandwidth_bit_s
+            for service in services
+            if (part := service.before_sending) is not None and server.bandwidth_bit_s is not None
+        },
     )
 
 

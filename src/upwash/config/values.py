@@ -132,6 +132,10 @@ SharesByKey = Annotated[
     Mapping[str, NotNegative],
     Meta(description="numbers of at least 0: one, or one for each profile key"),
 ]
+FractionsByKey = Annotated[
+    Mapping[str, Fraction],
+    Meta(min_length=1, description="numbers from 0 to 1: one, or one for each profile key"),
+]
 SecondsOfEachKey = Annotated[
     Mapping[str, NotNegative],
     Meta(min_length=1, description="seconds of at least 0: one number, or one for each profile key"),

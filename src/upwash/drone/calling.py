@@ -24,9 +24,10 @@ from msgspec import Struct, structs
 
 from upwash.core.geo import Position
 from upwash.core.operation import ON_DRONE, Operation
-from upwash.core.policies.policy import Decision, Lightened, Remote
+from upwash.core.policies.policy import NO_INPUTS, Decision, Inputs, Lightened, Remote
 from upwash.core.selection import events
 from upwash.core.selection.hedging import Hedge, Hedging
+from upwash.drone.before_sending import BeforeSending, NotReduced
 from upwash.drone.decisions import Decisions, now_s
 from upwash.drone.line import Turn
 from upwash.drone.onboard import OnboardServices
@@ -95,13 +96,39 @@ class Attempt:
     check: int
     deadline_s: float
     position: Position  # of the drone when it was made
+    inputs: Inputs = NO_INPUTS  # of the decision
+    sends_less: bool = False  # after a part that makes the request smaller
     reply: asyncio.Task[Any] | None = None  # where it is not simply waited for
     rival: asyncio.Task[Any] | None = None  # the drone's own service
+    part_s: float = 0.0  # that the part before sending took
+    sent_bytes: int = 0
     raised: str = ""  # the exception of the service that the server reports
     delay_s: float = 0.0  # until that report
     verdict: RemoteFault = ""  # on the report
     twice: Twice | None = None  # its answer is the better one
     answer: Any = None  # which is decoded
+
+    @property
+    def facts_of_sending(self) -> dict[str, Any]:
+        """What a part before sending made of the request, as a call's log record has it."""
+        if not self.sends_less:
+            return {}
+        return {
+            "whole_bytes": len(self.call.request),
+            "sent_bytes": self.sent_bytes,
+            "part_s": self.part_s,
+        }
+
+    @property
+    def told_of_sending(self) -> str:
+        """What was sent, and why, after a semicolon; "" where no part may run before sending."""
+        inputs = self.inputs
+        if inputs.whole_s is None or inputs.less_s is None:
+            return ""
+        if inputs.sends_less and not self.sends_less:
+            return "; sent whole, as it was not made smaller"
+        how = "made smaller before sending" if self.sends_less else "sent whole"
+        return f"; {how}: {inputs.less_s:.2f} s expected with less to send, {inputs.whole_s:.2f} s whole"
 
     @property
     def late(self) -> bool:
@@ -153,8 +180,11 @@ class Calling:
         onboard: OnboardServices,
         journal: Journal,
         hedging: Hedging,
+        *,
+        before_sending: BeforeSending | None = None,
     ) -> None:
         self._decisions = decisions
+        self._before_sending = before_sending or BeforeSending({}, journal)
         self._estimates = decisions.selection.estimates
         self._radios = radios
         self._onboard = onboard
@@ -218,9 +248,17 @@ class Calling:
         """The server's decoded reply if it carries a value; None after any failure, which is reported to the core."""
         call, server, began_s = attempt.call, attempt.server, now_s()
         operation, method = call.operation, call.method
+        request, deadline_s = call.request, attempt.deadline_s
+        if attempt.sends_less:
+            request = await self._made_smaller(attempt)
+            deadline_s -= now_s() - began_s
+            if not self._may_send(attempt, deadline_s):
+                return None
+            if not attempt.sends_less:
+                began_s = now_s()
         try:
             answer = await attempt.session.call(
-                operation.service, operation.method, call.request, deadline_s=attempt.deadline_s
+                operation.service, operation.method, request, deadline_s=deadline_s
             )
             reply = method.decode(answer)
         except NoLease as error:
@@ -229,7 +267,8 @@ class Calling:
         except LinkError as error:
             self._journal.record(schema.RemoteFailed(server=server, check=attempt.check, why=str(error)))
             if isinstance(error, DeadlineExceeded):
-                attempt.worker.cut = events.RemoteCallCut(server, operation, now_s() - began_s)
+                waited_s, less = now_s() - began_s, attempt.sends_less
+                attempt.worker.cut = events.RemoteCallCut(server, operation, waited_s, less)
             self._decisions.tell(events.RemoteCallFailed(server, attempt.check, str(error), attempt.late))
             if isinstance(error, UNREACHED):
                 self._reached(attempt, now_s() - began_s, None)
@@ -242,10 +281,32 @@ class Calling:
             return None
         if attempt.late and (attempt.twice is None or attempt.twice.gives_up):
             self._journal.record(schema.Dropped(operation=str(operation), place=server))
-        self._hedging.answered(server, operation, delay_s)
-        self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late))
+        less = attempt.sends_less
+        self._hedging.answered(server, operation, delay_s, less=less)
+        self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late, less))
         self._reached(attempt, delay_s, len(answer))
         return reply
+
+    async def _made_smaller(self, attempt: Attempt) -> bytes:
+        """The request that is sent; the whole one, and `sends_less` no more, if the part before sending fails."""
+        call, began_s = attempt.call, now_s()
+        request, operation = call.request, call.operation
+        try:
+            request = await self._before_sending.reduce(
+                operation.service, call.method, request, deadline_s=attempt.deadline_s
+            )
+        except NotReduced as error:
+            self._decisions.part_failed(operation, str(error))
+        attempt.sends_less = request is not call.request
+        attempt.part_s, attempt.sent_bytes = now_s() - began_s, len(request)
+        return request
+
+    def _may_send(self, attempt: Attempt, left_s: float) -> bool:
+        """Whether the server is still of use, and may answer a call sent whole after all in the time left."""
+        expected_s = self._estimates.remote_s(attempt.server, attempt.call.operation) or 0.0
+        if not attempt.sends_less and expected_s > left_s:
+            return False
+        return self._decisions.may_send(attempt.server, attempt.check)
 
     async def onboard(self, call: Invocation) -> Any:
         """The decoded reply of the drone's own service; raises InstanceError if the service fails."""
@@ -267,15 +328,19 @@ class Calling:
         assert worker.session is not None  # noqa: S101 - a server is READY only by its session
         check = self._decisions.selection.servers[server].check
         position = self._decisions.position
-        return Attempt(call, server, worker, worker.session, check, decision.deadline_s, position)
+        inputs, deadline_s = decision.inputs, decision.deadline_s
+        return Attempt(
+            call, server, worker, worker.session, check, deadline_s, position, inputs, inputs.sends_less
+        )
 
     def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
         """Report to the core how fast the server answered at this place, for a server without a range."""
         call, server = attempt.call, attempt.server
         if self._estimates.is_measured(server):
-            answered, size_bytes = answer_bytes is not None, len(call.request) + (answer_bytes or 0)
+            sent_bytes, less = attempt.sent_bytes or len(call.request), attempt.sends_less
+            answered, size_bytes = answer_bytes is not None, sent_bytes + (answer_bytes or 0)
             self._decisions.tell(
-                events.Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes)
+                events.Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes, less)
             )
 
     def _doubt(self, attempt: Attempt) -> None:
@@ -292,7 +357,10 @@ class Calling:
             attempt.twice is not None
         ):  # the drone computes another operation, and its result tells nothing of this operation
             why = f"{server} says that {operation} raised {raised}"
-            self._decisions.tell(events.RemoteCallFailed(server, attempt.check, why, attempt.late))
+            if attempt.sends_less:  # which may be the fault of what was sent
+                self._decisions.part_failed(attempt.call.operation, why)
+            else:
+                self._decisions.tell(events.RemoteCallFailed(server, attempt.check, why, attempt.late))
         elif attempt.rival is not None and attempt.late:
             self.test(attempt, attempt.rival.result())
         else:
@@ -303,16 +371,20 @@ class Calling:
         if not attempt.raised or attempt.verdict:
             return
         server, operation, check = attempt.server, attempt.call.operation, attempt.check
+        less = attempt.sends_less
         confirmed = bool(attempt.call.method.raised(onboard))
         attempt.verdict = "confirmed" if confirmed else "denied"
         why = f"it says that {operation} raised {attempt.raised}, which did not raise on the drone"
         if confirmed:
-            self._hedging.answered(server, operation, attempt.delay_s)
+            self._hedging.answered(server, operation, attempt.delay_s, less=less)
+        elif less:  # which may be the fault of what was sent
+            self._decisions.part_failed(operation, f"{server} says that it raised {attempt.raised} then")
+            return
         else:
             attempt.session.deny(operation.service)
             self._journal.record(schema.RemoteFailed(server=server, check=check, why=f"{server}: {why}"))
         self._decisions.tell(
-            events.RemoteFaultTested(server, check, operation, attempt.delay_s, why, confirmed)
+            events.RemoteFaultTested(server, check, operation, attempt.delay_s, why, confirmed, less)
         )
 
     # --- both places ----------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Decision, Lightened, Local, Remote, Wait
 from upwash.core.selection.call_placement import Place
 from upwash.core.selection.commands import Command, Effect, ExpectedTimes, Full, Mapped, ServerPaused
-from upwash.core.selection.events import SelectionEvent, Tick
+from upwash.core.selection.events import PartFailed, SelectionEvent, Tick
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import TwoAnswers
 from upwash.errors import AutopilotLost
@@ -100,6 +100,16 @@ class Decisions:
         lightened = decision.inputs.lightened
         self._decided(lightened.operation if lightened else operation, decision, effects, position, waypoint)
         return decision
+
+    def may_send(self, server: str, check: int) -> bool:
+        """Whether a call that was decided for the server, READY since that check, may still go there."""
+        return self.selection.may_send(server, check, now_s=now_s(), position=self._autopilot.position)
+
+    def part_failed(self, operation: Operation, why: str) -> None:
+        """Tell the core that the part before sending failed, and log it."""
+        self.tell(PartFailed(operation.service))
+        again = self.selection.estimates.tries_part(operation.service)
+        self._journal.record(schema.SentWhole(operation=str(operation), why=why, given_up=not again))
 
     def fall_back(self, operation: Operation) -> Lightened | None:
         """The lighter operation of a call that the drone computes after its server failed; None: as asked."""

@@ -7,6 +7,7 @@ import contextlib
 import traceback
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from types import MappingProxyType
 
 from msgspec import Struct
 
@@ -28,6 +29,7 @@ from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
 from upwash.drone.api import Drone, Mission, User
+from upwash.drone.before_sending import BeforeSending, RunningPart
 from upwash.drone.coming_down import ComingDown, Descent, end_safely, follow
 from upwash.drone.home import planned_home
 from upwash.drone.mission import MissionThread, mission_failed
@@ -98,7 +100,8 @@ class Flight:
 
     `done` resumes an interrupted mission: these waypoints are complete, the plan has the others, and the vehicle may
     be in the air. If no waypoint is left, the vehicle is brought to the ground. `order` is the order of the
-    waypoints, decided here if None. `speed_why` is the reason of a ground speed that was chosen.
+    waypoints, decided here if None. `speed_why` is the reason of a ground speed that was chosen. `parts` has the
+    programs before sending, by their services' names.
     """
 
     def __init__(
@@ -109,6 +112,7 @@ class Flight:
         services: Mapping[str, type],
         programs: Mapping[str, Program],
         ports: Ports,
+        parts: Mapping[str, Program] = MappingProxyType({}),
         done: frozenset[int] | None = None,
         order: Order | None = None,
         speed_why: str = "",
@@ -137,7 +141,10 @@ class Flight:
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self.demand_map = demand_map_of(config, self._plan)
         self._stay_rule = StayRule(config.policy.stay_or_go, self.demand_map)
-        self._offloading = _offloading(config, specs, selection, ports, self._onboard)
+        self._before_sending = _before_sending(config, specs, parts, ports)
+        self._offloading = _offloading(
+            config, specs, selection, ports, self._onboard, before_sending=self._before_sending
+        )
         self._watch = self._reserve_watch()
         self._vehicle = Vehicle(
             ports.autopilot,
@@ -175,6 +182,7 @@ class Flight:
             await self._take_vehicle()
             async with self._ending_safely():
                 await self._onboard.start()
+                await self._before_sending.start()
             journal.record(self._planned())
             if self._speed_why:
                 speed_m_s = config.mission.ground_speed_m_s
@@ -197,6 +205,7 @@ class Flight:
             raise
         finally:
             await self._release_dead_man()
+            await self._before_sending.close()
             await self._onboard.close()
 
     def _log_end(self, how: schema.MissionCompleted | schema.MissionEnded) -> None:
@@ -495,12 +504,20 @@ def _onboard_services(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: Ports
 ) -> OnboardServices:
     heats = Surroundings(config.heat.ambient_c, config.heat.load_w) if config.heat else None
-    return OnboardServices(
+    return _started_by(
+        ports,
+        config,
         [
             InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s, heats=heats)
             for service in config.services
             if specs[service.name].on_drone
         ],
+    )
+
+
+def _started_by(ports: Ports, config: DroneConfig, instances: Sequence[InstanceSpec]) -> OnboardServices:
+    return OnboardServices(
+        instances,
         drone=config.name,
         start_timeout_s=config.start_timeout_s,
         runtime=ports.onboard_runtime,
@@ -509,12 +526,28 @@ def _onboard_services(
     )
 
 
+def _before_sending(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: Ports
+) -> BeforeSending:
+    """The parts that may be used."""
+    parts = {}
+    for service in config.services if config.policy.most_loss else ():
+        cls, measured = specs[service.name].before_sending, service.before_sending
+        if cls is not None and measured is not None and service.name in programs:
+            name = spec_of(cls).name
+            instance = InstanceSpec(config.name, name, programs[service.name], before=service.name)
+            parts[service.name] = RunningPart(name, measured.takes_s, _started_by(ports, config, [instance]))
+    return BeforeSending(parts, ports.journal)
+
+
 def _offloading(
     config: DroneConfig,
     specs: Mapping[str, ServiceSpec],
     selection: Selection,
     ports: Ports,
     onboard: OnboardServices,
+    *,
+    before_sending: BeforeSending,
 ) -> Offloading:
     photos = config.mission.photos
     waiting_bytes = {
@@ -530,6 +563,7 @@ def _offloading(
         onboard=onboard,
         journal=ports.journal,
         hedging=make_hedging(config, selection.estimates),
+        before_sending=before_sending,
         first=photos.order if photos else "oldest" if waiting_bytes else None,
         waiting_bytes=waiting_bytes,
     )

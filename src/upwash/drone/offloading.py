@@ -21,6 +21,7 @@ from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
+from upwash.drone.before_sending import BeforeSending
 from upwash.drone.calling import CallAnswer, Calling, Invocation, Twice
 from upwash.drone.decisions import Background, Decisions, now_s
 from upwash.drone.line import AT_ONCE, CallLine, Turn
@@ -57,6 +58,7 @@ class Offloading:
         onboard: OnboardServices,
         journal: Journal,
         hedging: Hedging,
+        before_sending: BeforeSending,
         first: Literal["oldest", "newest"] | None = None,
         waiting_bytes: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
@@ -83,7 +85,9 @@ class Offloading:
             autopilot=autopilot,
             journal=journal,
         )
-        self._calling = Calling(self._decisions, self._radios, onboard, journal, hedging)
+        self._calling = Calling(
+            self._decisions, self._radios, onboard, journal, hedging, before_sending=before_sending
+        )
         self._line = CallLine(self._decisions, self._calling.is_computing, first=first) if first else None
         self.server_calls = (
             ServerCalls(
@@ -217,6 +221,8 @@ class Offloading:
             why = f"{why}; {_lost(answer)} on the drone"
         elif answer.overtook:
             why = f"{why}; {answer.server} became of use, and was sooner"
+        if answer.attempt is not None:
+            why += answer.attempt.told_of_sending
         asked_for: dict[str, Any] = lightened.facts if (lightened := answer.call.lightened) else {}
         if two is not None and answer.call is not call:
             asked_for = {"asked": str(call.operation)}
@@ -237,6 +243,7 @@ class Offloading:
                 queued_s=began_s - asked_s + answer.queued_s or None,
                 remote_fault=answer.remote_fault,
                 first_s=answer.first_s,
+                **(answer.attempt.facts_of_sending if answer.attempt else {}),
                 **asked_for,
             )
         )

@@ -27,6 +27,7 @@ from upwash.config import (
 from upwash.config.values import MDNS
 from upwash.core.geo import Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates, offline_remote_s
+from upwash.core.knowledge.sending import Less
 from upwash.core.operation import Operation
 from upwash.core.planning.legs import PACES
 from upwash.core.planning.mission_model import MissionBeliefs, StopCall
@@ -83,7 +84,7 @@ def make_hedging(config: DroneConfig, estimates: Estimates) -> Hedging:
             server.name: {
                 operation: delay_s
                 for operation in estimates.operations
-                if (delay_s := estimates.remote_s(server.name, operation)) is not None
+                if (delay_s := estimates.offline_s(server.name, operation)) is not None
             }
             for server in config.servers
         },
@@ -95,6 +96,11 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
     for service in config.services:
         _require_agreement(service, specs[service.name])
     profiled = {service.name: dict(_profile(service, specs[service.name])) for service in config.services}
+    less = {
+        operation: part
+        for service in config.services
+        for operation, part in _less(service, specs[service.name])
+    }
     return Estimates(
         local_s={
             operation: config_service.local_call_s[key]
@@ -113,12 +119,20 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
                     if not specs[service.name].methods[operation.method].once
                     and (delay_s := _remote_s(server, service, key)) is not None
                 },
+                transfer_s={
+                    operation: 8 * service.request_bytes / server.bandwidth_bit_s
+                    for service in config.services
+                    for operation in profiled[service.name]
+                    if operation in less and server.bandwidth_bit_s is not None
+                },
             )
             for server in config.servers
         },
         slow_apart=config.policy.probing is not None,
         coverage=coverage_of(config),
         on_servers=[name for name, spec in specs.items() if not spec.on_drone],
+        less=less,
+        most_loss=config.policy.most_loss,
     )
 
 
@@ -134,6 +148,18 @@ def _require_agreement(service: ServiceConfig, spec: ServiceSpec) -> None:
             f'service {service.name}: it has a local_call_s, and is declared with where="servers": leave one of the '
             "two out"
         )
+
+
+def _less(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operation, Less]]:
+    """What the part before sending does to each operation that it has, and whose loss is known."""
+    measured = service.before_sending
+    if measured is None:
+        return
+    for operation, key in _profile(service, spec):
+        names = [name for name in (key, operation.method, "") if name in measured.loss]
+        if names and spec.methods[operation.method].before is not None:
+            share = measured.request_bytes / max(1, service.request_bytes)
+            yield operation, Less(measured.takes_s, share, measured.loss[names[0]])
 
 
 def endpoints(

@@ -900,7 +900,8 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
     `selected` is the server in use with its state and its `check`; `check_s` is how long the check should take and
     `check_elapsed_s` its age. `server` must answer within `deadline_s`; a wait lasts `at_most_s`. With `raced` the
     drone computes the call too. A second decision follows if a server becomes usable during an onboard call.
-    `waypoint` is where the mission began the call, if several may be open at the same time.
+    `waypoint` is where the mission began the call, if several may be open at the same time. Where a part may run
+    before sending, `remote_s` is the shorter of `whole_s`, with the request sent whole, and `less_s`.
     """
 
     waypoint: Index | None = None
@@ -918,6 +919,8 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
     remote_s: Number | None
     check_s: Number | None
     check_elapsed_s: Number | None
+    whole_s: Number | None = None
+    less_s: Number | None = None
     position: Position
 
 
@@ -931,7 +934,8 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not
     the log's. `operation` is what ran. If a heavier operation was `asked` for, the mission would have ended at
     `forecast_s` of its time, later than `finish_by_s`. Of a call with two answers the first one was there after
-    `first_s`; if no better one came by the deadline, `operation` is that of the first.
+    `first_s`; if no better one came by the deadline, `operation` is that of the first. A part before sending took
+    `part_s`, and made the `whole_bytes` of the request to `sent_bytes`; requests of simulations are a few bytes.
     """
 
     waypoint: Index | None = None
@@ -952,6 +956,9 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     queued_s: Number | None = None
     first_s: Number | None = None
     remote_fault: Literal["", "confirmed", "denied"] = ""
+    whole_bytes: Count | None = None
+    sent_bytes: Count | None = None
+    part_s: Number | None = None
 
     @property
     def server(self) -> str | None:
@@ -982,6 +989,17 @@ class Dropped(Event, frozen=True, kw_only=True):
     def server(self) -> str | None:
         """The server that gave the answer; None if the drone did."""
         return server_of(self.place)
+
+
+class SentWhole(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The part before sending failed: the call is sent whole, or the drone computes it if no time is left for that.
+
+    `given_up` if the part is not tried again in this flight.
+    """
+
+    operation: Text
+    why: Text
+    given_up: bool = False
 
 
 class RemoteRaised(Event, frozen=True, kw_only=True):

@@ -224,7 +224,8 @@ def _made(
 ) -> Iterator[_Made]:
     """The calls of the run, each with the servers in range of it and of the way that followed."""
     specs = load_specs(config.services)
-    operations = {str(operation): operation for operation in make_estimates(config, specs).operations}
+    estimates = make_estimates(config, specs)
+    operations = {str(operation): operation for operation in estimates.operations}
     services = {service.name: service for service in config.services}
     places = server_places(config)
     ended_s, position, decided = 0.0, Position(0.0, 0.0), False
@@ -245,6 +246,7 @@ def _made(
                             service,
                             truths[stay.server],
                             Spot(ground_distance_m(position, places[stay.server]), position),
+                            less=estimates.may_send_less(stay.server, operation),
                         ),
                         begun_s - max(ended_s, stay.from_s),
                     )
@@ -254,7 +256,14 @@ def _made(
                 on_the_way = [
                     Offer(
                         stay.server,
-                        later_s + _remote_s(operation, service, truths[stay.server], Spot(0.0)),
+                        later_s
+                        + _remote_s(
+                            operation,
+                            service,
+                            truths[stay.server],
+                            Spot(0.0),
+                            less=estimates.may_send_less(stay.server, operation),
+                        ),
                         0.0,
                     )
                     for stay, later_s in _met(run.range_intervals, passage)
@@ -275,19 +284,27 @@ def _met(stays: Sequence[RangeInterval], passage: AfterCall | None) -> Iterator[
             yield stay, max(0.0, stay.from_s - passage.departed_s)
 
 
-def _remote_s(operation: Operation, service: ServiceConfig, truth: ServerTruth, spot: Spot) -> float:
-    """The true delay (s) of a call there; infinite if the server does not serve it."""
+def _remote_s(
+    operation: Operation, service: ServiceConfig, truth: ServerTruth, spot: Spot, *, less: bool
+) -> float:
+    """The true delay (s) of a call there; infinite if the server does not serve it.
+
+    It is the shorter of both ways if the drone may send `less`.
+    """
     if service.name not in truth.images:
         return math.inf
     try:
         call_s = computing_s(operation, truth)
     except KeyError:
         return math.inf
-    goodput = goodput_of(truth, service.name)
+    goodput, part = goodput_of(truth, service.name), service.before_sending if less else None
+    less_s = part.takes_s + computing_s(operation, truth, less=True) if part is not None else math.inf
     if goodput is not None:
+        reply_s = goodput.transfer_s(service.reply_bytes, spot)
         call_s += goodput.transfer_s(service.request_bytes, spot)
-        call_s += goodput.transfer_s(service.reply_bytes, spot)
-    return call_s
+        call_s += reply_s
+        less_s += reply_s if part is None else goodput.transfer_s(part.request_bytes, spot) + reply_s
+    return min(call_s, less_s)
 
 
 @dataclass(slots=True)

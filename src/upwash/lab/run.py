@@ -229,6 +229,7 @@ async def _fly_one(
         config,
         services=software.classes,
         programs=software.programs,
+        parts=software.parts,
         ports=_ports(drone, autopilot, radios, software, observe),
         speed_why=drone.speed_why,
     )
@@ -275,7 +276,9 @@ def _ports(
         ],
         dialer=dialer,
         onboard_dialer=ModelDialer(config.name, onboard),
-        onboard_runtime=ModelRuntime(software.specs, computer, onboard, objects=software.objects),
+        onboard_runtime=ModelRuntime(
+            software.specs | software.part_specs, computer, onboard, objects=software.objects
+        ),
         camera=_camera(config, drone.chance),
         notifier=journal,
         journal=journal,

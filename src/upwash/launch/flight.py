@@ -113,6 +113,7 @@ async def fly(
             services={name: service.cls for name, service in services.items()},
             ports=await _ports(config, autopilot, camera, credentials, journal=journal, stack=stack),
             programs={name: service.program for name, service in services.items()},
+            parts={name: service.part for name, service in services.items() if service.part},
             done=done,
             order=order_begun(read_events(log), config) if resumes else None,
             speed_why=speed_why,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import functools
 import inspect
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from upwash.config import ImageConfig, ServiceConfig, convert
+from upwash.config import ImageConfig, ServiceConfig, SettingsTable, convert
 from upwash.drone.api import Mission
 from upwash.errors import UsageError
 from upwash.ports import Program
@@ -51,6 +52,7 @@ class LoadedService:
 
     cls: type
     program: Program
+    part: Program | None = None  # before sending
 
     def made(self) -> object:
         """An object of the class, made as an instance makes its own."""
@@ -73,7 +75,8 @@ def load_specs(configured: Sequence[ConfiguredService]) -> dict[str, ServiceSpec
 def load_service_alone(name: str) -> LoadedService:
     """A service without a configuration: a bundled one by its name, or any by its class's path; raises UsageError."""
     path = name if ":" in name else bundled_service(name)
-    return LoadedService(load_service(path), Program(path))
+    part = spec_of(cls := load_service(path)).before_sending
+    return LoadedService(cls, Program(path), Program(_path_beside(path, part)) if part else None)
 
 
 def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
@@ -86,16 +89,36 @@ def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
             f"service {configured.name!r} runs {cls.__name__}, which is declared as {spec.name!r}: use that name"
         )
     table = configured.settings
-    if table is None:
-        if needed := required_settings(spec.settings):
+    program = Program(path, _settings(spec, table, key, "service.settings"), configured.command)
+    before = configured.before_sending if isinstance(configured, ServiceConfig) else None
+    if spec.before_sending is None:
+        if before is not None:
             raise UsageError(
-                f"service {spec.name!r} needs {', '.join(needed)}: add them in [service.settings]"
+                f"service {spec.name!r} has no part before sending: leave its before_sending out, or name one in "
+                "@service(before_sending=...)"
             )
-        return LoadedService(cls, Program(path, command=configured.command))
-    settings = convert(
-        table.values, spec.settings, file=table.file, as_written=table.values, at=f"{key}.settings"
-    )
-    return LoadedService(cls, Program(path, plain(settings), configured.command))
+        return LoadedService(cls, program)
+    key, shown, part = f"{key}.before_sending", "service.before_sending.settings", spec.before_sending
+    settings = _settings(spec_of(part), before.settings if before else None, key, shown) if before else {}
+    return LoadedService(cls, program, Program(_path_beside(path, part), settings))
+
+
+def _settings(spec: ServiceSpec, table: SettingsTable | None, key: str, shown: str) -> dict[str, object]:
+    if table is not None:
+        given = convert(
+            table.values, spec.settings, file=table.file, as_written=table.values, at=f"{key}.settings"
+        )
+        return plain(given)
+    if needed := required_settings(spec.settings):
+        raise UsageError(f"service {spec.name!r} needs {', '.join(needed)}: add them in [{shown}]")
+    return {}
+
+
+def _path_beside(path: str, part: type) -> str:
+    """The path of a part's class, of a service of that path: in the same file, or in a module."""
+    file = getattr(sys.modules[part.__module__], "__file__", None)
+    is_alone = path.rpartition(":")[0].endswith(".py") and "." not in part.__module__
+    return f"{file if is_alone and file else part.__module__}:{part.__qualname__}"
 
 
 def bundled_service(name: str) -> str:

@@ -14,6 +14,15 @@ twice: on a server and, if that gives no usable answer, on the drone. A method c
 
 `@service(where="servers")` declares a service that no drone can run. Its stub knows what a call without an answer
 returns.
+
+A service may name a part that makes its requests smaller on the drone, before they are sent to a server:
+
+    @service
+    class Shrink:
+        def process_photo(self, photo: bytes) -> bytes: ...               # the new value of its parameter
+
+    @service(profile_by="mode", before_sending=Shrink)
+    class Detector: ...
 """
 
 from __future__ import annotations
@@ -83,6 +92,18 @@ class ServiceFault(msgspec.Struct, frozen=True):
     args: list[str | int | float | bool | None] | None = None
 
 
+class Reduced(bytes):
+    """A request that a part before sending has changed."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """The method of a part before sending, and the parameters of the operation that its result replaces."""
+
+    method: Method
+    replaces: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class Method:
     """One operation of a service: encodes its calls for a stub, and performs them in an instance.
@@ -100,6 +121,7 @@ class Method:
     once: bool = False
     key_type: Any = None  # the type hint of the parameter that `profile_by` names
     patience: Patience | None = None
+    before: Part | None = None
 
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
         """The profile key and the request of a call with these arguments.
@@ -133,6 +155,27 @@ class Method:
         return self.request.encode(
             msgspec.structs.replace(arguments, **{str(self.profile_by): self.argument(key)})
         )
+
+    def request_of_part(self, request: bytes) -> bytes:
+        """The request of the part before sending for this request; raises msgspec.MsgspecError or ValueError."""
+        assert self.before is not None  # noqa: S101 - the caller has looked
+        arguments, part = self._arguments(request), self.before.method
+        return part.encode((), {name: arguments[name] for name in part.signature.parameters})[1]
+
+    def reduced(self, request: bytes, reply: bytes) -> Reduced:
+        """The request with what the part before sending replied.
+
+        Raises UpwashError for values of other types and for an exception of the part, ValueError above the bounds.
+        """
+        assert self.before is not None  # noqa: S101 - the caller has looked
+        part, names = self.before.method, self.before.replaces
+        decoded = part.decode(reply)
+        if raised := part.raised(decoded):
+            raise UpwashError(raised)
+        value = decoded.value
+        values = (value,) if len(part.signature.parameters) == 1 else cast(tuple[object, ...], value)
+        changed = dict(zip(names, values, strict=True))
+        return Reduced(self.request.encode(msgspec.structs.replace(self.request.decode(request), **changed)))
 
     def argument(self, key: str) -> object:
         """The profile argument for that key; raises ValueError if its type hint has no such value."""
@@ -205,6 +248,7 @@ class ServiceSpec:
     methods: Mapping[str, Method]
     settings: type[msgspec.Struct]  # what its constructor takes
     concurrency: int = 1
+    before_sending: type | None = None  # the service that makes its requests smaller
     where: Where = "anywhere"
 
     @property
@@ -227,6 +271,7 @@ def service(
     profile_by: str | None = None,
     concurrency: int = 1,
     where: Where = "anywhere",
+    before_sending: type | None = None,
 ) -> Callable[[type[T]], type[T]]: ...
 
 
@@ -238,13 +283,16 @@ def service(
     profile_by: str | None = None,
     concurrency: int = 1,
     where: Where = "anywhere",
+    before_sending: type | None = None,
 ) -> type[T] | Callable[[type[T]], type[T]]:
     """Declares a class as a service, called `name` (by default the class's name in lower case).
 
     Its public methods are its operations; each value of the parameter that `profile_by` names has its own estimates.
     An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be safe
-    for threads. With `where="servers"` no call runs on the drone. Raises DeclarationError if a parameter, its default
-    or a result cannot be sent, and for public attributes that are neither plain methods nor data.
+    for threads. With `where="servers"` no call runs on the drone. `before_sending` is another service, which may make
+    requests smaller before they go to a server: its methods have names of operations, take their parameters and
+    return new values. Raises DeclarationError if a parameter, its default or a result cannot be sent, for public
+    attributes that are no plain methods and no data, and for a part that does not fit.
     """
 
     if declared is not None and not isinstance(declared, type):
@@ -253,7 +301,8 @@ def service(
         )
 
     def declare(cls: type[T]) -> type[T]:
-        setattr(cls, _SPEC, _describe(cls, name or cls.__name__.lower(), profile_by, concurrency, where))
+        spec = _describe(cls, name or cls.__name__.lower(), profile_by, concurrency, where)
+        setattr(cls, _SPEC, _with_part(cls, spec, before_sending) if before_sending is not None else spec)
         return cls
 
     return declare if declared is None else declare(declared)
@@ -352,7 +401,54 @@ def _describe(cls: type, name: str, profile_by: str | None, concurrency: int, wh
             "says that no drone can run the service: leave one of the two out"
         )
     settings = describe_settings(cls, lambda hint: _used_by(cls, hint, where))
-    return ServiceSpec(name, MappingProxyType(methods), settings, concurrency, where)
+    return ServiceSpec(name, MappingProxyType(methods), settings, concurrency, where=where)
+
+
+def _with_part(cls: type, spec: ServiceSpec, part: type) -> ServiceSpec:
+    """The service with the part before sending; raises DeclarationError for a part that does not fit."""
+    where = f"service {cls.__name__}: before_sending"
+    declared = vars(part).get(_SPEC) if isinstance(part, type) else None
+    if not isinstance(declared, ServiceSpec):
+        raise DeclarationError(
+            f"{where} = {printable(repr(part))}: name a class with @service above it, whose methods have the names "
+            "of operations"
+        )
+    methods = dict(spec.methods)
+    for name, method in declared.methods.items():
+        if why := _why_no_part(methods.get(name), method):
+            raise DeclarationError(f"{where}: {part.__name__}.{name}: {why}")
+        methods[name] = replace(methods[name], before=Part(method, tuple(method.signature.parameters)))
+    return replace(spec, methods=MappingProxyType(methods), before_sending=part)
+
+
+def _why_no_part(operation: Method | None, part: Method) -> str:
+    """Why the method cannot run before calls of the operation are sent, with the remedy; "" if it can."""
+    if operation is None:
+        return "the service has no method of this name: give it the name of the operation whose requests it changes"
+    if operation.once:
+        return "calls of a method with @once are never sent: leave it out"
+    if part.once or part.profile_by is not None:
+        return "a part has neither @once nor profile_by: leave it out"
+    wanted = typing.get_type_hints(operation.request.type, include_extras=True)
+    given = typing.get_type_hints(part.request.type, include_extras=True)
+    if not given:
+        return "it has no parameter: give it those of the operation whose values it changes"
+    for name, hint in given.items():
+        if name == operation.profile_by:
+            return f"{name!r} says which operation it is, and must not change: leave it out"
+        if name not in wanted or wanted[name] != hint:
+            expected = f"{name}: {_shown(wanted[name])}" if name in wanted else f"one of {', '.join(wanted)}"
+            return f"parameter {name!r} is none of the operation's with its type: write {expected}"
+    hints = tuple(given.values())
+    result = hints[0] if len(hints) == 1 else tuple[hints]  # type: ignore[valid-type]
+    returned = typing.get_type_hints(part.reply.type, include_extras=True)["value"]
+    if returned != result | UnsetType:
+        return f"it returns the new values of its parameters: write -> {_shown(result)}"
+    return ""
+
+
+def _shown(hint: Any) -> str:
+    return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint)
 
 
 def _used_by(cls: type, hint: Any, where: Where) -> type[msgspec.Struct] | None:

@@ -5,5 +5,6 @@ from upwash.services.detection import Box, Detection, Mode
 from upwash.services.detector import Detector
 from upwash.services.inference import ModelFiles
 from upwash.services.photo import NotAPhoto
+from upwash.services.shrink import Shrink
 
-__all__ = ["Box", "Detection", "Detector", "Head", "Mode", "ModelFiles", "NotAPhoto"]
+__all__ = ["Box", "Detection", "Detector", "Head", "Mode", "ModelFiles", "NotAPhoto", "Shrink"]

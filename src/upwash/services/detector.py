@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta
-from msgspec.structs import asdict
 
 from upwash.rpc.service import service
 from upwash.services.detection import Box, Detection, Mode
 from upwash.services.heads import by
 from upwash.services.inference import Engine, Inference, ModelFiles, open_inference
-from upwash.services.photo import Letterbox, NotAPhoto, decode_photo, photo_size, read_photo
+from upwash.services.photo import Letterbox, NotAPhoto, decode_photo, photo_size, read_photo, whole_size
 from upwash.services.provider import Provider
+from upwash.services.shrink import Shrink
 from upwash.services.tiles import MOST_TILES, Sighting, View, merged, tiles_of
 from upwash.support.loading import extra
 
@@ -45,7 +45,7 @@ SOLAR_PARK = ModelFiles(
 )
 
 
-@service(profile_by="mode")
+@service(profile_by="mode", before_sending=Shrink)
 class Detector:
     """Detects objects: in mode `light` on pictures of 320 pixels, in mode `heavy` of 608, which show smaller objects.
 
@@ -95,8 +95,19 @@ class Detector:
         sightings: Iterable[Sighting] = way.sightings(photo, confidence)
         if way.tile_px is not None:
             sightings = merged(sightings, View(0, 0, *photo_size(photo, way.most_pixels)))
+        across = down = 1.0
+        if (whole_px := whole_size(photo)) is not None:
+            width_px, height_px = photo_size(photo, way.most_pixels)
+            across, down = whole_px[0] / width_px, whole_px[1] / height_px
         return [
-            Detection(**asdict(box), label=way.inference.label(index), score=score)
+            Detection(
+                left_px=across * box.left_px,
+                top_px=down * box.top_px,
+                width_px=across * box.width_px,
+                height_px=down * box.height_px,
+                label=way.inference.label(index),
+                score=score,
+            )
             for _, box, score, index in sightings
         ]
 

@@ -160,6 +160,35 @@ def decode_photo(photo: bytes, most_pixels: int | None = None) -> MatLike:
     return _decoded(photo, cv2.IMREAD_COLOR)
 
 
+def shrunk(photo: bytes, side_px: int, quality: int) -> bytes:
+    """A JPEG of at most `side_px` on its longer side, which names the size of the whole photo; raises NotAPhoto.
+
+    The same bytes where that would not be smaller.
+    """
+    import cv2
+
+    width_px, height_px = photo_size(photo)
+    whole_px = whole_size(photo) or (width_px, height_px)
+    scale = min(1.0, side_px / max(width_px, height_px))
+    letterbox = Letterbox(width_px, height_px, round(scale * max(width_px, height_px)))
+    pixels = _decoded_png(photo) if photo.startswith(SIGNATURE) else _decode(photo, letterbox)
+    size_px = (letterbox.width_px, letterbox.height_px)
+    pixels = cv2.resize(pixels, size_px, interpolation=cv2.INTER_AREA)
+    jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+    told = b"upwash photo of %dx%d" % whole_px
+    smaller = SOI + b"\xff\xfe" + (2 + len(told)).to_bytes(2) + told + jpeg[len(SOI) :]
+    return smaller if len(smaller) < len(photo) else photo
+
+
+_WHOLE = re.compile(rb"\xff\xd8\xff\xfe..upwash photo of ([1-9]\d{0,4})x([1-9]\d{0,4})\xff", re.DOTALL)
+
+
+def whole_size(photo: bytes) -> tuple[int, int] | None:
+    """The width and height of the whole photo, from a smaller photo of `shrunk`; None from other photos."""
+    told = _WHOLE.match(photo)
+    return None if told is None else (int(told[1]), int(told[2]))
+
+
 def other_format(photo: bytes) -> str:
     """The format of a photo that is no JPEG or PNG, with an article; empty for an unknown one."""
     return next((kind for start, kind in _OTHER_FORMATS if re.match(start, photo, re.DOTALL)), "")

@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 from upwash.core.admission.clients import Client
 from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable, UpwashError
+from upwash.rpc.service import Reduced
 from upwash.support.background import begin
 from upwash.support.text import printable
 
@@ -27,8 +28,8 @@ class Wire:
         """Whether bytes reach the server now."""
         return True
 
-    async def send(self, server: str, path: str, *, reply: bool) -> None:
-        """Wait for the transfer time of a request, or a reply, of that path."""
+    async def send(self, server: str, path: str, *, reply: bool, less: bool = False) -> None:
+        """Wait for the transfer time of a request, or a reply, of that path; of a request that was made smaller."""
 
 
 @dataclass(slots=True)
@@ -118,7 +119,7 @@ class ModelLink:
 
     async def _exchange(self, path: str, body: bytes) -> bytes:
         await self._get_through()
-        await self._dialer.air.send(self._server, path, reply=False)
+        await self._dialer.air.send(self._server, path, reply=False, less=isinstance(body, Reduced))
         await self._get_through()
         handler = self._dialer.switchboard.handlers.get(self._address)
         if handler is None:

@@ -20,7 +20,7 @@ from upwash.errors import InstanceError, Refused, UpwashError
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Outcome, ignored
 from upwash.rpc.arrays import array_hint
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
-from upwash.rpc.service import Method, ServiceSpec, carries_fault
+from upwash.rpc.service import Method, Reduced, ServiceSpec, carries_fault
 from upwash.rpc.wire import Encoding
 from upwash.sim.faults import FaultyServer
 from upwash.sim.link import Observe, Switchboard, unobserved
@@ -36,8 +36,10 @@ class Computer(Protocol):
     async def start(self, spec: InstanceSpec) -> None:
         """Wait for the time that a service needs from its start until it is ready."""
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+    async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
         """Wait while a call of the operation occupies its instance; return the time of its answer.
+
+        With `less` its request was made smaller before it was sent.
 
         Raises InstanceError if the instance crashes, Hangs if the call never ends, and Raises if the service raises.
         """
@@ -203,7 +205,8 @@ class ModelInstance:
         self._observe("served", service=self._spec.service, drone=drone.key)
         self._called(drone.key)
         try:
-            answered_s = await self._computer.compute(self._spec, operation)
+            less = isinstance(body, Reduced)
+            answered_s = await self._computer.compute(self._spec, operation, less=less)
             reply = (
                 reply_to(method, body, operation.key)
                 if self._target is None

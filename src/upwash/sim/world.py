@@ -73,7 +73,7 @@ class ModelRadio(Wire):
         """Wait until the server's network is not up."""
         await self._faults.befalls(f"link:{server}", "off")
 
-    async def send(self, server: str, path: str, *, reply: bool) -> None:
+    async def send(self, server: str, path: str, *, reply: bool, less: bool = False) -> None:
         """Wait for the transfer time of a call at the drone's distance; other requests take none."""
         fault = self._faults.now(f"link:{server}")
         if fault is not None and fault.kind == "slow":
@@ -82,6 +82,8 @@ class ModelRadio(Wire):
         if service is None:
             return
         data_bytes = service.reply_bytes if reply else service.request_bytes
+        if less and service.before_sending is not None:
+            data_bytes = service.before_sending.request_bytes
         goodput = self._goodputs[server, service.name]
         if goodput is None:
             self._meter_end_to_end(server, data_bytes)
@@ -126,10 +128,18 @@ class DroneComputer:
     async def start(self, spec: InstanceSpec) -> None:
         """Return at once, as services start before the mission."""
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+    async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
         """Wait for the profiled delay, with the extra of a first call; return the time."""
-        service, clock = self._services[spec.service], asyncio.get_running_loop().time
+        clock = asyncio.get_running_loop().time
         began_s = clock()
+        if spec.before:
+            part = self._services[spec.before].before_sending
+            takes_s = part.takes_s if part is not None else 0.0
+            await asyncio.sleep(
+                self._work_s(takes_s * self._chance.factor(f"part/{spec.before}", self._noise))
+            )
+            return clock()
+        service = self._services[spec.service]
         call_s = delay_of(operation, service.local_call_s)
         call_s *= self._chance.factor(f"call/local/{operation}", self._noise)
         if spec.service in self._cold:
@@ -177,12 +187,13 @@ class ServerComputer:
             raise InstanceError(f"{spec.name} did not start: it has no graphics card")
         self._cold.add(spec.service)
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+    async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
         """Wait while the call occupies the instance; return the time of the answer.
 
         The first call after a start takes longer by the extra.
         """
-        call_s, occupied_s = computing_s(operation, self._truth), occupying_s(operation, self._truth)
+        call_s = computing_s(operation, self._truth, less=less)
+        occupied_s = occupying_s(operation, self._truth, less=less)
         stretch = self._chance.factor(f"call/{self._name}/{operation}", self._noise.call)
         call_s, occupied_s = stretch * call_s, stretch * occupied_s
         times_s = times_of(operation, self._truth.service_times)
@@ -216,15 +227,19 @@ class ServerComputer:
         return fault.kind if fault is not None else ""
 
 
-def computing_s(operation: Operation, truth: ServerTruth) -> float:
-    """The true delay (s) of a call on a server: end to end if that is given, else of the processing alone."""
+def computing_s(operation: Operation, truth: ServerTruth, *, less: bool = False) -> float:
+    """The true delay (s) of a call on a server: end to end if that is given, else of the processing alone.
+
+    With `less` to send, a delay from end to end is shorter by the transfer that is saved.
+    """
     told = truth.remote_call_s.get(operation.service, {})
-    return delay_of(operation, told or truth.processing_s[operation.service])
+    call_s = delay_of(operation, told or truth.processing_s[operation.service])
+    return max(0.0, call_s - truth.saved_s.get(operation.service, 0.0)) if told and less else call_s
 
 
-def occupying_s(operation: Operation, truth: ServerTruth) -> float:
+def occupying_s(operation: Operation, truth: ServerTruth, *, less: bool = False) -> float:
     """The part (s) of a call's true delay that occupies its instance; the rest is the transfer."""
-    call_s = computing_s(operation, truth)
+    call_s = computing_s(operation, truth, less=less)
     if truth.radio != "fixed" or truth.goodput_csv is not None:  # whose transfers come on top
         return call_s
     processing_s = _of(operation, truth.occupying_s.get(operation.service, {}))

@@ -18,6 +18,7 @@ from upwash.real.link.direct import DirectLink, DirectListener, direct_pair
 from upwash.real.link.link import GrpcDialer
 from upwash.real.link.listener import Listener
 from upwash.real.link.requests import Caller, Requests
+from upwash.rpc.service import Reduced
 from upwash.sim.link import ModelDialer, Switchboard
 
 PATH = "/upwash.test/any"
@@ -106,7 +107,7 @@ def link(hold: Hold) -> AbstractAsyncContextManager[Link]:
 
 
 async def test_requests_get_their_replies_several_at_once(link: Link) -> None:
-    asked = [link.request(PATH, b"%d" % number, timeout_s=5.0) for number in range(4)]
+    asked = [link.request(PATH, Reduced(b"%d" % number), timeout_s=5.0) for number in range(4)]
     assert await asyncio.gather(*asked) == [b"heron %d" % number for number in range(4)]
 
 

@@ -41,7 +41,7 @@ class Sure:
     async def start(self, spec: InstanceSpec) -> None:
         """At once."""
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+    async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
         """At once."""
         return asyncio.get_running_loop().time()
 
@@ -54,7 +54,7 @@ class Pairs(Sure):
         self._both = asyncio.Barrier(2)
         self._under_way = 0
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+    async def compute(self, spec: InstanceSpec, operation: Operation, *, less: bool = False) -> float:
         """Takes a second, of two calls at a time."""
         self._under_way += 1
         self.most = max(self.most, self._under_way)

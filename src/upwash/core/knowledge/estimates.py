@@ -6,14 +6,17 @@ Symbols of Table 3.1: `Call` is `local_s`, `Call_s` is `remote_s`, `Check_s` and
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 
 from msgspec import Struct
 
 from upwash.core.geo import Position
 from upwash.core.knowledge.coverage import Coverage
+from upwash.core.knowledge.sending import BothWays, Less
 from upwash.core.operation import Operation
 
 WINDOW_LENGTH = 3
@@ -46,19 +49,22 @@ class Window:
 
 
 _ALONE_FACTOR = 4.0  # times the slowest call at a server: a call that no server is there for
+_MOST_FAILURES = 3  # of a part before sending, in a row
 _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
 
 
 class Beliefs(Struct, frozen=True):
     """The delays expected of one server before the first contact, from tests on the ground.
 
-    `remote_s` has an entry for every operation that the server hosts. A check takes from selection to READY:
-    `check_s` if services must be started, `check_running_s` if they run.
+    `remote_s` has an entry for every operation that the server hosts. `transfer_s` has the part of it that sends the
+    request, as far as that is known. A check takes from selection to READY: `check_s` if services must be started,
+    `check_running_s` if they run.
     """
 
     check_s: float
     check_running_s: float
     remote_s: Mapping[Operation, float]
+    transfer_s: Mapping[Operation, float] = {}
 
 
 def offline_remote_s(*, processing_s: float, data_bytes: int, bandwidth_bit_s: float) -> float:
@@ -76,6 +82,9 @@ class Estimates:
 
     For servers without a range, measurements of `coverage` near a place replace the mean. `at` is a place; None is
     where the drone is.
+
+    Where sending `less` loses no more than `most_loss`, and that is above 0, a remote call takes the shorter of both
+    ways. All that is learnt counts as of calls sent whole.
     """
 
     def __init__(
@@ -86,6 +95,8 @@ class Estimates:
         slow_apart: bool = False,
         coverage: Coverage | None = None,
         on_servers: Collection[str] = (),
+        less: Mapping[Operation, Less] = MappingProxyType({}),
+        most_loss: float = 0.0,
     ) -> None:
         self.coverage = coverage
         self._on_servers = frozenset(on_servers)
@@ -93,6 +104,16 @@ class Estimates:
         self._calls = dict.fromkeys(
             [*local_s, *(operation for operation in hosted if self.needs_server(operation))], 0
         )
+        self._ways = {
+            (server, operation): BothWays(part, max(0.0, beliefs.remote_s[operation] - transfer_s))
+            for operation, part in less.items()
+            for server, beliefs in servers.items()
+            if operation in beliefs.remote_s
+            and (transfer_s := beliefs.transfer_s.get(operation)) is not None
+            and part.loss <= most_loss
+            and most_loss > 0
+        }
+        self._parts_failed = Counter[str]()  # in a row, by service
         self._here: Position | None = None
         # What the coverage says of the servers, where the drone is.
         self._seen: Sequence[object] = [None for _ in coverage.servers] if coverage else ()
@@ -152,13 +173,41 @@ class Estimates:
 
     def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
         """Expected delay (s) of a remote call, transfer included (`Call_s`); None if the server does not host it."""
-        window = self._remote[server].get(operation)
-        if window is None:
+        return self._remote_s(server, operation, at, self._slow_s[server].get(operation, 0.0))
+
+    def offline_s(self, server: str, operation: Operation) -> float | None:
+        """The delay (s) of a remote call sent whole, as believed before any call; None if not hosted there."""
+        return self._beliefs[server].remote_s.get(operation)
+
+    def may_send_less(self, server: str, operation: Operation) -> bool:
+        """Whether a part may make requests to the server smaller."""
+        return (server, operation) in self._ways
+
+    def both_ways_s(self, server: str, operation: Operation) -> tuple[float, float] | None:
+        """Expected delays (s) of a remote call sent whole, and with less to send; None if all is sent whole."""
+        if (way := self._way(server, operation)) is None:
             return None
-        measured_s = self._measured_s(server, operation, at)
-        return (
-            max(window.mean_s, self._slow_s[server].get(operation, 0.0)) if measured_s is None else measured_s
-        )
+        whole_s = self._whole_s(server, operation, None, self._slow_s[server].get(operation, 0.0))
+        return None if whole_s is None else (whole_s, way.less_s(whole_s))
+
+    def as_whole_s(self, server: str, operation: Operation, less_s: float) -> float:
+        """The delay (s) that a call would have had if it had been sent whole, for one with less to send."""
+        way = self._ways.get((server, operation))
+        return less_s if way is None else way.whole_s(less_s)
+
+    def as_less_s(self, server: str, operation: Operation, whole_s: float) -> float:
+        """The reverse of `as_whole_s`."""
+        way = self._ways.get((server, operation))
+        return whole_s if way is None else way.less_s(whole_s)
+
+    def part_failed(self, service: str) -> None:
+        """Note that the part of that service before sending failed."""
+        self._parts_failed[service] += 1
+        self._mean_call_s.clear()
+
+    def tries_part(self, service: str) -> bool:
+        """Whether the part of that service may be tried: it has not failed three times in a row."""
+        return self._parts_failed[service] < _MOST_FAILURES
 
     def is_hosted(self, server: str, operation: Operation) -> bool:
         """Whether the server's beliefs name the operation."""
@@ -166,11 +215,7 @@ class Estimates:
 
     def usual_s(self, server: str, operation: Operation) -> float | None:
         """Expected delay (s) of a remote call as `remote_s`, but without the last slow call of `slow_apart`."""
-        window = self._remote[server].get(operation)
-        if window is None:
-            return None
-        measured_s = self._measured_s(server, operation, None)
-        return window.mean_s if measured_s is None else measured_s
+        return self._remote_s(server, operation, None, 0.0)
 
     def is_first_call(self, server: str, operation: Operation) -> bool:
         """Whether the server is not known to have computed a call of the service since the service's start."""
@@ -212,10 +257,22 @@ class Estimates:
             self._count(operation)
 
     def observe_remote(
-        self, server: str, operation: Operation, delay_s: float, *, now_s: float, late: bool = False
+        self,
+        server: str,
+        operation: Operation,
+        delay_s: float,
+        *,
+        now_s: float,
+        late: bool = False,
+        less: bool = False,
     ) -> None:
-        """Add the delay of a remote call that succeeded; a `late` call was counted as a local call already."""
-        self._learn_remote(server, operation, delay_s, now_s=now_s)
+        """Add the delay of a remote call that succeeded; with `less` its request was made smaller before.
+
+        A `late` call was counted as a local call already.
+        """
+        self._learn_remote(server, operation, delay_s, now_s=now_s, less=less)
+        if less:
+            self._parts_failed.pop(operation.service, None)
         if not late and not self.needs_server(operation):
             self._count(operation)
 
@@ -224,7 +281,9 @@ class Estimates:
         if operation in self._calls:
             self._count(operation)
 
-    def observe_remote_cut(self, server: str, operation: Operation, waited_s: float, *, now_s: float) -> None:
+    def observe_remote_cut(
+        self, server: str, operation: Operation, waited_s: float, *, now_s: float, less: bool = False
+    ) -> None:
         """Add a remote call given up after `waited_s`, which is the least that it would have taken.
 
         Otherwise a server slower than its deadline would never look slow, as its calls never end
@@ -233,7 +292,7 @@ class Estimates:
         self._warm[server].add(operation.service)
         estimate_s = self.remote_s(server, operation)
         if not self._slow_apart and estimate_s is not None and waited_s > estimate_s:
-            self._learn_remote(server, operation, waited_s, now_s=now_s)
+            self._learn_remote(server, operation, waited_s, now_s=now_s, less=less)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
         """Add the delay of a check that ended READY and `started` services, or found them running."""
@@ -254,7 +313,7 @@ class Estimates:
         for operation, last_s in self._last_remote_call_s[server].items():
             if now_s - last_s < retry_s:
                 continue
-            if self._is_slow(operation, windows[operation].mean_s):
+            if self._is_slow(operation, self._sooner_s(server, operation, windows[operation].mean_s)):
                 windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
             elif slow_s.pop(operation, None) is None:
                 continue
@@ -264,34 +323,60 @@ class Estimates:
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
         """The time at which `forget_slow_calls` next changes an estimate; infinite if never."""
-        windows, slow_s, next_s = self._remote[server], self._slow_s[server], math.inf
+        slow_s, next_s = self._slow_s[server], math.inf
         for operation, last_s in self._last_remote_call_s[server].items():
-            if operation in slow_s or self._is_slow(operation, windows[operation].mean_s):
+            mean_s = self._sooner_s(server, operation, self._remote[server][operation].mean_s)
+            if operation in slow_s or self._is_slow(operation, mean_s):
                 next_s = min(next_s, last_s + retry_s)
         return next_s
 
-    def _measured_s(self, server: str, operation: Operation, at: Position | None) -> float | None:
-        """The measured delay of a call from the place; None if no place near it was measured."""
+    def _remote_s(
+        self, server: str, operation: Operation, at: Position | None, least_s: float
+    ) -> float | None:
+        if operation not in self._remote[server]:
+            return None
+        whole_s = self._whole_s(server, operation, at, least_s)
+        return self.alone_s(operation) if whole_s is None else self._sooner_s(server, operation, whole_s)
+
+    def _whole_s(
+        self, server: str, operation: Operation, at: Position | None, least_s: float
+    ) -> float | None:
+        """The delay of a call sent whole, by what was measured near the place, or else at least `least_s`.
+
+        None near a place where the server was not reached.
+        """
         position = at or self._here
-        if self.coverage is None or position is None:
+        place = None if self.coverage is None or position is None else self.coverage.at(server, position)
+        known_s = place.call_s(operation) if place is not None else None
+        if known_s is not None or (place is not None and not place.reached):
+            return known_s
+        return max(self._remote[server][operation].mean_s, least_s)
+
+    def _way(self, server: str, operation: Operation) -> BothWays | None:
+        """How less is sent to the server; None if all is sent whole."""
+        if not self._ways or not self.tries_part(operation.service):
             return None
-        place = self.coverage.at(server, position)
-        if place is None:
-            return None
-        known_s = place.call_s(operation)
-        return self.alone_s(operation) if known_s is None and not place.reached else known_s
+        return self._ways.get((server, operation))
+
+    def _sooner_s(self, server: str, operation: Operation, whole_s: float) -> float:
+        """The delay (s) by the quicker way of sending, of a call that would take `whole_s` sent whole."""
+        way = self._way(server, operation)
+        return whole_s if way is None else min(whole_s, way.less_s(whole_s))
 
     def _faster_s(self, operation: Operation, server: str | None, at: Position | None = None) -> float:
         call_s = self.alone_s(operation) or 0.0
         remote_s = self.remote_s(server, operation, at) if server else None
         return call_s if remote_s is None else min(call_s, remote_s)
 
-    def _learn_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
+    def _learn_remote(
+        self, server: str, operation: Operation, delay_s: float, *, now_s: float, less: bool = False
+    ) -> None:
+        whole_s = self.as_whole_s(server, operation, delay_s) if less else delay_s
         if self._slow_apart and self._is_slow(operation, delay_s):
-            self._slow_s[server][operation] = delay_s
+            self._slow_s[server][operation] = whole_s
         else:
             self._slow_s[server].pop(operation, None)
-            self._remote[server][operation] = self._remote[server][operation].observe(delay_s)
+            self._remote[server][operation] = self._remote[server][operation].observe(whole_s)
         self._warm[server].add(operation.service)
         self._last_remote_call_s[server][operation] = now_s
         self._mean_call_s.clear()

@@ -103,7 +103,8 @@ class Inputs(Struct, frozen=True):
 
     `selected` is the server in use. Without one, `selected`, its `state`, the number of its `check` and its estimates
     are None. `check_s` is the expected time of its check, and `check_elapsed_s` the part that is over. If the call is
-    `lightened`, the estimates are the lighter operation's.
+    `lightened`, the estimates are the lighter operation's. Where a part may run before sending, `remote_s` is the
+    shorter of `whole_s`, with the request sent whole, and `less_s`, with less to send.
     """
 
     local_s: float | None = None
@@ -114,6 +115,13 @@ class Inputs(Struct, frozen=True):
     check_s: float | None = None
     check_elapsed_s: float | None = None
     lightened: Lightened | None = None
+    whole_s: float | None = None
+    less_s: float | None = None
+
+    @property
+    def sends_less(self) -> bool:
+        """Whether the request is made smaller before it is sent."""
+        return self.whole_s is not None and self.less_s is not None and self.less_s < self.whole_s
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -123,7 +131,7 @@ class Inputs(Struct, frozen=True):
         return facts
 
 
-_UNKNOWN = Inputs()  # of a decision by itself, as policies make them
+NO_INPUTS = Inputs()  # of a decision by itself, as policies make them
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +139,7 @@ class Local:
     """Run the call on the drone."""
 
     why: str
-    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
+    inputs: Inputs = field(default=NO_INPUTS, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +153,7 @@ class Remote:
     deadline_s: float
     why: str
     raced: bool = False
-    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
+    inputs: Inputs = field(default=NO_INPUTS, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +163,7 @@ class Wait:
     server: str
     at_most_s: float
     why: str
-    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
+    inputs: Inputs = field(default=NO_INPUTS, compare=False, repr=False)
 
 
 Decision = Local | Remote | Wait

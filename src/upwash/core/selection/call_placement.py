@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
+from msgspec import structs
+
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import CHECKING, Server, State
 from upwash.core.operation import ON_DRONE, Operation
@@ -94,7 +96,9 @@ class CallPlacement:
         if server.state in CHECKING and server.is_full(now_s):
             return Local(f"{server.name} has no free slot", inputs), []
         decision = self._on_trial(server, operation, local_s, now_s)
-        if decision is None:
+        if decision is not None:  # how a server in doubt answers whole calls is seen from whole calls
+            inputs = structs.replace(inputs, whole_s=None, less_s=None)
+        else:
             decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
         if first is not None and isinstance(decision, Remote) and self._first_s(first, local_s) < remote_s:
             decision = replace(decision, raced=True)
@@ -114,6 +118,11 @@ class CallPlacement:
         if isinstance(decision, Remote):
             decision = replace(decision, raced=False)
         return replace(decision, inputs=inputs)
+
+    def may_send(self, server: str, check: int) -> bool:
+        """Whether a call that was decided for the server, READY since that check, may still go there."""
+        selected = self._radios.selected_by(check, (State.READY,))
+        return selected is not None and selected.name == server and selected.in_range
 
     def _call(
         self, server: Server, operation: Operation, local_s: float, remote_s: float, now_s: float
@@ -135,6 +144,7 @@ class CallPlacement:
         server, local_s = self._radios.in_use, self._estimates.local_s(operation)
         if server is None:
             return Inputs(local_s)
+        whole_s, less_s = self._estimates.both_ways_s(server.name, operation) or (None, None)
         return Inputs(
             local_s,
             server.name,
@@ -143,6 +153,8 @@ class CallPlacement:
             remote_s=self._estimates.remote_s(server.name, operation),
             check_s=self._check_s(server),
             check_elapsed_s=now_s - server.checked_since_s,
+            whole_s=whole_s,
+            less_s=less_s,
         )
 
     def decide_after_wait(

@@ -135,13 +135,23 @@ class LocalCallEnded(SelectionEvent, frozen=True):
     delay_s: float
 
 
+class PartFailed(SelectionEvent, frozen=True):
+    """The part of a service before sending gave no smaller request."""
+
+    service: str
+
+
 class RemoteCallEnded(SelectionEvent, frozen=True):
-    """A call ran on a server; `late` if the drone's own service had answered before."""
+    """A call ran on a server; `late` if the drone's own service had answered before.
+
+    With `less` its request was made smaller before, which is part of the delay.
+    """
 
     server: str
     operation: Operation
     delay_s: float
     late: bool = False
+    less: bool = False
 
 
 class RemoteCallFailed(SelectionEvent, frozen=True):
@@ -172,6 +182,7 @@ class RemoteFaultTested(SelectionEvent, frozen=True):
     delay_s: float
     why: str
     confirmed: bool
+    less: bool = False
 
 
 class RemoteCallCut(SelectionEvent, frozen=True):
@@ -180,6 +191,7 @@ class RemoteCallCut(SelectionEvent, frozen=True):
     server: str
     operation: Operation
     waited_s: float
+    less: bool = False
 
 
 class Reached(SelectionEvent, frozen=True):
@@ -194,6 +206,7 @@ class Reached(SelectionEvent, frozen=True):
     operation: Operation
     delay_s: float
     size_bytes: int
+    less: bool = False
 
 
 class LegBegun(SelectionEvent, frozen=True):

@@ -43,8 +43,8 @@ def quantile_s(delays_s: Collection[float], quantile: float, *, offline_s: float
 class Hedging:
     """Plan the hedges of one drone, within its budget of extra work.
 
-    `offline_s` has the estimates for each server and operation before the first contact. `budget` is the extra work
-    allowed, as a share of the calls' time on the drone; 0 hedges no call.
+    `offline_s` has the estimates of calls sent whole, for each server and operation, before the first contact.
+    `budget` is the extra work allowed, as a share of the calls' time on the drone; 0 hedges no call.
     """
 
     def __init__(
@@ -81,11 +81,15 @@ class Hedging:
         server, deadline_s = decision.server, decision.deadline_s
         delays_s, offline_s = self._delays_s[server, operation], self._offline_s[server][operation]
         late_s = quantile_s(delays_s, self._quantile, offline_s=offline_s)
+        if decision.inputs.sends_less:
+            late_s = self._estimates.as_less_s(server, operation, late_s)
         after_s = min(late_s + _EXCEEDS_BY_S, deadline_s)
         return Hedge(after_s, max(deadline_s, after_s + local_s))
 
-    def answered(self, server: str, operation: Operation, delay_s: float) -> None:
-        """Add the delay of a remote call that was answered."""
+    def answered(self, server: str, operation: Operation, delay_s: float, *, less: bool = False) -> None:
+        """Add the delay of a remote call that was answered; with `less` its request was made smaller before."""
+        if less:
+            delay_s = self._estimates.as_whole_s(server, operation, delay_s)
         self._delays_s[server, operation].append(delay_s)
 
     def overtaken(self, hedge: Hedge, decision: Remote, operation: Operation, *, onboard_s: float) -> None:

@@ -219,6 +219,11 @@ class Selection:
         self._locate(position, now_s)
         return self._placement.better(operation, by_s, now_s)
 
+    def may_send(self, server: str, check: int, *, now_s: float, position: Position) -> bool:
+        """Whether a call that was decided for the server, READY since that check, may still go there."""
+        self._locate(position, now_s)
+        return self._placement.may_send(server, check)
+
     def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
         self._locate(position, now_s)
@@ -235,7 +240,7 @@ class Selection:
 
     # --- what arrives ---------------------------------------------------------------------------------------
 
-    def _take_in(self, event: SelectionEvent, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912
+    def _take_in(self, event: SelectionEvent, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912, PLR0915
         """Learn from the event; return its own effects, before the policy is asked."""
         match event:
             # What the radios report concerns the mission only once a server changes its state.
@@ -282,12 +287,14 @@ class Selection:
             case events.LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
                 self._planning.answered(now_s)
-            case events.RemoteCallEnded(name, operation, delay_s, late):
-                self._learn_remote(name, operation, delay_s, now_s, late=late)
+            case events.PartFailed(service):
+                self.estimates.part_failed(service)
+            case events.RemoteCallEnded(name, operation, delay_s, late, less):
+                self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
                 if not late and not self.estimates.needs_server(operation):
                     self._planning.answered(now_s)
-            case events.RemoteCallCut(name, operation, waited_s):
-                self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s)
+            case events.RemoteCallCut(name, operation, waited_s, less):
+                self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s, less=less)
             case events.RemoteCallFailed(name, check, why, late):
                 self._planning.changed = True
                 if not late:
@@ -295,11 +302,11 @@ class Selection:
                 return self._call_failed(name, check, why, now_s)
             case events.RemoteCallRaised(_, why):
                 self._planning.under_way = Local(why)
-            case events.RemoteFaultTested(name, check, operation, delay_s, why, confirmed):
+            case events.RemoteFaultTested(name, check, operation, delay_s, why, confirmed, less):
                 self._planning.changed = True
                 if not confirmed:
                     return self._call_failed(name, check, why, now_s)
-                self._learn_remote(name, operation, delay_s, now_s, late=True)
+                self._learn_remote(name, operation, delay_s, now_s, late=True, less=less)
             case events.Reached():
                 self._planning.changed = True
                 return self._reached(event)
@@ -410,14 +417,21 @@ class Selection:
         return self._radios.fail(server, trigger, why, now_s, operations=self.estimates.operations)
 
     def _learn_remote(
-        self, name: str, operation: Operation, delay_s: float, now_s: float, *, late: bool
+        self,
+        name: str,
+        operation: Operation,
+        delay_s: float,
+        now_s: float,
+        *,
+        late: bool,
+        less: bool = False,
     ) -> None:
         if self._recovery is not None:
             needs_server = self.estimates.needs_server(operation)
             local_s = math.inf if needs_server else self.estimates.local_s(operation) or 0.0
             self._recovery.answered(name, operation, delay_s, local_s=local_s, now_s=now_s)
         self.servers[name].turns_lost = 0
-        self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)
+        self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late, less=less)
 
     def _probed_in_vain(self, check: int, position: Position) -> list[Effect]:
         """Record a probe without an answer, once for each place."""
@@ -444,11 +458,14 @@ class Selection:
         if coverage is None:
             return []
         place = coverage.asked(event.server, event.position, answered=event.answered)
+        came_to_s = event.delay_s
         if event.answered:
-            place.note(event.operation, event.delay_s)
             place.carry(event.size_bytes, event.delay_s)
         else:
-            place.note(event.operation, event.delay_s + (self.estimates.local_s(event.operation) or 0.0))
+            came_to_s += self.estimates.local_s(event.operation) or 0.0
+        if event.less:
+            came_to_s = self.estimates.as_whole_s(event.server, event.operation, came_to_s)
+        place.note(event.operation, came_to_s)
         return [Mapped(event.server, place)]
 
     # --- which server now? ----------------------------------------------------------------------------------

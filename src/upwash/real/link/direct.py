@@ -168,7 +168,7 @@ class DirectLink:
             why = too_large("request", len(body), self._max_message_bytes, whose="the drone")
             raise Refused(f"{self._peer}: {why}")
         number = next(self._numbers)
-        self._requests.write(frame(DirectRequest(number, self._drone, path, body)))
+        self._requests.write(frame(DirectRequest(number, self._drone, path, bytes(body))))
         match await self._reply(number, timeout_s):
             case DirectReply(_, reply):
                 return reply

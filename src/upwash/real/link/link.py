@@ -275,7 +275,7 @@ class GrpcLink:
             with contextlib.suppress(RuntimeError):  # the loop is closed: nothing waits any more
                 loop.call_soon_threadsafe(settle)
 
-        call = method.future(body, timeout=timeout_s, metadata=self._metadata)
+        call = method.future(bytes(body), timeout=timeout_s, metadata=self._metadata)
         call.add_done_callback(wake)
         deadline = loop.call_later(timeout_s, settle)
         self._under_way.add(settle)
