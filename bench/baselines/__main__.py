@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from bench.baselines import knowing, reserving, worlds
-from bench.baselines.kept import PARTS, Measured, file_of, shown
+from bench.baselines.kept import PARTS, Measured, file_of, flights_of, shown
 from bench.baselines.manners import Part, fly
 from bench.gains.kept import Kept, write
 from bench.program import command_line, machine
@@ -31,7 +31,7 @@ from upwash.lab import processes
 
 T = TypeVar("T")
 R = TypeVar("R")
-SEEDS, DRAWN, CROWDED = {"named": 10, "speeds": 10, "clients": 10, "knowing": 30, "reserving": 5}, 200, 200
+SEEDS, DRAWN = {"named": 5, "speeds": 5, "clients": 5, "knowing": 10, "reserving": 3}, 200
 
 
 def main() -> None:
@@ -65,7 +65,7 @@ def main() -> None:
         measured = Measured(
             seeds=seeds,
             worlds=len({(each.group, each.world) for each in missions}),
-            missions=sum(len(each.times_s) for each in missions),
+            missions=flights_of(missions),
             cores=os.cpu_count() or 1,
             took_s=round(time.monotonic() - begun_s, 1),
             figures=to_builtins(figures),
@@ -76,7 +76,8 @@ def main() -> None:
                 variants = dict.fromkeys(itertools.chain.from_iterable(each.times_s for each in missions))
                 write(file_of(part), Kept(list(variants), missions))
             drawn = f" --worlds {count}" if part in ("drawn", "clients") else ""
-            command = f"python -m bench.baselines --part {part} --seeds {seeds}{drawn} --keep"
+            often = "" if part == "drawn" else f" --seeds {seeds}"
+            command = f"python -m bench.baselines --part {part}{often}{drawn} --keep"
             leave(FOLDER / f"baselines_{part}.json", command=command, figures=measured)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.baselines import tables
 from bench.baselines.knowing import Known
+from bench.baselines.manners import COPIES, LEAST, REPLICATED
 from bench.baselines.reserving import Shared
 from bench.gains.kept import Missions, read
 from bench.results import FOLDER
@@ -30,6 +31,12 @@ class Measured(Struct, frozen=True, kw_only=True):
 def file_of(part: str) -> Path:
     """The missions of a part."""
     return FOLDER / f"baselines_{part}.csv"
+
+
+def flights_of(missions: Sequence[Missions]) -> int:
+    """How many missions were flown: bounds, and what was replayed, were not."""
+    computed = (LEAST, COPIES, REPLICATED)
+    return sum(not name.startswith(computed) for each in missions for name in each.times_s)
 
 
 def shown(part: str, measured: Measured, missions: Sequence[Missions] | None = None) -> str:
