@@ -139,6 +139,8 @@ COMMANDS = [
     (f"campaign {THESIS} --seeds 1 --out out.parquet", "parquet"),
     ("compare", ""),
     ("explain with.jsonl", ""),
+    ("worlds --seeds 2 --out worlds", ""),
+    ("traces with.jsonl --out traces", ""),
     ("chaos --seed 1", ""),
     (f"emulate {THESIS}", "emulation"),
     ("goodput --out table.csv", ""),

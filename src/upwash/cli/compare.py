@@ -84,7 +84,8 @@ def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:
                 if row.saved_s is not None
                 else None
             )
-            drawn.append(DrawnMean(row.scenario, row.policy, time, saved, row.bound_s))
+            bound_s = None if math.isnan(row.bound_s) else row.bound_s
+            drawn.append(DrawnMean(row.scenario, row.policy, time, saved, bound_s))
     draw_means(drawn, figures.files("compare"))
     shares = {row.policy: row.saved_shares for row in rows if row.saved_shares}
     if shares:
@@ -143,8 +144,13 @@ def _verdict(rows: Sequence[ComparedPolicy]) -> str:
     verb = "is" if others == 1 else "are"
     alike = f"; {others} more {verb} as quick within the margin of error" if others else ""
     return (
-        f"{best.policy} is quickest: {_minutes(best.mean_s)} min, {_above_bound(best)} above the theoretical minimum "
-        f"of {_minutes(best.bound_s)}{alike}"
+        f"{best.policy} is quickest: {_minutes(best.mean_s)} min"
+        + (
+            ""
+            if math.isnan(best.bound_s)
+            else f", {_above_bound(best)} above the theoretical minimum of {_minutes(best.bound_s)}"
+        )
+        + alike
     )
 
 
@@ -155,7 +161,9 @@ def _interval(row: ComparedPolicy) -> str:
 
 
 def _above_bound(row: ComparedPolicy) -> str:
-    return f"{100 * (row.mean_s / row.bound_s - 1):.1f} %" if row.completed else "-"
+    if not row.completed or math.isnan(row.bound_s):
+        return "-"
+    return f"{100 * (row.mean_s / row.bound_s - 1):.1f} %"
 
 
 def _completed(row: ComparedPolicy) -> str:
@@ -203,7 +211,8 @@ def _cell(row: ComparedPolicy) -> str:
     if not row.completed:
         return f"{_completed(row)} completed"
     ended = "" if row.completed == row.missions else f", {_completed(row)} completed"
-    return f"{_interval(row)} ({100 * (row.mean_s / row.bound_s - 1):+.1f} %){ended}"
+    above = "" if math.isnan(row.bound_s) else f" ({100 * (row.mean_s / row.bound_s - 1):+.1f} %)"
+    return f"{_interval(row)}{above}{ended}"
 
 
 def _fleet_cell(row: ComparedPolicy) -> str:

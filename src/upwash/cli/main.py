@@ -48,6 +48,7 @@ _COMMANDS = {
     "reproduce": "fly the thesis's experiments, beside what it printed",
     "campaign": "simulate many missions, over seeds and settings",
     "compare": "fly every policy in the same scenarios, beside the bound",
+    "traces": "make traces for simulations from an event log",
     "worlds": "draw worlds at random, as scenarios to compare policies in",
     "explain": "say why each call of a flight ran where it ran",
     "chaos": "simulate worlds full of faults and test what upwash promises",

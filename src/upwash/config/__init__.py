@@ -56,6 +56,7 @@ from upwash.config.flight_times import (
     told_pace,
     usable_s,
 )
+from upwash.config.measured import track_of
 from upwash.config.photo_ground import PhotoGround, photo_ground
 from upwash.config.places import (
     AltitudesAboveSea,
@@ -85,6 +86,7 @@ from upwash.config.plan_photos import PhotoLeg, photo_legs
 from upwash.config.problems import impossible_values, repeated, unknown
 from upwash.config.reading import Document, convert, read_document, refuse_first
 from upwash.config.runtime import RuntimeConfig
+from upwash.config.traces import read_battery, read_wind
 from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.user import UserConfig
 from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine

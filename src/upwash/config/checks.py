@@ -20,6 +20,7 @@ from upwash.config.drone import (
     ServiceConfig,
 )
 from upwash.config.flight_times import finish_by_s
+from upwash.config.measured import flight_problems, truth_problems
 from upwash.config.places import (
     corners,
     geofence,
@@ -30,8 +31,7 @@ from upwash.config.places import (
 )
 from upwash.config.plan_photos import MOST_SPOTS, speed_set_at
 from upwash.config.problems import Problem, below, listed, metrics_problems, name_problems, repeated, unknown
-from upwash.config.traces import read_goodput_trace, read_service_times
-from upwash.config.truth import ServerTruth, keys_of, server_truth
+from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.user import user_problems
 from upwash.config.values import MDNS, is_address
 from upwash.config.world import RADIOS, FaultConfig, TruthConfig
@@ -57,6 +57,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _lighter_problems(config)
     yield from _two_answers_problems(config)
     yield from _battery_problems(config)
+    yield from flight_problems(config)
     yield from _camera_problems(config.camera)
     yield from user_problems(config.user)
     if config.event is not None and config.camera.park_seed is not None:
@@ -390,17 +391,7 @@ def _truth_problems(truth: TruthConfig, services: Sequence[ServiceConfig]) -> It
     for image in truth.images or ():
         if image not in names:
             yield "images", unknown("service", image, names)
-    if truth.service_csv is not None:
-        for operation in read_service_times(truth.service_csv):
-            if not any(keys_of(operation, services)):
-                known = listed(
-                    sorted({key or service.name for service in services for key in service.local_call_s})
-                )
-                yield "service_csv", f"{operation} is no operation with a local_call_s: name one of {known}"
-    if truth.goodput_csv is not None:
-        read_goodput_trace(truth.goodput_csv)
-        if truth.radio != "fixed":
-            yield "radio", "goodput_csv says how fast the link is: leave one of the two out"
+    yield from truth_problems(truth, services)
     if truth.radio not in RADIOS and not _is_file(truth.radio):
         yield "radio", f"no file {truth.radio}: give {listed(RADIOS)} or a csv file of goodput by distance"
 
@@ -514,6 +505,8 @@ def _true_call_problems(
     if key not in truth.processing_s.get(service.name, {}):
         needs = f'radio = "{truth.radio}"' if truth.goodput_csv is None else "goodput_csv"
         yield "truth.processing_s", f"nothing for {operation}, as {needs} needs it: add it"
+    elif truth.service_times:  # which without a way's goodput have the way in them
+        return
     elif truth.radio == "fixed" and truth.goodput_csv is None and server.bandwidth_bit_s is None:
         yield "bandwidth_bit_s", f"missing, and {operation} has no truth.remote_call_s: add one of them"
 

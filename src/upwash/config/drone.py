@@ -149,6 +149,12 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """From the last waypoint to the ground, in seconds."""
     endurance_s: values.Positive | None = None
     """Flight with a full battery, in seconds; a real flight's `reserve_s` and `upwash check` read it too."""
+    track_csv: values.FilePath | None = None
+    """Simulation: the [track of a flight](scenarios.md#measured-flights), which the vehicle flies as it was."""
+    wind_csv: values.FilePath | None = None
+    """Simulation: [measured wind](scenarios.md#measured-flights), which costs energy."""
+    battery_csv: values.FilePath | None = None
+    """Simulation: the [measured charge](scenarios.md#measured-flights) of the battery."""
 
 
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -140,8 +140,9 @@ def _remote_calls_still_believed(server: ServerConfig, services: Sequence[Servic
         for service, by_key in server.remote_call_s.items()
     }
     for service in services:
-        if believed.get(service.name) and server.bandwidth_bit_s is not None:
-            transfer_s = 8 * (service.request_bytes + service.reply_bytes) / server.bandwidth_bit_s
+        if believed.get(service.name):
+            bits, goodput_bit_s = 8 * (service.request_bytes + service.reply_bytes), server.bandwidth_bit_s
+            transfer_s = 0.0 if goodput_bit_s is None else bits / goodput_bit_s
             true = true_s.get(service.name, {})
             believed[service.name] |= {key: seconds + transfer_s for key, seconds in true.items()}
     return believed

@@ -273,7 +273,7 @@ class Flight:
         vehicle, (server, round_trip_s) = self._ports.autopilot, self._offloading.link
         here, told = rounded(vehicle.position), vehicle.telemetry
         speed_m_s, heading_deg, percent = told.ground_speed_m_s, told.heading_deg, told.battery_percent
-        down_s = self._descent.left_s
+        down_s, wind = self._descent.left_s, vehicle.wind
         return schema.PositionReport(
             east_m=here.east_m,
             north_m=here.north_m,
@@ -288,6 +288,8 @@ class Flight:
             armed=told.armed,
             gps=told.gps.kind if told.gps else None,
             satellites=told.gps.satellites if told.gps else None,
+            wind_east_m_s=None if wind is None else round(wind.east_m_s, 1),
+            wind_north_m_s=None if wind is None else round(wind.north_m_s, 1),
         )
 
     def stop(self, why: str) -> bool:

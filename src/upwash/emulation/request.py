@@ -106,6 +106,7 @@ def emulated(config: DroneConfig) -> DroneConfig:
             )
             for service in config.services
         ),
+        vehicle=replace(config.vehicle, track_csv=None, wind_csv=None, battery_csv=None),
         servers=tuple(
             replace(server, truth=replace(server.truth, first_extra_s=0.0, goodput_csv=None))
             for server in config.servers
@@ -131,6 +132,9 @@ def left_out(config: DroneConfig) -> list[str]:
         "lanes": any(server.truth.lanes is not None for server in config.servers),
         "first_extra_s": any(server.truth.first_extra_s for server in config.servers),
         "goodput_csv": any(server.truth.goodput_csv for server in config.servers),
+        "vehicle.track_csv, wind_csv or battery_csv": any(
+            (config.vehicle.track_csv, config.vehicle.wind_csv, config.vehicle.battery_csv)
+        ),
         "the spread of service_csv": any(server.truth.service_csv for server in config.servers),
     }
     return [name for name, there in found.items() if there]

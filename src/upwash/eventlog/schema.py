@@ -729,7 +729,7 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
 
     The heading is clockwise from north. `round_trip_s` is the delay of the last request to the daemon of the `server`
     in use. While the program brings the vehicle down, `down_s` is the time to the ground. `mode` is the autopilot's
-    own name, `gps` the receiver's fix, with the number of `satellites` in use.
+    own name, `gps` the receiver's fix, with the number of `satellites` in use. The wind is where the air moves to.
     """
 
     east_m: Number
@@ -745,6 +745,8 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
     armed: bool | None = None
     gps: FixKind | None = None
     satellites: Count | None = None
+    wind_east_m_s: Number | None = None
+    wind_north_m_s: Number | None = None
 
 
 # --- servers ------------------------------------------------------------------------------------------------

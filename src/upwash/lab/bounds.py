@@ -93,13 +93,13 @@ class _Mission:
 
 
 def bound_of(run: Run, config: DroneConfig) -> Bound | None:
-    """The least times of the mission under any policy; None if it was not completed.
+    """The least times of the mission under any policy; None if it was not completed, or flew a recorded track.
 
     It flies and takes photos for as long as this run did, and makes the same calls at the same places. Computers are
     never hot and nothing fails; calls take their mean time, so with noise the bounds hold for the mean of many runs.
     If the drone may go on before answers are there, it turns back no more often than it has to.
     """
-    if not run.result.completed:
+    if not run.result.completed or config.vehicle.track_csv is not None:
         return None
     truths = _truths(config)
     return _mission(run, config, truths).bound(truths)

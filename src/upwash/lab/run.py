@@ -7,7 +7,7 @@ import functools
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -21,9 +21,12 @@ from upwash.config import (
     frame_of,
     pace_in_numbers,
     presences,
+    read_battery,
+    read_wind,
     server_places,
     server_truth,
     stands,
+    track_of,
     true_areas,
     true_range_m,
     waypoints,
@@ -49,7 +52,9 @@ from upwash.sim.faults import Faults
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Observe, Switchboard, lived, unobserved
 from upwash.sim.loop import run_virtually
+from upwash.sim.over_time import OverTime
 from upwash.sim.runtime import ModelRuntime
+from upwash.sim.tracked import TrackedAutopilot
 from upwash.sim.turns import sleeps_reported
 from upwash.sim.vehicle import Manner, Plain
 from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio
@@ -210,17 +215,23 @@ async def _fly_one(
     observe: Observe = unobserved
     if seen is not None:
         observe = drone_observer(config.name, seen, position=lambda: autopilot.position, life=journal.life)
-    autopilot = ModelAutopilot(
-        stands(config.mission),
-        ground_speed_m_s=config.mission.ground_speed_m_s,
-        manner=_manner(config.vehicle),
-        frame=frame_of(config.mission),
-        stretch=lambda: chance.factor("leg", config.noise.leg),
-        fault=lambda: faults.now("autopilot"),
-        incidents=faults.incidents,
-        endurance_s=config.vehicle.endurance_s,
-        energy=journal.meter,
-        observe=observe,
+    charge, wind = config.vehicle.battery_csv, _wind(config)
+    options: dict[str, Any] = {
+        "ground_speed_m_s": config.mission.ground_speed_m_s,
+        "manner": _manner(config.vehicle),
+        "frame": frame_of(config.mission),
+        "stretch": lambda: chance.factor("leg", config.noise.leg),
+        "fault": lambda: faults.now("autopilot"),
+        "incidents": faults.incidents,
+        "endurance_s": config.vehicle.endurance_s,
+        "energy": journal.meter,
+        "charge": None if charge is None else OverTime(read_battery(charge)),
+        "wind": wind,
+        "observe": observe,
+    }
+    track = track_of(config.vehicle, config.mission)
+    autopilot = (
+        TrackedAutopilot(track, **options) if track else ModelAutopilot(stands(config.mission), **options)
     )
     areas = true_areas(config)
     radios = _radios(drone, areas, autopilot, switchboard, observe)
@@ -285,13 +296,18 @@ def _ports(
     )
 
 
+def _wind(config: DroneConfig) -> OverTime | None:
+    file = config.vehicle.wind_csv
+    return None if file is None else OverTime(read_wind(file))
+
+
 def _energy(config: DroneConfig) -> EnergyMeter | None:
     if config.energy is None:
         return None
     load_w = (config.heat or HeatConfig()).load_w
     if config.energy.computer_load_w is not None:
         load_w = config.energy.computer_load_w
-    return EnergyMeter(config.energy, load_w=load_w, radios=config.network.radios)
+    return EnergyMeter(config.energy, load_w=load_w, radios=config.network.radios, wind=_wind(config))
 
 
 def _radios(

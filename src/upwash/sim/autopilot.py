@@ -19,6 +19,7 @@ from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.incidents import Incidents, ModelBattery
 from upwash.sim.link import Observe, unobserved
+from upwash.sim.over_time import OverTime
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
 from upwash.sim.vehicle_link import ModelVehicleLink
 from upwash.support.background import first
@@ -36,8 +37,8 @@ class ModelAutopilot:
     `frame` places `start` on the Earth. `stretch` returns a factor on the duration of each leg, for noise, `fault`
     the present fault, and `incidents` are the events without a command; docs/faults.md describes them. `observe`
     gets the events of the vehicle and the incidents, and "reached" with the distance `off_m` of its true position
-    from the waypoint. The battery's charge is that of `energy`, or else 0 `endurance_s` after the first take-off. A
-    vehicle that `hovers_at` a place was left there by another program.
+    from the waypoint. The battery's charge is `charge`, or that of `energy`, or else 0 `endurance_s` after the first
+    take-off; `wind` is the measured one. A vehicle that `hovers_at` a place was left there by another program.
     """
 
     def __init__(
@@ -52,6 +53,8 @@ class ModelAutopilot:
         incidents: Sequence[FaultConfig] = (),
         endurance_s: float | None = None,
         energy: EnergyMeter | None = None,
+        charge: OverTime | None = None,
+        wind: OverTime | None = None,
         hovers_at: Position | None = None,
         observe: Observe = unobserved,
     ) -> None:
@@ -76,7 +79,10 @@ class ModelAutopilot:
         self._link = ModelVehicleLink(self._vehicle, is_off=self._is_off)
         Incidents(incidents, self._vehicle, self._link, observe=observe)
         self._link.take()
-        self._battery = ModelBattery(self._vehicle, self._link, energy=energy, endurance_s=endurance_s)
+        self._battery = ModelBattery(
+            self._vehicle, self._link, energy=energy, endurance_s=endurance_s, measured=charge
+        )
+        self._wind = wind
 
     @property
     def position(self) -> Position:
@@ -131,8 +137,8 @@ class ModelAutopilot:
 
     @property
     def wind(self) -> Velocity | None:
-        """No wind."""
-        return Velocity()
+        """The wind of the trace, or none."""
+        return Velocity() if self._wind is None else Velocity(*self._wind.at(self._battery.flown_s))
 
     @property
     def energy(self) -> EnergyFacts:

@@ -13,10 +13,12 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
+from collections.abc import Callable
 
 from upwash.config import EnergyConfig
 from upwash.core.geo import Velocity
 from upwash.eventlog.schema import EnergyUsed
+from upwash.sim.over_time import OverTime
 from upwash.vehicle.body.kinematics import Motion, Phase
 
 _J_IN_WH = 3600.0
@@ -28,6 +30,7 @@ _NODES = (
 _DIGITS = 6
 _MOST = 4.0  # times the power of hovering: no flight takes more
 _LEAST_S = 0.5  # between two looks at the battery
+_WIND_STEP_S = 1.0
 
 
 class Rotors:
@@ -67,10 +70,12 @@ class Rotors:
 class EnergyMeter:
     """Adds up the energy that one drone draws, by part; radios and computer draw from its creation until it is read.
 
-    `load_w` is the power that a call adds to the computer's.
+    `load_w` is the power that a call adds to the computer's, `wind` the measured wind since the take-off.
     """
 
-    def __init__(self, config: EnergyConfig, *, load_w: float, radios: int) -> None:
+    def __init__(
+        self, config: EnergyConfig, *, load_w: float, radios: int, wind: OverTime | None = None
+    ) -> None:
         self.load_w = load_w
         self._config = config
         self._radios = radios
@@ -88,6 +93,12 @@ class EnergyMeter:
         self._phases: deque[Phase] = deque()  # from then on,
         self._rests_up = False  # ... and then it hovers, or stands
         self._load_j = self._transfer_s = 0.0
+        self._wind = wind
+        self._took_off_s: float | None = None
+
+    def take_off(self) -> None:
+        """Note that the drone takes off: times of the wind count from now."""
+        self._took_off_s = self._loop.time()
 
     def move(self, motion: Motion[Phase]) -> None:
         """Note a new motion of the drone, at whose end it rests."""
@@ -153,14 +164,37 @@ class EnergyMeter:
         if self._phases:
             flight_j, hover_j = self._phase_j(self._phases[0], now_s - self._since_s)
         else:
-            flight_j, hover_j = 0.0, self._rotors.hover_w * (now_s - self._since_s) * self._rests_up
+            flight_j, hover_j = 0.0, self._hover_j_in(now_s - self._since_s) * self._rests_up
         return self._flight_j + flight_j, self._hover_j + hover_j
 
     def _phase_j(self, phase: Phase, elapsed_s: float) -> tuple[float, float]:
         """The energy in joules since the start of the phase, in flight and in hover; 0 on the ground."""
         if phase.speed_m_s or phase.acceleration_m_s2 or phase.jerk_m_s3:
+            if self._wind is not None:
+                return self._in_wind_j(phase.velocity, elapsed_s), 0.0
             return self._rotors.energy_j(phase, elapsed_s), 0.0
-        return 0.0, self._rotors.hover_w * elapsed_s * (phase.start.altitude_m > 0)
+        return 0.0, self._hover_j_in(elapsed_s) * (phase.start.altitude_m > 0)
+
+    def _hover_j_in(self, lasts_s: float) -> float:
+        if self._wind is not None:
+            return self._in_wind_j(lambda _: Velocity(), lasts_s)
+        return self._rotors.hover_w * lasts_s
+
+    def _in_wind_j(self, velocity: Callable[[float], Velocity], lasts_s: float) -> float:
+        """The energy in joules since `_since_s` at a velocity over the ground, through air that moves."""
+        assert self._wind is not None  # noqa: S101 - asked only then
+        took_off_s = self._since_s if self._took_off_s is None else self._took_off_s
+        steps = math.ceil(lasts_s / _WIND_STEP_S)
+        drawn_j = 0.0
+        for step in range(steps):
+            at_s = (step + 0.5) * lasts_s / steps
+            over_ground = velocity(at_s)
+            east_m_s, north_m_s = self._wind.at(self._since_s + at_s - took_off_s)
+            through_air = Velocity(
+                over_ground.east_m_s - east_m_s, over_ground.north_m_s - north_m_s, over_ground.up_m_s
+            )
+            drawn_j += self._rotors.power_w(through_air) * lasts_s / steps
+        return drawn_j
 
 
 def _wh(energy_j: float) -> float:

@@ -10,6 +10,7 @@ from upwash.config import FaultConfig
 from upwash.core.vehicle.control import Heartbeat
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.link import Observe
+from upwash.sim.over_time import OverTime
 from upwash.sim.vehicle import STABILIZE, ModelVehicle
 from upwash.sim.vehicle_link import ModelVehicleLink
 
@@ -84,7 +85,7 @@ class Incidents:
 
 
 class ModelBattery:
-    """A battery with its meter's charge; without one, empty `endurance_s` after the first take-off, or endless."""
+    """A battery with its meter's or a measured charge; else empty `endurance_s` after the take-off, or endless."""
 
     def __init__(
         self,
@@ -93,12 +94,14 @@ class ModelBattery:
         *,
         energy: EnergyMeter | None,
         endurance_s: float | None,
+        measured: OverTime | None = None,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._vehicle = vehicle
         self._link = link
         self._energy = energy
         self._endurance_s = endurance_s
+        self._measured = measured
         self._took_off_s: float | None = None
         if energy is not None:
             self._watch(energy, energy.failsafe_percent)
@@ -111,17 +114,25 @@ class ModelBattery:
     @property
     def percent(self) -> float | None:
         """The charge in percent; None for an endless battery."""
+        if self._measured is not None:
+            return self._measured.at(self.flown_s)[0]
         if self._energy is not None:
             return self._energy.left_percent
         if self._endurance_s is None:
             return None
-        flown_s = 0.0 if self._took_off_s is None else self._loop.time() - self._took_off_s
-        return 100.0 * max(0.0, 1 - flown_s / self._endurance_s)
+        return 100.0 * max(0.0, 1 - self.flown_s / self._endurance_s)
+
+    @property
+    def flown_s(self) -> float:
+        """The time since the first take-off; 0 before."""
+        return 0.0 if self._took_off_s is None else self._loop.time() - self._took_off_s
 
     def take_off(self) -> None:
         """Note that the vehicle takes off."""
         if self._took_off_s is None:
             self._took_off_s = self._loop.time()
+            if self._energy is not None:
+                self._energy.take_off()
 
     def _watch(self, energy: EnergyMeter, level_percent: float) -> None:
         """Land the vehicle once the battery is at the level, and let it fall once it is empty."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from upwash.config import ServerTruth
-from upwash.config.traces import GoodputTrace, read_goodput_trace
+from upwash.config.traces import Stamp, Trace, read_goodput_trace, stamp_of
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of
@@ -115,7 +115,7 @@ class GoodputByPlace:
         return 8 * data_bytes / goodput_bit_s if goodput_bit_s > 0 else math.inf
 
 
-def traced(trace: GoodputTrace) -> Goodput:
+def traced(trace: Trace) -> Goodput:
     """The goodput of a trace."""
     columns = list(zip(*trace.rows, strict=True))
     if len(columns) > 2:
@@ -124,14 +124,14 @@ def traced(trace: GoodputTrace) -> Goodput:
 
 
 @lru_cache
-def _traced_in(file: Path) -> Goodput:
+def _traced_in(file: Path, _stamp: Stamp) -> Goodput:
     return traced(read_goodput_trace(file))
 
 
 def goodput_of(truth: ServerTruth, service: str) -> Goodput | None:
     """The goodput for the service's calls to the server; None if their delays are given end to end."""
     if truth.goodput_csv is not None:
-        return _traced_in(truth.goodput_csv)
+        return _traced_in(truth.goodput_csv, stamp_of(truth.goodput_csv))
     table = read_goodput(truth.radio)
     if table is not None or service in truth.remote_call_s or truth.bandwidth_bit_s is None:
         return table

@@ -165,13 +165,21 @@ class ModelVehicle:
         self._begin(phases, end)
         self.borders.moves(self._motion)
 
+    def follow(self, motion: Motion[Phase]) -> None:
+        """Begin a motion that was recorded, by a command obeyed before."""
+        self._set(motion)
+        self.borders.moves(motion)
+
     def settle(self, end: Position) -> None:
         """Rest exactly at the end of a motion, as its timer may be a nanosecond early."""
         self._begin((), end)
         self.borders.settles(self._motion)
 
     def _begin(self, phases: tuple[Phase, ...], end: Position) -> None:
-        self._motion = Motion(self._loop.time(), phases, end)
+        self._set(Motion(self._loop.time(), phases, end))
+
+    def _set(self, motion: Motion[Phase]) -> None:
+        self._motion = motion
         self._located_s = -math.inf
         self._moved(self._motion)
 

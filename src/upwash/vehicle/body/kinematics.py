@@ -6,6 +6,7 @@ A motion is continuous in position and in velocity. Time is an argument everywhe
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -181,6 +182,19 @@ class Motion(Generic[AnyStretch_co]):
                 return phase, elapsed_s
             elapsed_s -= phase.duration_s
         return None
+
+
+@dataclass(frozen=True, slots=True)
+class LongMotion(Motion[AnyStretch_co]):
+    """A motion of thousands of stretches, each with its begin, in seconds from the first one's."""
+
+    begins_s: Sequence[float]
+
+    def _current(self, now_s: float) -> tuple[AnyStretch_co, float] | None:
+        elapsed_s = max(0.0, now_s - self.begun_s)
+        number = bisect_right(self.begins_s, elapsed_s) - 1
+        phase, elapsed_s = self.phases[number], elapsed_s - self.begins_s[number]
+        return (phase, elapsed_s) if elapsed_s < phase.duration_s else None
 
 
 def duration_s(phases: Sequence[MotionPart]) -> float:

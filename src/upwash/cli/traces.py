@@ -1,0 +1,31 @@
+"""upwash traces: makes traces for simulations from an event log."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from upwash.cli.arguments import option
+from upwash.errors import UsageError
+from upwash.report.record import read_records
+from upwash.report.traces import settings_of, traces_of
+from upwash.support.output_files import write_file
+
+ARGUMENTS = {
+    "log LOG": "an event log, flown or simulated",
+    "--out DIR": option("where the files go (default: traces)", default=Path("traces")),
+}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write the files, and print the lines of a scenario that name them."""
+    (record,) = read_records([options.log])
+    files = traces_of(record)
+    if not files:
+        raise UsageError(
+            f"{options.log} has neither a take-off nor a call on a server: nothing to make a trace of"
+        )
+    for name, text in files.items():
+        write_file(options.out / name, text.encode())
+    print(f"# written to {options.out}")
+    print("\n".join(settings_of(files)))
