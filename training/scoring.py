@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from upwash.profiling.agreement import verdicts
 from upwash.services import Box, Detection
-
-_HIT_OVERLAP = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +31,17 @@ class Ranking:
     @classmethod
     def of(cls, photos: Sequence[Judged]) -> Ranking:
         """The detections of all the photos."""
-        verdicts = sorted(
-            ((score, hit, number) for number, photo in enumerate(photos) for score, hit in _verdicts(photo)),
+        ranked = sorted(
+            (
+                (score, hit, number)
+                for number, photo in enumerate(photos)
+                for score, hit in verdicts(photo.found, photo.truth)
+            ),
             key=lambda each: -each[0],
         )
         return cls(
-            np.array([hit for _, hit, _ in verdicts], np.bool_),
-            np.array([number for *_, number in verdicts], np.intp),
+            np.array([hit for _, hit, _ in ranked], np.bool_),
+            np.array([number for *_, number in ranked], np.intp),
             np.array([len(photo.truth) for photo in photos], np.intp),
         )
 
@@ -75,25 +78,6 @@ def precision(photos: Sequence[Judged], *, confidence: float) -> float:
 
 
 def _hits(photos: Sequence[Judged], confidence: float) -> int:
-    return sum(hit for photo in photos for score, hit in _verdicts(photo) if score >= confidence)
-
-
-def _verdicts(photo: Judged) -> list[tuple[float, bool]]:
-    """The score of each detection, and whether it is a hit, the surest first."""
-    missed = list(photo.truth)
-    verdicts = []
-    for each in sorted(photo.found, key=lambda detection: -detection.score):
-        best = max(missed, key=lambda box: overlap(each, box), default=None)
-        hit = best is not None and overlap(each, best) >= _HIT_OVERLAP
-        if hit and best is not None:
-            missed.remove(best)
-        verdicts.append((each.score, hit))
-    return verdicts
-
-
-def overlap(a: Box, b: Box) -> float:
-    """The area that two boxes share over the area that they cover (IoU), 0 to 1."""
-    width_px = min(a.left_px + a.width_px, b.left_px + b.width_px) - max(a.left_px, b.left_px)
-    height_px = min(a.top_px + a.height_px, b.top_px + b.height_px) - max(a.top_px, b.top_px)
-    shared_px = max(0.0, width_px) * max(0.0, height_px)
-    return shared_px / (a.width_px * a.height_px + b.width_px * b.height_px - shared_px)
+    return sum(
+        hit for photo in photos for score, hit in verdicts(photo.found, photo.truth) if score >= confidence
+    )

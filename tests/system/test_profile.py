@@ -36,6 +36,17 @@ def test_a_service_is_measured_here_and_the_result_is_a_configuration(
     assert f"written: {out}" in capsys.readouterr().out
 
 
+def test_a_part_before_sending_is_measured_with_its_loss(
+    services: Path, photos: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["profile", f"{services}:Carrier", "--photos", str(photos), "--calls", "1"]) == 0
+    (table,) = tomllib.loads(capsys.readouterr().out)["service"]
+    measured = table["before_sending"]
+    assert measured["request_bytes"] == pytest.approx(25_000, rel=0.01)
+    assert measured["loss"] == {"echo": 1.0}
+    assert 0 < measured["takes_s"] < 5
+
+
 def test_times_may_be_missing_from_the_configuration_and_what_the_service_prints_is_shown(
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

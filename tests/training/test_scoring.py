@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from training.scoring import Judged, Ranking, average_precision, overlap, precision, recall
+from training.scoring import Judged, Ranking, average_precision, precision, recall
 
+from upwash.profiling.agreement import overlap
 from upwash.services import Box, Detection
 
 

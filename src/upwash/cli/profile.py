@@ -7,7 +7,7 @@ import asyncio
 import logging
 import os
 import platform
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,13 +24,22 @@ from upwash.config.drone_file import drone_config
 from upwash.config.reading import read_document
 from upwash.config.values import START_TIMEOUT_S
 from upwash.errors import InstanceError, NotWritten, UsageError
-from upwash.launch.profile import profile_at, profile_on_this_computer
+from upwash.launch.profile import profile_at, profile_on_this_computer, profile_part_on_this_computer
 from upwash.missions.bundled import LoadedService, load_service_alone, load_services
+from upwash.profiling.agreement import read_labels
 from upwash.profiling.profiler import CallSample, OnboardProfile, Watch, calls_to_make, samples, values_of
-from upwash.profiling.report import call_table, chosen_setting, fastest, server_table, service_table
+from upwash.profiling.report import (
+    call_table,
+    chosen_setting,
+    fastest,
+    part_table,
+    server_table,
+    service_table,
+)
 from upwash.real.camera.camera import read_photos
 from upwash.real.camera.video import read_frames
 from upwash.rpc.service import spec_of
+from upwash.services.photo import photo_size
 from upwash.support.output_files import write_file
 from upwash.support.tables import show_table
 from upwash.support.text import counted, printable
@@ -48,6 +57,7 @@ ARGUMENTS = {
     "--server ADDRESS": "measure it there: a name or an address of the configuration",
     "--calls N": option("calls of each operation (default: 20)", default=20),
     "--each SETTING": "measure it with each value of a setting, such as the detector's engine, and name the fastest",
+    "--labels FOLDER": "labels of the photos, as YOLO has them, for the loss of less to send",
     "--out FILE": "where the result goes (default: standard output)",
 }
 
@@ -60,11 +70,14 @@ def run(options: argparse.Namespace) -> bool:
         )
     if options.server and options.each:
         raise UsageError("--each is for this computer: run it on the server for the server's own settings")
+    if options.labels and (options.server or options.each):
+        raise UsageError("--labels is for the part before sending: leave --server and --each out")
     config = _read(options.config) if options.config else None
     start_timeout_s = config.start_timeout_s if config else START_TIMEOUT_S
     service, program = _service(options.service, config)
     read = read_frames if options.photos.is_file() else read_photos
-    found = samples(spec_of(service.cls), read(options.photos, most=options.calls + 1))
+    photos = read(options.photos, most=options.calls + 1)
+    found = samples(spec_of(service.cls), photos)
 
     def here(service: LoadedService) -> OnboardProfile:
         def measure(watch: Watch) -> Coroutine[Any, Any, OnboardProfile]:
@@ -86,8 +99,29 @@ def run(options: argparse.Namespace) -> bool:
         text = said + service_table(
             profile, program=program, computer=_computer(), settings=_settings(service)
         )
+        if service.part is not None:
+            text += _of_part(service, found, photos, start_timeout_s, labels=options.labels)
     _print(table, text, options.out)
     return True
+
+
+def _of_part(
+    service: LoadedService,
+    found: Sequence[CallSample],
+    photos: Mapping[str, bytes],
+    start_timeout_s: float,
+    *,
+    labels: Path | None,
+) -> str:
+    """Measure the part before sending; returns its table."""
+    assert service.part is not None  # noqa: S101 - the caller has looked
+    its = None
+    if labels is not None:
+        its = read_labels(labels, {name: photo_size(photo) for name, photo in photos.items()})
+    profile = asyncio.run(
+        profile_part_on_this_computer(service, found, labels=its, start_timeout_s=start_timeout_s)
+    )
+    return part_table(profile, photos=len(photos), settings=service.part.settings)
 
 
 def _read(file: Path) -> DroneConfig:

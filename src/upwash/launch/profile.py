@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from upwash.config import DroneConfig, ServerConfig
@@ -21,12 +21,15 @@ from upwash.launch.drone import (
 )
 from upwash.missions.bundled import LoadedService
 from upwash.ports import InstanceSpec
+from upwash.profiling.agreement import LabelledBox
 from upwash.profiling.profiler import (
     CallSample,
     OnboardProfile,
+    PartProfile,
     ServerProfile,
     Watch,
     profile_onboard,
+    profile_part,
     profile_server,
 )
 from upwash.real.instances.runtime import OwnProcesses
@@ -52,6 +55,28 @@ async def profile_on_this_computer(
         dialer=own,
         memory_bytes=_peak_memory_bytes,
         watch=watch,
+    )
+
+
+async def profile_part_on_this_computer(
+    service: LoadedService,
+    found: Sequence[CallSample],
+    *,
+    labels: Mapping[str, Sequence[LabelledBox]] | None,
+    start_timeout_s: float,
+) -> PartProfile:
+    """Measures the part of the service before sending, as the drone runs it."""
+    own, spec = OwnProcesses(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES), spec_of(service.cls)
+    assert service.part is not None and spec.before_sending is not None  # noqa: S101 - the caller has looked
+    return await profile_part(
+        InstanceSpec(_PROFILER, spec_of(spec.before_sending).name, service.part, before=spec.name),
+        InstanceSpec(_PROFILER, spec.name, service.program),
+        found,
+        labels=labels,
+        drone=_PROFILER,
+        start_timeout_s=start_timeout_s,
+        runtime=own,
+        dialer=own,
     )
 
 

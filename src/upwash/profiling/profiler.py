@@ -10,7 +10,8 @@ import asyncio
 import inspect
 import itertools
 import statistics
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
 from msgspec import inspect as types
@@ -20,6 +21,7 @@ from upwash.drone.onboard import started
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UpwashError, UsageError
 from upwash.ports import Dialer, InstanceSpec, Link, Network, Runtime
+from upwash.profiling.agreement import LabelledBox, lost, mean_ap50
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Method, ServiceSpec
 from upwash.support.background import beside
@@ -71,6 +73,20 @@ class OnboardProfile:
     def mean_s(self) -> float:
         """The sum of the mean delays of all operations, in seconds."""
         return sum(call.mean_s for call in self.calls)
+
+
+@dataclass(frozen=True)
+class PartProfile:
+    """A part before sending: its mean time and the mean sizes before and after, and what it costs each operation.
+
+    `ap50` has the score of the answers to whole and to smaller requests, by operation, where there are labels.
+    """
+
+    takes_s: float
+    request_bytes: int
+    sent_bytes: int
+    loss: Mapping[Operation, float]
+    ap50: Mapping[Operation, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -153,22 +169,91 @@ async def profile_onboard(
 
     `memory_bytes()` is the instance's peak memory.
     """
+    own = _Own(drone, start_timeout_s, runtime, dialer)
     profiles, starts_s, memories_bytes = [], [], []
     for sample in found:
         began_s = _now_s()
-        instance = await started(runtime, spec, within_s=start_timeout_s)
-        starts_s.append(_now_s() - began_s)
+        async with own.called(spec) as link:
+            starts_s.append(_now_s() - began_s)
+            profiles.append(await _measure(sample, _over(link), calls=calls, watch=watch))
+            memories_bytes.append(memory_bytes())
+    return OnboardProfile(tuple(profiles), tuple(starts_s), max(memories_bytes))
+
+
+async def profile_part(
+    part: InstanceSpec,
+    spec: InstanceSpec,
+    found: Sequence[CallSample],
+    *,
+    labels: Mapping[str, Sequence[LabelledBox]] | None,
+    drone: str,
+    start_timeout_s: float,
+    runtime: Runtime,
+    dialer: Dialer,
+) -> PartProfile:
+    """Measures the part of a service before sending, and compares the answers to whole and to smaller requests.
+
+    Each operation that has the part is called twice for each photo. Raises UsageError where the part fails.
+    """
+    own, delays_s, sizes_bytes = _Own(drone, start_timeout_s, runtime, dialer), list[float](), list[int]()
+    loss, ap50, sending = {}, {}, [sample for sample in found if sample.method.before is not None]
+    async with own.called(part) as its, own.called(spec) as link:
+        for sample in sending:
+            method, request, whole, less = sample.method, _over(link), list[object](), list[object]()
+            for photo, asked in sample.requests.items():
+                began_s = _now_s()
+                try:
+                    reply = await its.request(
+                        service_path(part.service, method.name),
+                        method.request_of_part(asked),
+                        timeout_s=LONGEST_CALL_S,
+                    )
+                    reduced = method.reduced(asked, reply)
+                except (UpwashError, ValueError) as error:
+                    raise UsageError(f"{part.service} failed on {photo}: {error}") from error
+                delays_s.append(_now_s() - began_s)
+                sizes_bytes.append(min(len(asked), len(reduced)))
+                for body, answers in ((asked, whole), (reduced, less)):
+                    answer = await request(sample.operation, body)
+                    require_answer(sample, photo, answer)
+                    answers.append(method.result(method.decode(answer)))
+            loss[sample.operation] = lost(whole, less)
+            if labels is not None:
+                truth = [labels[photo] for photo in sample.requests]
+                scores = ap50[sample.operation] = (mean_ap50(whole, truth), mean_ap50(less, truth))
+                loss[sample.operation] = max(0.0, scores[0] - scores[1])
+    # The first photo is measured too: a flight has a first one.
+    return PartProfile(
+        statistics.fmean(delays_s),
+        round(statistics.fmean(sample.request_bytes for sample in sending)),
+        round(statistics.fmean(sizes_bytes)),
+        loss,
+        ap50,
+    )
+
+
+@dataclass(frozen=True)
+class _Own:
+    """Starts instances on this computer, as a drone does."""
+
+    drone: str
+    start_timeout_s: float
+    runtime: Runtime
+    dialer: Dialer
+
+    @asynccontextmanager
+    async def called(self, spec: InstanceSpec) -> AsyncIterator[Link]:
+        """A link to a new instance, which is stopped at the end of the block."""
+        instance = await started(self.runtime, spec, within_s=self.start_timeout_s)
         try:
-            await instance.admit(frozenset({drone}))
-            link = dialer.dial(instance.endpoint, server=ON_DRONE)
+            await instance.admit(frozenset({self.drone}))
+            link = self.dialer.dial(instance.endpoint, server=ON_DRONE)
             try:
-                profiles.append(await _measure(sample, _over(link), calls=calls, watch=watch))
-                memories_bytes.append(memory_bytes())
+                yield link
             finally:
                 await link.close()
         finally:
             await instance.stop()
-    return OnboardProfile(tuple(profiles), tuple(starts_s), max(memories_bytes))
 
 
 async def profile_server(

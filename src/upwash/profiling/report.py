@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from upwash.profiling.profiler import CallProfile, OnboardProfile, ServerProfile
+from upwash.profiling.profiler import CallProfile, OnboardProfile, PartProfile, ServerProfile
 from upwash.support.text import counted
 
 _MEGA = 1e6
@@ -60,6 +60,26 @@ def service_table(profile: OnboardProfile, *, program: str | None, computer: str
         f"local_call_s = {_delays({_key(call): call.mean_s for call in calls})}",
         f"local_first_extra_s = {first_extra_s:.3f}",
     ]
+    return "\n".join(lines) + "\n"
+
+
+def part_table(profile: PartProfile, *, photos: int, settings: Mapping[str, object]) -> str:
+    """The [service.before_sending] table of a configuration, to be added to the [[service]] table."""
+    lines = [
+        "",
+        "[service.before_sending]",
+        f"# {counted(photos, 'photo')}, {profile.request_bytes:,} bytes before; used if policy.most_loss allows.",
+        *(
+            f"# AP50 of {operation}: {whole:.3f} whole, {less:.3f} with less to send"
+            for operation, (whole, less) in profile.ap50.items()
+        ),
+        f"takes_s = {profile.takes_s:.4f}",
+        f"request_bytes = {profile.sent_bytes}",
+        f"loss = {_delays({operation.key or operation.method: loss for operation, loss in profile.loss.items()})}",
+    ]
+    if settings:
+        given = (f"{_quoted_key(key)} = {json.dumps(value)}" for key, value in settings.items())
+        lines.append(f"settings = {{ {', '.join(given)} }}")
     return "\n".join(lines) + "\n"
 
 
