@@ -114,6 +114,8 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
     places = [*(waypoint.position for waypoint in plan), *(via.position for via in leaving(mission))]
     beliefs = mission_beliefs(config, specs, estimates, plan)
     operations = [call.operation for call in beliefs.stop]
+    alone = [operation for operation in operations if not estimates.needs_server(operation)]
+    operations = alone or operations  # answers that only servers give hold the drone up no more than others
     areas = {} if config.policy.name == "local-only" else server_areas(config)
     known = RowMission(
         plan=plan,
@@ -123,7 +125,9 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         takeoff_s=beliefs.pace.takeoff_s(mission.altitude_m),
         home_s=home_s(config, places[-1], start),
         photo_s=config.camera.photo_s,
-        local_s=sum(estimates.local_s(operation) or 0.0 for operation in operations),
+        local_s=sum(estimates.local_s(operation) or 0.0 for operation in operations)
+        if alone or not operations
+        else math.inf,
         servers={
             name: ServerBelief(
                 area,
@@ -144,6 +148,8 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
 def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
     """A call there, or on the drone if the server does not offer it."""
     remote_s = estimates.remote_s(server, operation)
+    if remote_s is None and estimates.needs_server(operation):
+        return math.inf
     return (estimates.local_s(operation) or 0.0) if remote_s is None else remote_s
 
 

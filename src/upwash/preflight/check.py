@@ -28,6 +28,7 @@ from upwash.eventlog import schema
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
+from upwash.preflight.answers import ServerAnswers, answer_concerns, foretell
 from upwash.preflight.placement import Placement
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
 from upwash.preflight.speed import SpeedCheck, check_speed
@@ -52,8 +53,8 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
     plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
     them. `speed` is the check of the ground speed, if photos are taken in flight. `worth` is what the servers save a
-    drone that is flown well; UNSET without a server or with lighter calls. `placement` has places of servers, if
-    asked for.
+    drone that is flown well; UNSET without a server, with lighter calls, and with services that only servers run.
+    `placement` has places of servers, if asked for. `answers` tells when servers answer the calls of such services.
     """
 
     config: str
@@ -71,6 +72,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     demanding_share: float | UnsetType = UNSET
     speed: SpeedCheck | UnsetType = UNSET
     worth: Worth | UnsetType = UNSET
+    answers: ServerAnswers | UnsetType = UNSET
 
 
 def read_plan(file: Path) -> CheckInput:
@@ -107,6 +109,7 @@ def check(
     predictions = predict(
         dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown
     )
+    answers = foretell(plan.document, plan.config, plan.file)
     return MissionCheck(
         config=str(plan.file),
         waypoints=len(places),
@@ -120,6 +123,7 @@ def check(
         warnings=(
             *warnings(config, covered, list(beliefs(plan.config, alone)), predictions),
             *(PreflightWarning("no-better-answer", why) for why in unkept_deadlines(plan.config, specs)),
+            *(answer_concerns(plan.config, answers) if answers is not None else ()),
             *_refusals(plan.config, alone),
         ),
         notices=tuple(plan_notices(plan.config)),
@@ -127,6 +131,7 @@ def check(
         speed=check_speed(config, speed_why) or UNSET,
         worth=judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
         or UNSET,
+        answers=answers or UNSET,
     )
 
 

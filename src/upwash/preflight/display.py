@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 import msgspec
@@ -17,6 +17,7 @@ from upwash.config import DroneConfig, drone_config, told_pace
 from upwash.eventlog.narration import spans
 from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.figures import FigureFiles
+from upwash.preflight.answers import told_answers
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
 from upwash.preflight.placement import Placement, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
@@ -103,13 +104,9 @@ def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Con
         say(_NO_PACE, console)
     if share := told_share(config):
         say(share, console)
-    if found.worth is not UNSET:
+    for lines in _told(found, config):
         console.print()
-        for line in told_worth(found.worth, config):
-            say(line, console)
-    if found.speed is not UNSET:
-        console.print()
-        for line in told_speed(found.speed):
+        for line in lines:
             say(line, console)
     if config.mission.reserve_s is not None:
         say(_farthest_line(found.farthest, config), console)
@@ -119,6 +116,16 @@ def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Con
             say(line, console)
     console.print()
     print_findings(found.notices, found.warnings, console)
+
+
+def _told(found: MissionCheck, config: DroneConfig) -> Iterator[Iterable[str]]:
+    """The lines of each part that was checked."""
+    if found.worth is not UNSET:
+        yield told_worth(found.worth, config)
+    if found.answers is not UNSET:
+        yield told_answers(found.answers)
+    if found.speed is not UNSET:
+        yield told_speed(found.speed)
 
 
 def _told_placement(placement: Placement, asked: int) -> Iterator[str]:

@@ -13,6 +13,7 @@ from upwash.config import (
     ServerConfig,
     finish_by_s,
     never_offloaded,
+    only_on_servers,
     reserve_percent,
     unsigned_port,
     usable_s,
@@ -68,7 +69,9 @@ def warnings(
     if config.policy.name != LOCAL_ONLY:
         found += _range_concerns(config.servers, covered)
         found += _operation_concerns(config, beliefs)
-        gains_time = not any(service.two_answers for service in config.services)  # else better answers
+        gains_time = not any(
+            service.two_answers or only_on_servers(service) for service in config.services
+        )  # else better answers, or answers at all
         if gains_time and not config.mission.lighter:  # else each case takes the time that it may
             found += _gain_concerns(config, predictions)
     found += _failure_concerns(predictions)

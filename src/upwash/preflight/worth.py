@@ -13,7 +13,7 @@ from pathlib import Path
 from msgspec import Struct
 from msgspec.structs import replace
 
-from upwash.config import Document, DroneConfig, drone_config
+from upwash.config import Document, DroneConfig, drone_config, only_on_servers
 from upwash.errors import ConfigError
 from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.prediction import (
@@ -46,6 +46,8 @@ class Worth(Struct, frozen=True, kw_only=True):
 
 def is_asked(config: DroneConfig) -> bool:
     """Whether there is a choice: servers that may be left at home, and missions that take the time they need."""
+    if any(map(only_on_servers, config.services)):
+        return False
     return bool(config.servers) and config.policy.name != LOCAL_ONLY and not config.mission.lighter
 
 

@@ -42,7 +42,8 @@ class _Computed(NamedTuple):
 class Answering:
     """Answers photos, as time goes on.
 
-    `could` counts the answers that the drone and its servers could have given until `now_s`.
+    `could` counts the answers that the drone and its servers could have given until `now_s`. With an infinite
+    `local_s` only servers answer.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class Answering:
                 if self._remote is not None:
                     return
                 self._remote = _Computed(self._first(), self._remote_end_s(server))
-            elif self._drone is None:
+            elif self._drone is None and self._local_s < math.inf:
                 self._drone = _Computed(self._first(), self._local_end_s())
             else:
                 return
@@ -164,4 +165,4 @@ class Answering:
         if self._server is not None and self._ready_s > self.now_s:
             times_s.append(self._ready_s)
         times_s += [time_s for stay in self._stays.values() for time_s in stay if time_s > self.now_s]
-        return min(times_s)
+        return min(times_s, default=math.inf)  # of photos that only servers answer

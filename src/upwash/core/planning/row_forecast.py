@@ -168,7 +168,8 @@ class _Flight:
             )
         self._fly_over(self._mission.leaving)
         self._brake()  # behind a last spot that is not the row's end
-        self._wait_below(1)
+        if self._waits:
+            self._wait_below(1)
         return RowForecast(
             ground_speed_m_s=self._speed_m_s,
             mission_s=self._now_s + self._mission.home_s,
@@ -178,6 +179,11 @@ class _Flight:
             waited_s=self._waited_s,
             turns_back=self._turns_back,
         )
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the drone waits for answers, as for those that it can give itself."""
+        return self._mission.local_s < math.inf
 
     @property
     def _now_s(self) -> float:
@@ -239,7 +245,7 @@ class _Flight:
         self._row_open = max(self._row_open, len(self._open))
         self._most_open = max(self._most_open, len(self._open))
         self._answering.take(photo, self._now_s + self._mission.photo_s)
-        if len(self._open) >= self._mission.at_most:
+        if self._waits and len(self._open) >= self._mission.at_most:
             self._stops += 1
             self._brake()
             self._wait_below(self._mission.at_most)
