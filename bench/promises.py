@@ -10,10 +10,13 @@ import argparse
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
+from bench.baselines.kept import PARTS as BASELINES
+from bench.baselines.kept import Measured, shown
 from bench.gains.kept import TABLE
 from bench.gains.kept import read as read_missions
 from bench.gains.tables import Flown
@@ -196,7 +199,14 @@ def _gains(result: Result) -> str:
         f"`{result.command}` {_measured(result)}: {figures.missions:,} missions in {figures.worlds} worlds, "
         f"{figures.seeds} seeds, {figures.took_s / 60:.0f} minutes on {figures.cores} cores."
     )
-    return f"{measured}\n\n{gained(read_missions(TABLE), by_step=False)}"
+    brief, *_ = gained(read_missions(TABLE)).split("\n\n")
+    return f"{measured}\n\n{brief}"
+
+
+def _baselines(part: str, result: Result) -> str:
+    figures = _figures(result, Measured)
+    missions = f": {figures.missions:,} missions in {figures.worlds} worlds" if figures.missions else ""
+    return f"`{result.command}` {_measured(result)}{missions}.\n\n{shown(part, figures)}"
 
 
 def _validation() -> str:
@@ -232,6 +242,7 @@ PARTS: Mapping[str, Callable[[Result], str]] = {
     "gains": _gains,
     "sharing": _sharing,
     "stay_or_go": _stay_or_go,
+    **{f"baselines_{part}": partial(_baselines, part) for part in BASELINES},
 }
 COLLECTED = {"validation": _validation}  # each from several results
 

@@ -54,26 +54,30 @@ def worlds_of(missions: Sequence[Missions]) -> list[World]:
 
 
 MANNERS_HEAD = (
-    "world", "demands", "waits: alone, served", "learns", "moves", "flown well", "servers save", "of the possible",
-)  # fmt: skip
+    "world",
+    "waits",
+    "learns",
+    "moves",
+    "flown well, min",
+    "saved by it, %",
+    "of the possible, %",
+)
 
 
 def by_manner(worlds: Sequence[World]) -> Table:
-    """Minutes of the drone alone and with servers, by manner; then the quickest manner of each."""
-    for world in worlds:
-        alone, served, least = (world.quickest(who) for who in (ALONE, SERVED, LEAST))
-        possible_s = world.mean_s(alone) - world.mean_s(least)
-        gained_s = world.mean_s(alone) - world.mean_s(served)
+    """What servers save in each manner, and between the quickest of each side; a figure for each share of demands."""
+    for name in dict.fromkeys(world.name for world in worlds):
+        own = [world for world in worlds if world.name == name]
+        ways = [[world.quickest(who) for who in (ALONE, SERVED, LEAST)] for world in own]
+        pairs = list(zip(own, ways, strict=True))
         yield (
-            world.name,
-            world.group,
-            *(
-                _pair(world, f"{ALONE}, {manner}", f"{SERVED}, {manner}")
-                for manner in ("waits", "learns", "moves")
+            name,
+            *(_all(_saved_by(world, manner) for world in own) for manner in ("waits", "learns", "moves")),
+            _all(
+                f"{_minutes(world, alone)}, {_minutes(world, served)}" for world, (alone, served, _) in pairs
             ),
-            f"{_pair(world, alone, served)} ({_short(alone)}, {_short(served)})",
-            _percent(world.saved(alone, served)),
-            f"{100 * gained_s / possible_s:.0f} %" if possible_s > 1.0 else "-",
+            _all(_figure(world.saved(alone, served)) for world, (alone, served, _) in pairs),
+            _all(_of_the_possible(world, *names) for world, names in pairs),
         )
 
 
@@ -194,16 +198,31 @@ def _share(values: Sequence[float], holds: Callable[[float], bool]) -> str:
     return f"{100 * sum(map(holds, values)) / len(values):.0f} %"
 
 
-def _pair(world: World, alone: str, served: str) -> str:
-    if not (world.flies(alone) and world.flies(served)):
-        return ""
-    return f"{world.mean_s(alone) / 60:.1f}, {world.mean_s(served) / 60:.1f}"
+def _all(cells: Iterable[str]) -> str:
+    found = list(cells)
+    return " / ".join(found if len(set(found)) > 1 else found[:1])
 
 
-def _short(variant: str) -> str:
-    return variant.partition(", ")[2]
+def _saved_by(world: World, manner: str) -> str:
+    alone, served = f"{ALONE}, {manner}", f"{SERVED}, {manner}"
+    return f"{round(world.saved(alone, served).value) + 0:d}" if world.flies(alone) else "-"
+
+
+def _minutes(world: World, variant: str) -> str:
+    return f"{world.mean_s(variant) / 60:.1f}"
+
+
+def _of_the_possible(world: World, alone: str, served: str, least: str) -> str:
+    possible_s = world.mean_s(alone) - world.mean_s(least)
+    return (
+        f"{100 * (world.mean_s(alone) - world.mean_s(served)) / possible_s:.0f}" if possible_s > 1.0 else "-"
+    )
 
 
 def _percent(mean: Mean) -> str:
+    return f"{_figure(mean)} %"
+
+
+def _figure(mean: Mean) -> str:
     margin = f" ± {mean.margin:.1f}" if mean.count > 1 else ""
-    return f"{round(mean.value, 1) + 0.0:.1f}{margin} %"  # no "-0.0"
+    return f"{round(mean.value, 1) + 0.0:.1f}{margin}"  # no "-0.0"

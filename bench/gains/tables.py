@@ -24,10 +24,10 @@ class Flown(msgspec.Struct, frozen=True, kw_only=True):
     took_s: float
 
 
-def tables(kept: Kept, *, by_step: bool = True) -> str:
-    """The results of the missions, one table after the other; seconds of each step and mission times come last."""
+def tables(kept: Kept) -> str:
+    """The results of the missions, one table after the other; the brief one comes first."""
     worlds = measured_worlds(kept.missions)
-    made = (brief_table, share_table, *((step_table, time_table) if by_step else ()))
+    made = (brief_table, share_table, step_table, time_table)
     return "\n\n".join(table(kept.variants, worlds) for table in made)
 
 

@@ -39,16 +39,7 @@ DRAWN = worlds_of(
 
 def test_each_side_is_flown_in_its_quickest_manner() -> None:
     (first, _) = by_manner(DRAWN)
-    assert first == (
-        "7, 10 s",
-        "none",
-        "10.0, 5.0",
-        "4.0, 3.8",
-        "",
-        "4.0, 3.8 (learns, learns)",
-        "5.0 %",
-        "60 %",
-    )
+    assert first == ("7, 10 s", "50", "5", "-", "4.0, 3.8", "5.0", "60")
 
 
 def test_losses_are_counted_as_gains_are() -> None:
