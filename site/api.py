@@ -43,7 +43,7 @@ _SECTIONS = {
     "In a notebook": (
         *("simulate", "Simulation", "simulate_fleet", "FleetSimulation", "compare", "ComparedPolicy"),
         "draw_world",
-        *("read_log", "read_result", "Event", "RunResult", "CallResult", "Totals", "EnergyTotals"),
+        *("read_log", "read_result", "Event", "Events", "RunResult", "CallResult", "Totals", "EnergyTotals"),
         *("Bound", "FleetBound"),
     ),
 }
@@ -59,6 +59,7 @@ _GIVEN = (
     "Payload",
     "User",
     "Event",
+    "Events",
 )  # users get these, and make none
 _LONGEST_LINE = 100
 _ALL_OTHERS = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}

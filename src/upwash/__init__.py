@@ -47,6 +47,7 @@ __all__ = [
     "EarthPosition",
     "EnergyTotals",
     "Event",
+    "Events",
     "FleetBound",
     "FleetSimulation",
     "GeoPosition",
@@ -95,6 +96,7 @@ if TYPE_CHECKING:
     from upwash.drone.pending import Demand, Pending
     from upwash.drone.photographer import Photographer, PhotoPose
     from upwash.drone.vehicle import Vehicle
+    from upwash.eventlog.log import Events
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
@@ -114,7 +116,7 @@ else:
         "upwash.drone.photographer": ("Photographer", "PhotoPose"),
         "upwash.core.camera.georeference": ("Place", "Unplaced"),
         "upwash.drone.pending": ("Demand", "Pending"),
-        "upwash.eventlog.log": ("read_log",),
+        "upwash.eventlog.log": ("Events", "read_log"),
         "upwash.eventlog.results": ("CallResult", "EnergyTotals", "RunResult", "Totals", "read_result"),
         "upwash.eventlog.schema": ("Event",),
         "upwash.lab.campaigns.comparison": ("ComparedPolicy", "compare"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -208,3 +209,29 @@ def test_each_call_leads_back_to_the_selection_of_its_server(policy: str) -> Non
     for decided in (each for each in run.events if isinstance(each, schema.Decided) and each.server):
         assert decided.check is not None
         assert selected[decided.check].server == decided.server == decided.selected
+
+
+def test_a_log_is_data_frames_of_its_calls_and_of_each_kind(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    run = simulate(read_scenario(SCENARIOS / "demonstration.toml"))
+    (tmp_path / "flown.jsonl").write_bytes(run.log())
+    log = event_log.read(tmp_path / "flown.jsonl")
+    calls = log.to_pandas()
+    assert isinstance(calls, pandas.DataFrame)
+    assert list(calls["place"]) == [call.place for call in run.result.calls]
+    assert calls["delay_s"].sum() == pytest.approx(run.result.totals.service_delay_s)
+    decided = log.to_pandas("decided")
+    assert len(decided) == sum(event.kind == "decided" for event in log)
+    assert {"t", "why", "position.east_m"} <= set(decided.columns)
+    assert list(log.to_pandas("hedged").columns[:2]) == ["t", "waypoint"]
+    with pytest.raises(UsageError, match="'photograph' is no kind of event"):
+        log.to_pandas("photograph")
+
+
+def test_data_frames_without_pandas_are_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    (tmp_path / "flown.jsonl").write_bytes(OPENED)
+    with pytest.raises(
+        UsageError, match=r"pandas is not installed: `pip install 'upwash\[pandas\]'` installs it"
+    ):
+        event_log.read(tmp_path / "flown.jsonl").to_pandas()

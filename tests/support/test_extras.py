@@ -229,6 +229,7 @@ def test_each_command_and_each_extra_is_tried() -> None:
     ]
     assert {command.split()[0] for command, _ in COMMANDS} == set(choices)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    # A setting needs ncnn (tests/services/test_detector.py); detector-gpu stands for detector.
-    of_commands = set(project["optional-dependencies"]) - {"ncnn", "detector-gpu"}
+    # Settings need ncnn (tests/services/test_detector.py), data frames pandas (tests/eventlog/test_log.py).
+    # detector-gpu stands for detector.
+    of_commands = set(project["optional-dependencies"]) - {"ncnn", "detector-gpu", "pandas"}
     assert of_commands == set(MODULES) == {extra for _, extra in COMMANDS if extra}

@@ -11,14 +11,17 @@ import logging
 import os
 import stat
 from collections.abc import Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 
 from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.results import CallResult, read_result
 from upwash.eventlog.schema import Event
+from upwash.support.loading import extra
 from upwash.support.text import printable
 
 LONGEST_LINE_BYTES = 2**24
@@ -31,13 +34,38 @@ _BEGINNINGS = (b'{"event":', b'{"t":')  # of every line that is written, and of 
 _log = logging.getLogger("upwash.event_log")
 
 
-def read(file: str | os.PathLike[str]) -> list[Event]:
+def read(file: str | os.PathLike[str]) -> Events:
     """The events of a log, flown or simulated; a warning tells the lines that are left out. Raises UsageError.
 
     `t` counts seconds from the start of the program, and docs/event-log.md has the fields of each kind. A last line
     that was left unfinished is no event yet.
     """
-    return list(EventLog(Path(file)))
+    return Events(EventLog(Path(file)))
+
+
+class Events(list[Event]):
+    """The events of a log, in their order."""
+
+    def to_pandas(self, kind: str = "") -> Any:
+        """A pandas.DataFrame: a row for each call, or for each event of that kind, such as "decided".
+
+        Columns are the fields of `CallResult`, or of the event; those of a position are columns of their own, such as
+        `position.east_m`. UsageError for a kind that no event has, and without pandas.
+        """
+        with extra("pandas"):
+            import pandas
+        if kind and kind not in _KINDS:
+            raise UsageError(
+                f"{printable(kind, _LONGEST_WHY)!r} is no kind of event: docs/event-log.md lists them"
+            )
+        columns = (
+            next(event.__struct_fields__ for event in schema.EVENTS if schema.kind_of(event) == kind)
+            if kind
+            else tuple(field.name for field in fields(CallResult))
+        )
+        rows = [event for event in self if event.kind == kind] if kind else read_result(self).calls
+        table = [{name: msgspec.to_builtins(getattr(row, name)) for name in columns} for row in rows]
+        return pandas.json_normalize(table) if table else pandas.DataFrame(columns=columns)
 
 
 class EventLog(Iterable[Event]):
