@@ -43,7 +43,8 @@ def shown(part: str, measured: Measured, missions: Sequence[Missions] | None = N
     """The part's table, of these missions or of those that are kept."""
     if part == "knowing":
         known = convert(measured.figures, list[Known])
-        return f"{tables.in_markdown(tables.KNOWN_HEAD, tables.by_knowledge(known))}\n\n{tables.worst_regrets(known)}"
+        head, *rows = tables.by_knowledge(known)
+        return f"{tables.in_markdown(head, rows)}\n\n{tables.worst_regrets(known)}"
     if part == "reserving":
         shared = convert(measured.figures, list[Shared])
         return tables.in_markdown(tables.SHARED_HEAD, tables.by_sharing(shared))

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from statistics import fmean, median, quantiles
 
-from bench.baselines.knowing import MANNERS as DECISIONS
 from bench.baselines.knowing import Known
 from bench.baselines.manners import ALONE, CLIENTS, COPIES, LEAST, MANNERS, REPLICATED, SERVED
 from bench.baselines.reserving import WAYS, Shared
@@ -127,14 +126,13 @@ def _held_out(worlds: Sequence[World]) -> Iterator[World]:
         yield World("held out", f"{len(drawn)} drawn worlds", drawn)
 
 
-KNOWN_HEAD = ("calls", "demands", "stay, min", *(f"{manner} gains" for manner in DECISIONS[1:]))
-
-
 def by_knowledge(found: Sequence[Known]) -> Table:
-    """What each manner of deciding gains over staying."""
-    for row in found:
-        cells = (f"{gain:.1f} ± {margin:.1f} %" for gain, margin in row.gains.values())
-        yield row.calls, row.chance, f"{row.stay_min:.2f}", *cells
+    """What going, learning and knowing gain over staying, in %: a row for each kind of demands, the head first."""
+    calls = list(dict.fromkeys(row.calls for row in found))
+    yield "an answer has a demand", *calls
+    for chance in dict.fromkeys(row.chance for row in found):
+        own = {row.calls: row.gains.values() for row in found if row.chance == chance}
+        yield chance, *(" / ".join(f"{gain:.1f}" for gain, _ in own[each]) for each in calls)
 
 
 def worst_regrets(found: Sequence[Known]) -> str:
@@ -153,7 +151,8 @@ def worst_regrets(found: Sequence[Known]) -> str:
             if name not in most or value > most[name][0]:
                 most[name] = (value, row)
     parts = (f"{name} up to {value:.1f} % ({row.calls}; {row.chance})" for name, (value, row) in most.items())
-    return f"Learning {'; '.join(parts)}."
+    margin = max(margin for row in found for _, margin in row.gains.values())
+    return f"Intervals are ± {margin:.1f} or less. Learning {'; '.join(parts)}."
 
 
 SHARED_HEAD = ("drones", *WAYS)
