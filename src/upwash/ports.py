@@ -90,16 +90,23 @@ class DeadMan(Protocol):
         """Releases the switch, so that it ignores silence. Returns once it confirms, or does not answer."""
 
 
-class Autopilot(Protocol):
+class Whereabouts(Protocol):
+    """Where the drone is."""
+
+    @property
+    def position(self) -> Position:
+        """Where the vehicle is by its last report, relative to the mission's home."""
+
+    async def border_crossed(self, circles: Sequence[Circle]) -> None:
+        """Returns when the vehicle next enters or leaves any of the circles; AutopilotLost if it falls silent."""
+
+
+class Autopilot(Whereabouts, Protocol):
     """A vehicle that can be flown. An action returns when it is complete, or raises AutopilotError.
 
     No action sends a command unless the program has the vehicle: from `claim` on, until a report shows another owner
     (`core.vehicle.control`). AutopilotOverruled then.
     """
-
-    @property
-    def position(self) -> Position:
-        """Where the vehicle is by its last report, relative to the mission's home."""
 
     @property
     def earth_position(self) -> EarthPosition | None:
@@ -194,9 +201,6 @@ class Autopilot(Protocol):
 
     async def disarm(self) -> None:
         """Stops the motors; refused by the vehicle in flight."""
-
-    async def border_crossed(self, circles: Sequence[Circle]) -> None:
-        """Returns when the vehicle next enters or leaves any of the circles; AutopilotLost if it falls silent."""
 
     async def close(self) -> None:
         """Gives up the connection to the vehicle; the vehicle is left as it is."""

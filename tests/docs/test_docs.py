@@ -166,7 +166,7 @@ def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) 
         known -= {"processing_s", "images", "local_first_extra_s", "latitude_deg", "longitude_deg"}
         tables = {
             *("mission", "vehicle", "autopilot", "network", "keys", "camera", "user", "policy", "heat"),
-            *("energy", "event", "noise", "truth", "settings", "before_sending"),
+            *("energy", "event", "noise", "truth", "settings", "before_sending", "ros"),
         }
         assert known - tables <= written, f"not on the page: {known - tables - written}"
     assert set(FleetDroneConfig.__struct_fields__) <= written | {"waypoints_m", "plan"}

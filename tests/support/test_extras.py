@@ -31,6 +31,7 @@ class Hidden:
 sys.meta_path.insert(0, Hidden())
 """
 MODULES = {
+    "bag": {"numpy", "rosbags"},
     "campaign": {"distributed"},
     "detector": {"cv2", "numpy", "onnx", "onnxruntime"},
     "discovery": {"ifaddr", "zeroconf"},
@@ -62,6 +63,7 @@ name = "detector"
 name = "s1"
 """
 FILES = {
+    "replayed.toml": 'camera.bag = "with"' + DRONE,
     "rendered.toml": "camera.park_seed = 1" + DRONE,
     "filmed.toml": "camera.device = 0" + DRONE,
     "measured.toml": 'metrics = "127.0.0.1:0"\ncamera.folder = "photos"' + DRONE,
@@ -134,6 +136,9 @@ COMMANDS = [
     ("simulate rendered.toml", "detector"),
     ("report with.jsonl -o page.html", ""),
     ("report with.jsonl --mcap with.mcap", "mcap"),
+    ("report with.jsonl --bag with", "bag"),
+    ("fly --config replayed.toml", "bag"),
+    ("ros --config rendered.toml", ""),
     ("reproduce --seeds 1 --figures figures", "figures"),
     (f"campaign {THESIS} --seeds 1 --cluster 127.0.0.1:1", "campaign"),
     (f"campaign {THESIS} --seeds 1 --out out.parquet", "parquet"),

@@ -34,6 +34,7 @@ _COMMANDS = {
     "init": "make a folder with a mission, a service, configurations, keys and a test",
     "fly": "fly a mission",
     "check": "predict a mission, and warn of problems, before take-off",
+    "ros": "run a ROS 2 node whose images are computed here or on a server",
     "serve": "run an edge daemon",
     "status": "ask an edge daemon for its leases, instances and refusals",
     "keys": "make an authority and certificates for servers and drones, or show them",

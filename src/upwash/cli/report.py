@@ -32,8 +32,9 @@ ARGUMENTS = {
     "--geojson FILE": "tracks, waypoints, ranges, calls and photos",
     "--findings FILE": "each thing that was found, as .csv, .geojson or .kml; as .zip all three, with pictures",
     "--mcap FILE": "a recording that Foxglove opens",
+    "--bag DIR": "a ROS 2 bag, a new folder",
     "--scenario FILE": OTHERS_FLY,
-    "--photos DIR": "with -o, --mcap or --findings: the folder of the photos that the logs name",
+    "--photos DIR": "with -o, --mcap, --bag or --findings: the folder of the photos that the logs name",
     "--json": "print the results as one JSON array",
 }
 
@@ -48,8 +49,8 @@ def run(options: argparse.Namespace) -> None:
         (options.mcap, functools.partial(_recording, photos=options.photos)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    if options.photos and not (options.mcap or options.out or options.findings):
-        raise UsageError("--photos goes with -o, --mcap or --findings: nothing else has photos in it")
+    if options.photos and not (options.mcap or options.out or options.findings or options.bag):
+        raise UsageError("--photos goes with -o, --mcap, --bag or --findings: nothing else has photos in it")
     if options.findings and _suffix(options.findings) not in FORMATS:
         endings = ", ".join(f".{name}" for name in FORMATS)
         raise UsageError(
@@ -58,12 +59,16 @@ def run(options: argparse.Namespace) -> None:
     if options.scenario and not options.out:
         raise UsageError("--scenario goes with -o: only the page says what other policies would have done")
     wanted = [(file, write) for file, write in files if file is not None]
-    if not wanted:
+    if not wanted and not options.bag:
         raise UsageError(
-            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE or --json"
+            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --findings FILE, --mcap FILE, --bag DIR "
+            "or --json"
         )
     if [file for file, _ in wanted].count(_PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
+    if options.bag:
+        with extra("bag"):
+            from upwash.report.bag import write_bag
     records = read_records(options.logs)
     written = [(file, write(records)) for file, write in wanted]
     for file, content in written:
@@ -72,6 +77,9 @@ def run(options: argparse.Namespace) -> None:
         else:
             write_file(file, content)
             print(f"written: {file}", file=sys.stderr)
+    if options.bag:
+        write_bag(records, options.bag, photos=options.photos)
+        print(f"written: {options.bag}", file=sys.stderr)
 
 
 def _page(records: Sequence[Record], *, options: argparse.Namespace) -> Iterable[bytes]:

@@ -33,6 +33,7 @@ from upwash.config.drone import (
     PhotosConfig,
     PolicyConfig,
     ProbeConfig,
+    RosConfig,
     SafeEnd,
     ServerConfig,
     ServiceConfig,

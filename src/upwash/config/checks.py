@@ -267,7 +267,13 @@ def _battery_problems(config: DroneConfig) -> Iterator[Problem]:
 
 
 def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
-    sources = {"folder": camera.folder, "device": camera.device, "park_seed": camera.park_seed}
+    sources = {
+        "folder": camera.folder,
+        "device": camera.device,
+        "topic": camera.topic if camera.bag is None else None,  # else it chooses one of the bag's
+        "bag": camera.bag,
+        "park_seed": camera.park_seed,
+    }
     found = [key for key, value in sources.items() if value is not None]
     if len(found) > 1:
         yield "camera", f"photos from several places: give one of {listed(sources)}, found {listed(found)}"

@@ -199,7 +199,7 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where photos come from: one of three sources."""
+    """Where photos come from: one source."""
 
     photo_s: values.NotNegative = 1.0
     """The time of a photo, in seconds; a device takes its own time."""
@@ -207,6 +207,11 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """A folder whose JPEG and PNG files are the photos, in turn."""
     device: values.VideoSource | None = None
     """A video device's number or path, a video file's path, a stream's URL, or GStreamer's pipeline."""
+    topic: values.Text | None = None
+    """A [ROS 2](ros.md) topic: of `sensor_msgs/CompressedImage` if its name ends in `compressed`, else of
+    `sensor_msgs/Image`."""
+    bag: values.FilePath | None = None
+    """A ROS 2 bag, whose images are the photos, in turn; with `topic` those of that topic."""
     latency_s: values.NotNegative = 0.0
     """Delay from capture to arrival of a device's frame, in seconds: streams can lag by a second."""
     fov_deg: FieldOfView | None = None
@@ -233,6 +238,16 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     photos](findings.md#kept-photos)."""
     park_seed: values.CountFromZero | None = None
     """Photos are rendered: the solar park of this seed, below the drone."""
+
+
+class RosConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The node of [`upwash ros`](ros.md)."""
+
+    position: values.Text | None = None
+    """The topic of the drone's place: of `sensor_msgs/NavSatFix`, as MAVROS has at `/mavros/global_position/global`,
+    or below `/fmu/out/` of `px4_msgs/VehicleGlobalPosition`; needs `mission.home`."""
+    at_most: values.PhotoCount = 1
+    """How many photos wait for each service; with more the oldest is dropped, and the newest is computed next."""
 
 
 _LEFT_ALONE_S = 60.0
@@ -500,6 +515,7 @@ class DroneConfig(
     network: NetworkConfig = NetworkConfig()
     keys: values.KeysConfig | None = None
     camera: CameraConfig = CameraConfig()
+    ros: RosConfig = RosConfig()
     user: UserConfig = UserConfig()
     policy: PolicyConfig = PolicyConfig()
     services: Annotated[

@@ -26,7 +26,7 @@ from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import TwoAnswers
 from upwash.errors import AutopilotLost
 from upwash.eventlog import schema
-from upwash.ports import Autopilot, Journal
+from upwash.ports import Journal, Whereabouts
 from upwash.support.background import first
 
 _NAMES: Mapping[type[Decision], Literal["local", "remote", "wait"]] = {
@@ -40,7 +40,12 @@ class Decisions:
     """Tells the core what happens, asks it where calls run, and passes its commands on by `send`."""
 
     def __init__(
-        self, selection: Selection, *, autopilot: Autopilot, journal: Journal, send: Callable[[Command], None]
+        self,
+        selection: Selection,
+        *,
+        autopilot: Whereabouts,
+        journal: Journal,
+        send: Callable[[Command], None],
     ) -> None:
         self.server_left = asyncio.Event()  # by a decision on a call, which selects no other server
         self.looked_after: Callable[[], object] = lambda: None  # called when the next look may have moved
@@ -244,7 +249,7 @@ class Background:
         areas: Sequence[Circle],
         *,
         period_s: float,
-        autopilot: Autopilot,
+        autopilot: Whereabouts,
         journal: Journal,
     ) -> None:
         self._decisions = decisions

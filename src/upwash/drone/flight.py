@@ -29,16 +29,20 @@ from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
 from upwash.drone.api import Drone, Mission, User
-from upwash.drone.before_sending import BeforeSending, RunningPart
 from upwash.drone.coming_down import ComingDown, Descent, end_safely, follow
 from upwash.drone.home import planned_home
 from upwash.drone.mission import MissionThread, mission_failed
-from upwash.drone.offloading import Offloading
-from upwash.drone.onboard import OnboardServices
 from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls
 from upwash.drone.photographer import Photographer
-from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of, unkept_deadlines
+from upwash.drone.preparation import (
+    make_offloading,
+    make_selection,
+    onboard_services,
+    order_of,
+    parts_before_sending,
+    unkept_deadlines,
+)
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.rows import RowRules
 from upwash.drone.seeking import Seeking
@@ -59,7 +63,6 @@ from upwash.ports import (
     Camera,
     Dialer,
     Finder,
-    InstanceSpec,
     Journal,
     Network,
     Notifier,
@@ -69,7 +72,6 @@ from upwash.ports import (
 )
 from upwash.rpc.service import ServiceSpec, spec_of
 from upwash.support.background import end, start
-from upwash.support.heat import Surroundings
 
 _AT_ONCE_S = 1.0  # a person cannot have read of the reserve before
 _WORDS_KEPT = 8  # of the vehicle, as a reason of a loss
@@ -136,13 +138,13 @@ class Flight:
         self._stop_following = asyncio.Event()
         # The vehicle's, with their times.
         self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(maxlen=_WORDS_KEPT)
-        self._onboard = _onboard_services(config, specs, programs, ports)
+        self._onboard = onboard_services(config, specs, programs, ports)
         selection = make_selection(config, specs, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self.demand_map = demand_map_of(config, self._plan)
         self._stay_rule = StayRule(config.policy.stay_or_go, self.demand_map)
-        self._before_sending = _before_sending(config, specs, parts, ports)
-        self._offloading = _offloading(
+        self._before_sending = parts_before_sending(config, specs, parts, ports)
+        self._offloading = make_offloading(
             config, specs, selection, ports, self._onboard, before_sending=self._before_sending
         )
         self._watch = self._reserve_watch()
@@ -500,75 +502,6 @@ class Flight:
             ),
             action_s=self._config.mission.action_s,
         )
-
-
-def _onboard_services(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: Ports
-) -> OnboardServices:
-    heats = Surroundings(config.heat.ambient_c, config.heat.load_w) if config.heat else None
-    return _started_by(
-        ports,
-        config,
-        [
-            InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s, heats=heats)
-            for service in config.services
-            if specs[service.name].on_drone
-        ],
-    )
-
-
-def _started_by(ports: Ports, config: DroneConfig, instances: Sequence[InstanceSpec]) -> OnboardServices:
-    return OnboardServices(
-        instances,
-        drone=config.name,
-        start_timeout_s=config.start_timeout_s,
-        runtime=ports.onboard_runtime,
-        dialer=ports.onboard_dialer,
-        journal=ports.journal,
-    )
-
-
-def _before_sending(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: Ports
-) -> BeforeSending:
-    """The parts that may be used."""
-    parts = {}
-    for service in config.services if config.policy.most_loss else ():
-        cls, measured = specs[service.name].before_sending, service.before_sending
-        if cls is not None and measured is not None and service.name in programs:
-            name = spec_of(cls).name
-            instance = InstanceSpec(config.name, name, programs[service.name], before=service.name)
-            parts[service.name] = RunningPart(name, measured.takes_s, _started_by(ports, config, [instance]))
-    return BeforeSending(parts, ports.journal)
-
-
-def _offloading(
-    config: DroneConfig,
-    specs: Mapping[str, ServiceSpec],
-    selection: Selection,
-    ports: Ports,
-    onboard: OnboardServices,
-    *,
-    before_sending: BeforeSending,
-) -> Offloading:
-    photos = config.mission.photos
-    waiting_bytes = {
-        service.name: service.waiting_bytes for service in config.services if not specs[service.name].on_drone
-    }
-    return Offloading(
-        selection,
-        endpoints(config, selection.estimates, ports.finder),
-        period_s=config.policy.period_s,
-        autopilot=ports.autopilot,
-        networks=ports.networks,
-        dialer=ports.dialer,
-        onboard=onboard,
-        journal=ports.journal,
-        hedging=make_hedging(config, selection.estimates),
-        before_sending=before_sending,
-        first=photos.order if photos else "oldest" if waiting_bytes else None,
-        waiting_bytes=waiting_bytes,
-    )
 
 
 def _why(error: BaseException) -> str:

@@ -32,7 +32,7 @@ from upwash.drone.server_calls import ServerCalls
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema
-from upwash.ports import Autopilot, Dialer, Journal, Network
+from upwash.ports import Dialer, Journal, Network, Whereabouts
 from upwash.rpc.service import Method
 from upwash.support.background import end, first, start
 
@@ -52,7 +52,7 @@ class Offloading:
         endpoints: Mapping[str, ServerEndpoint],
         *,
         period_s: float,
-        autopilot: Autopilot,
+        autopilot: Whereabouts,
         networks: Sequence[Network],
         dialer: Dialer,
         onboard: OnboardServices,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import get_args
+from typing import Literal, Protocol, get_args
 
 from msgspec.structs import replace
 
@@ -38,11 +38,15 @@ from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import LighterSettings, SelectionSettings, TwoAnswers
 from upwash.core.vehicle.geofence import breached_by_way
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
+from upwash.drone.before_sending import BeforeSending, RunningPart
+from upwash.drone.offloading import Offloading
+from upwash.drone.onboard import OnboardServices
 from upwash.drone.own_policy import policy_of
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
-from upwash.ports import Finder
-from upwash.rpc.service import Method, ServiceSpec
+from upwash.ports import Dialer, Finder, InstanceSpec, Journal, Network, Program, Runtime, Whereabouts
+from upwash.rpc.service import Method, ServiceSpec, spec_of
+from upwash.support.heat import Surroundings
 from upwash.support.text import counted
 
 
@@ -68,6 +72,110 @@ def make_selection(
             lands=ending(config.mission) == "land",
         ),
         mission=mission_beliefs(config, specs, estimates, plan),
+    )
+
+
+class CallPorts(Protocol):
+    """The ports that calls need; `networks` has one for each radio."""
+
+    @property
+    def autopilot(self) -> Whereabouts:
+        """Where the drone is."""
+
+    @property
+    def networks(self) -> Sequence[Network]:
+        """A network for each radio."""
+
+    @property
+    def dialer(self) -> Dialer:
+        """Opens links to servers."""
+
+    @property
+    def onboard_dialer(self) -> Dialer:
+        """Opens links to the drone's own services."""
+
+    @property
+    def onboard_runtime(self) -> Runtime:
+        """Starts the drone's own services."""
+
+    @property
+    def journal(self) -> Journal:
+        """The event log."""
+
+    @property
+    def finder(self) -> Finder | None:
+        """Looks up addresses that the configuration does not have."""
+
+
+def onboard_services(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
+) -> OnboardServices:
+    """The configured services on the drone, which are yet to be started."""
+    heats = Surroundings(config.heat.ambient_c, config.heat.load_w) if config.heat else None
+    return _started_by(
+        ports,
+        config,
+        [
+            InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s, heats=heats)
+            for service in config.services
+            if specs[service.name].on_drone
+        ],
+    )
+
+
+def _started_by(ports: CallPorts, config: DroneConfig, instances: Sequence[InstanceSpec]) -> OnboardServices:
+    return OnboardServices(
+        instances,
+        drone=config.name,
+        start_timeout_s=config.start_timeout_s,
+        runtime=ports.onboard_runtime,
+        dialer=ports.onboard_dialer,
+        journal=ports.journal,
+    )
+
+
+def parts_before_sending(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], programs: Mapping[str, Program], ports: CallPorts
+) -> BeforeSending:
+    """The parts that may be used."""
+    parts = {}
+    for service in config.services if config.policy.most_loss else ():
+        cls, measured = specs[service.name].before_sending, service.before_sending
+        if cls is not None and measured is not None and service.name in programs:
+            name = spec_of(cls).name
+            instance = InstanceSpec(config.name, name, programs[service.name], before=service.name)
+            parts[service.name] = RunningPart(name, measured.takes_s, _started_by(ports, config, [instance]))
+    return BeforeSending(parts, ports.journal)
+
+
+def make_offloading(
+    config: DroneConfig,
+    specs: Mapping[str, ServiceSpec],
+    selection: Selection,
+    ports: CallPorts,
+    onboard: OnboardServices,
+    *,
+    before_sending: BeforeSending,
+    first: Literal["oldest", "newest"] | None = None,
+) -> Offloading:
+    """What makes the drone's calls; `first` is the order of several that are open, in place of the mission's."""
+    photos = config.mission.photos
+    waiting_bytes = {
+        service.name: service.waiting_bytes for service in config.services if not specs[service.name].on_drone
+    }
+    return Offloading(
+        selection,
+        endpoints(config, selection.estimates, ports.finder),
+        period_s=config.policy.period_s,
+        autopilot=ports.autopilot,
+        networks=ports.networks,
+        dialer=ports.dialer,
+        onboard=onboard,
+        journal=ports.journal,
+        hedging=make_hedging(config, selection.estimates),
+        before_sending=before_sending,
+        first=first or (photos.order if photos else "oldest" if waiting_bytes else None),
+        waiting_bytes=waiting_bytes,
     )
 
 

@@ -8,7 +8,7 @@ import functools
 import inspect
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +19,7 @@ from upwash.config import CameraConfig, DroneConfig
 from upwash.core.camera.lens import Lens
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
+from upwash.eventlog.schema import Event
 from upwash.missions.bundled import load_mission
 from upwash.ports import Camera, Photo
 from upwash.real.camera.calibration import read_calibration
@@ -31,7 +32,8 @@ from upwash.support.loading import extra
 from upwash.support.text import counted
 
 NO_CAMERA = (
-    "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
+    "no camera: say in [camera] where photos come from: folder, device, topic, bag, or park_seed for rendered "
+    "ones"
 )
 _TAKES = ("take_photo", ".frames(")
 _MOST_FILES = 2000  # of a folder: a card may hold more than a person waits for
@@ -52,7 +54,10 @@ class NoCamera:
 def needs_camera(config: DroneConfig) -> bool:
     """Whether a camera is configured, or the source of the mission or its imports takes photos."""
     camera = config.camera
-    if camera.folder is not None or camera.device is not None or camera.park_seed is not None:
+    if any(
+        source is not None
+        for source in (camera.folder, camera.device, camera.topic, camera.bag, camera.park_seed)
+    ):
         return True
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     program = mission.func if isinstance(mission, functools.partial) else mission
@@ -79,11 +84,20 @@ def _source(module: ModuleType) -> str:
 
 
 def camera_without_device(config: CameraConfig, *, in_flight: bool = False) -> Camera | None:
-    """The configured camera, or None for a device, which is not opened; raises UsageError."""
+    """The configured camera, or None for a device or a topic, which is not opened; raises UsageError."""
     if config.folder is not None:
         return FolderCamera(config.folder, photo_s=config.photo_s, lens=_lens(config), in_flight=in_flight)
     if config.park_seed is not None:
         return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
+    if config.bag is not None:
+        with extra("bag"):
+            from upwash.real.camera.bag import BagCamera
+        return BagCamera(config.bag, config.topic, photo_s=config.photo_s, lens=_lens(config))
+    if config.topic is not None:
+        from upwash.ros.camera import require_ros
+
+        require_ros()
+        return None
     if config.device is None:
         raise UsageError(NO_CAMERA)
     with extra("detector"):
@@ -112,6 +126,10 @@ async def opened_camera(
     `in_flight` is whether photos are taken without a stop.
     """
     camera = camera_without_device(config, in_flight=in_flight)
+    if camera is None and config.topic is not None:
+        from upwash.ros.camera import topic_camera
+
+        return stack.enter_context(topic_camera(config.topic, lens=_lens(config)))
     if camera is None:
         assert config.device is not None  # noqa: S101
         camera = stack.enter_context(
@@ -120,6 +138,12 @@ async def opened_camera(
             )
         )
     return camera
+
+
+def followers_of(camera: Camera) -> tuple[Callable[[Event], None], ...]:
+    """What publishes the events of a flight where the camera's photos come from: in ROS 2, or nowhere."""
+    follow = getattr(camera, "follow", None)
+    return () if follow is None else (follow,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +168,7 @@ async def look(config: DroneConfig) -> Look:
         here = Position(0.0, 0.0, config.mission.altitude_m)
         first = await camera.take_photo(here)
         photos = {first.source: first.jpeg}
-        if config.camera.device is None:
+        if config.camera.device is None and (config.camera.topic is None or config.camera.bag is not None):
             return Look(photos)
         await asyncio.sleep(_APART_S)
         second = await camera.take_photo(here)

@@ -12,7 +12,7 @@ from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.drone.networks import NetworkCell, NoNetwork, PositionNetwork
 from upwash.errors import CredentialsError, UsageError
 from upwash.mavlink.signing import Signing
-from upwash.ports import Autopilot, Finder, Journal, Network
+from upwash.ports import Finder, Journal, Network, Whereabouts
 from upwash.real.link.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import read_signing
@@ -127,7 +127,7 @@ def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credent
 
 
 async def opened_networks(
-    config: DroneConfig, autopilot: Autopilot, journal: Journal, stack: contextlib.AsyncExitStack
+    config: DroneConfig, autopilot: Whereabouts, journal: Journal, stack: contextlib.AsyncExitStack
 ) -> list[Network]:
     """A network for each radio, until the stack is closed; raises NetworkError if a radio cannot be used."""
     radios = range(config.network.radios)

@@ -26,7 +26,7 @@ from upwash.drone.resumption import order_begun, waypoints_done
 from upwash.drone.speed import with_speed
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
-from upwash.launch.cameras import NoCamera, needs_camera, opened_camera
+from upwash.launch.cameras import NoCamera, followers_of, needs_camera, opened_camera
 from upwash.launch.drone import (
     connect_vehicle,
     drone_credentials,
@@ -96,6 +96,7 @@ async def fly(
         if needs_camera(config):
             in_flight = config.mission.photos is not None
             camera = await opened_camera(config.camera, stack, in_flight=in_flight)
+            watchers += followers_of(camera)
         journal = stack.enter_context(
             contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes, unwritten=unwritten))
         )

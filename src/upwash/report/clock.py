@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from foxglove.messages import Timestamp
+from typing import TYPE_CHECKING
 
 from upwash.report.record import Record
+
+if TYPE_CHECKING:
+    from foxglove.messages import Timestamp
 
 _NS = 1_000_000_000
 _LATEST_NS = (2**32 - 1) * _NS  # seconds of messages have 32 bits: in 2106
@@ -22,5 +25,7 @@ class RecordClock:
         return min(_LATEST_NS, max(0, self._began_ns + round(at_s * _NS)))
 
     def time(self, at_s: float) -> Timestamp:
-        """As messages have it."""
+        """As Foxglove's messages have it."""
+        from foxglove.messages import Timestamp
+
         return Timestamp(*divmod(self.ns(at_s), _NS))

@@ -1,0 +1,191 @@
+"""PROGRAM: computes a stream of photos by the services, on the drone or a server, without a flight.
+
+Each service has a line of its own: the newest photo is computed next, and of those that wait only the newest
+`at_most` are kept. An exception of a service is an answer too.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from upwash.config import DroneConfig
+from upwash.core.operation import Operation
+from upwash.drone.pending import Hearing
+from upwash.drone.preparation import make_offloading, make_selection, onboard_services, parts_before_sending
+from upwash.errors import UpwashError
+from upwash.eventlog import schema
+from upwash.ports import Dialer, Finder, Journal, Network, Program, Runtime, Whereabouts
+from upwash.rpc.service import Method, ServiceSpec
+from upwash.support.background import beside
+
+T = TypeVar("T")
+_NUMBERS = schema.MOST_ITEMS  # of photos in the log, again and again
+
+
+@dataclass(frozen=True, slots=True)
+class StreamPorts:
+    """The ports that a stream needs; `networks` has one for each radio."""
+
+    autopilot: Whereabouts
+    networks: Sequence[Network]
+    dialer: Dialer
+    onboard_dialer: Dialer
+    onboard_runtime: Runtime
+    journal: Journal
+    finder: Finder | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StreamAnswer:
+    """What became of a photo: a value, or why there is none; `call` has where and how long, if it was answered."""
+
+    service: str
+    method: str
+    value: object = None
+    why: str = ""
+    call: schema.Call | None = None
+
+
+def photo_method(spec: ServiceSpec) -> Method | None:
+    """The service's first method that takes a photo and needs nothing besides, but its profile key; None if none."""
+    for method in spec.methods.values():
+        parameters = list(method.signature.parameters.values())
+        takes_photo = bool(parameters) and parameters[0].annotation in (bytes, "bytes")
+        if (
+            takes_photo
+            and not method.once
+            and all(
+                other.name == method.profile_by or other.default is not other.empty
+                for other in parameters[1:]
+            )
+        ):
+            return method
+    return None
+
+
+class _Line(Generic[T]):
+    """Photos of one service, the newest first; `dropped` counts those that were never computed."""
+
+    def __init__(self, at_most: int) -> None:
+        self._waiting = deque[T](maxlen=at_most)
+        self._came = asyncio.Event()
+        self.dropped = 0
+        self.last: T | None = None
+
+    def add(self, photo: T) -> None:
+        self.dropped += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(photo)
+        self.last = photo
+        self._came.set()
+
+    async def newest(self) -> T:
+        while not self._waiting:
+            self._came.clear()
+            await self._came.wait()
+        return self._waiting.pop()
+
+
+class Stream(Generic[T]):
+    """Computes photos of type `T`, which `jpeg` makes a JPEG of when it is a photo's turn.
+
+    `answered` gets each photo with its answer. `jpeg` may raise UpwashError, which is the photo's answer.
+    """
+
+    def __init__(
+        self,
+        config: DroneConfig,
+        *,
+        specs: Mapping[str, ServiceSpec],
+        programs: Mapping[str, Program],
+        parts: Mapping[str, Program],
+        ports: StreamPorts,
+        jpeg: Callable[[T], Awaitable[bytes]],
+        answered: Callable[[T, StreamAnswer], None],
+        at_most: int,
+    ) -> None:
+        self._mode = config.mission.mode
+        self._methods = {name: method for name, spec in specs.items() if (method := photo_method(spec))}
+        self._jpeg, self._answered = jpeg, answered
+        self._lines = {name: _Line[T](at_most) for name in self._methods}
+        self._numbers = itertools.count()
+        self._calls: dict[int, schema.Call] = {}  # by the number of the photo
+        self._onboard = onboard_services(config, specs, programs, ports)
+        self._before_sending = parts_before_sending(config, specs, parts, ports)
+        self._offloading = make_offloading(
+            config,
+            specs,
+            make_selection(config, specs, ()),
+            ports,
+            self._onboard,
+            before_sending=self._before_sending,
+            first="newest",
+        )
+
+    @property
+    def link(self) -> tuple[str | None, float | None]:
+        """The server in use and the round-trip time (s) to it, as `Offloading.link`."""
+        return self._offloading.link
+
+    def dropped(self, service: str) -> int:
+        """How many photos were replaced by newer ones before their turn."""
+        return self._lines[service].dropped
+
+    def follow(self, event: schema.Event) -> None:
+        """Takes in an event of the journal: where calls were computed."""
+        if isinstance(event, schema.Call) and event.waypoint is not None:
+            self._calls[event.waypoint] = event
+
+    def offer(self, photo: T) -> None:
+        """Puts the photo first in every service's line."""
+        for line in self._lines.values():
+            line.add(photo)
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Computes photos until the end of the block; raises InstanceError if a service cannot run at all."""
+        try:
+            await self._onboard.start()
+            await self._before_sending.start()
+            async with self._offloading.running(), beside(self._compute_all(), name="photos of a stream"):
+                yield
+        finally:
+            await self._before_sending.close()
+            await self._onboard.close()
+
+    async def ask(self, service: str) -> tuple[T | None, StreamAnswer]:
+        """The newest photo with its answer, before all other photos; the answer says why if none has come."""
+        photo = self._lines[service].last
+        if photo is None:
+            return None, StreamAnswer(service, self._methods[service].name, why="no photo has come yet")
+        return photo, await self._answer(service, photo, urgent=True)
+
+    async def _compute_all(self) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            for service in self._methods:
+                tasks.create_task(self._compute(service))
+
+    async def _compute(self, service: str) -> None:
+        while True:
+            photo = await self._lines[service].newest()
+            self._answered(photo, await self._answer(service, photo))
+
+    async def _answer(self, service: str, photo: T, *, urgent: bool = False) -> StreamAnswer:
+        method, number = self._methods[service], next(self._numbers) % _NUMBERS
+        try:
+            keys = {} if method.profile_by is None else {method.profile_by: method.argument(self._mode)}
+            key, request = method.encode((await self._jpeg(photo),), keys)
+            operation = Operation(service, method.name, key)
+            reply = await self._offloading.invoke(
+                operation, method, request, number, urgent=urgent, hearing=Hearing()
+            )
+            value = method.result(reply)
+        except Exception as error:  # noqa: BLE001 - of the service, or of the photo: the stream goes on
+            text = str(error) if isinstance(error, UpwashError) else f"{type(error).__name__}: {error}"
+            return StreamAnswer(service, method.name, why=text, call=self._calls.pop(number, None))
+        return StreamAnswer(service, method.name, value, call=self._calls.pop(number, None))

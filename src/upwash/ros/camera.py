@@ -1,0 +1,85 @@
+"""A Camera whose photos come from a ROS 2 topic."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+from collections.abc import Iterator
+from typing import Any
+
+from upwash.core.camera.lens import Lens
+from upwash.core.geo import Position
+from upwash.errors import CameraError
+from upwash.ports import Photo
+from upwash.ros.session import ros_imports, spinning
+from upwash.ros.topics import EventTopic, ImageTopic, age_s
+from upwash.services.ros_image import jpeg_of_message
+from upwash.support.background import in_thread
+
+_PHOTO_S = 5.0
+
+
+class TopicCamera:
+    """A Camera whose photo is the first image of a topic that was taken after the request, by its stamp.
+
+    An image whose stamp is in the future or older than 5 s counts as taken when it comes. The events of the flight
+    are published at `~/events`.
+    """
+
+    def __init__(self, node: Any, topic: str, *, lens: Lens | None) -> None:
+        self.follow = EventTopic(node).follow
+        self._node, self._lens = node, lens
+        self._loop = asyncio.get_running_loop()
+        self._requests: list[tuple[float, asyncio.Future[tuple[Any, float]]]] = []
+        self._topic = ImageTopic(node, topic, self._take, now_s=self._loop.time)
+
+    async def take_photo(self, at: Position) -> Photo:
+        """Returns the next image as a JPEG; raises CameraError if none comes in 5 s, or if it is no photo."""
+        came: asyncio.Future[tuple[Any, float]] = self._loop.create_future()
+        request = self._loop.time(), came
+        self._requests.append(request)
+        try:
+            message, captured_s = await asyncio.wait_for(came, _PHOTO_S)
+        except TimeoutError:
+            why = "; ".join(self._topic.troubles()) or "see that its node runs, and takes pictures"
+            raise CameraError(self._topic.name, f"no image within {_PHOTO_S:g} s: {why}") from None
+        finally:
+            self._requests.remove(request)
+        jpeg = await in_thread(
+            functools.partial(jpeg_of_message, self._topic.name, message), name="an image of ROS 2"
+        )
+        return Photo(jpeg, captured_s, source=_source(self._topic.name, message), lens=self._lens)
+
+    def _take(self, message: Any) -> None:
+        if not self._requests:
+            return
+        captured_s = self._loop.time() - age_s(self._node, message)
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            self._loop.call_soon_threadsafe(self._hand_out, message, captured_s)
+
+    def _hand_out(self, message: Any, captured_s: float) -> None:
+        for asked_s, came in self._requests:
+            if captured_s >= asked_s and not came.done():
+                came.set_result((message, captured_s))
+
+
+def _source(topic: str, message: Any) -> str:
+    stamp = message.header.stamp
+    return f"{topic} at {stamp.sec}.{stamp.nanosec:09}"
+
+
+@contextlib.contextmanager
+def topic_camera(topic: str, *, lens: Lens | None) -> Iterator[TopicCamera]:
+    """The camera, until the end of the block, by a node called `upwash`; raises UsageError without ROS 2."""
+    with ros_imports():
+        from rclpy.node import Node
+    with spinning(functools.partial(Node, "upwash")) as node:
+        yield TopicCamera(node, topic, lens=lens)
+
+
+def require_ros() -> None:
+    """Raises UsageError where ROS 2 cannot be imported."""
+    with ros_imports():
+        import rclpy  # noqa: F401
+        import sensor_msgs.msg  # noqa: F401

@@ -1,0 +1,71 @@
+"""`upwash report --bag`: what rosbags reads from the bag, and the bag as a camera."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from tests.report.test_mcap import FLOWN, JPEG, write
+
+from upwash.cli.main import main
+from upwash.core.geo import Position
+from upwash.errors import UsageError
+from upwash.real.camera.bag import BagCamera
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """A short flight with one photo as a bag."""
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "1.jpg").write_bytes(JPEG)
+    log, folder = write(tmp_path / "flown.jsonl", FLOWN), tmp_path / "flown"
+    assert main(["report", str(log), "--bag", str(folder), "--photos", str(tmp_path / "photos")]) == 0
+    return folder
+
+
+def test_a_bag_has_the_flight_in_standard_messages(bag: Path) -> None:
+    found: dict[str, list[tuple[float, Any]]] = {}
+    with Reader(bag) as reader:
+        for connection, time_ns, raw in reader.messages():
+            message = TYPES.deserialize_cdr(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append((time_ns, message))
+    ((taken_ns, image),) = found["/camera/image/compressed"]
+    assert (bytes(image.data), image.format) == (JPEG, "jpeg")
+    assert image.header.stamp.sec * 10**9 + image.header.stamp.nanosec == taken_ns
+    assert found["/upwash/events"][0][0] == taken_ns - round(3.5e9)
+    assert len(found["/upwash/events"]) == len(FLOWN)
+    ((_, fix), *_) = found["/fix"]
+    assert (round(fix.latitude, 3), fix.altitude) == (39.0, 20.0)
+    states = [json.loads(said.data) for _, said in found["/upwash/servers"]]
+    assert states == [
+        {"selected": ["s1"], "states": {"s1": "CHECK"}},
+        {"selected": [], "states": {"s1": "BLACKLISTED"}},
+    ]
+    assert max(said.level for _, said in found["/rosout"]) >= 30
+
+
+def test_the_images_of_a_bag_are_a_cameras_photos_again_and_again(bag: Path) -> None:
+    async def take() -> list[bytes]:
+        camera = BagCamera(bag, None, photo_s=0.0, lens=None)
+        return [(await camera.take_photo(Position(0, 0))).jpeg for _ in range(2)]
+
+    assert asyncio.run(take()) == [JPEG, JPEG]
+
+
+def test_a_bag_that_is_none_or_lacks_the_topic_is_named(bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot be read as a ROS 2 bag"):
+        BagCamera(tmp_path / "photos", None, photo_s=0.0, lens=None)
+    with pytest.raises(UsageError, match="has images of /camera/image/compressed: name one"):
+        BagCamera(bag, "/other", photo_s=0.0, lens=None)
+
+
+def test_no_bag_is_written_over_another(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(bag.parent / "flown.jsonl"), "--bag", str(bag)]) == 2
+    assert "name one that is not there yet" in capsys.readouterr().err
