@@ -138,7 +138,10 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros]:
     with running(
         ROOT / "tests" / "system" / "ros" / "peer.py", folder=tmp_path_factory.mktemp("peer")
     ) as process:
-        yield Ros(process)
+        peer = Ros(process)
+        for topic, kind in ((RESULT, STRING), ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")):
+            peer("listen", topic=topic, kind=kind)
+        yield peer
 
 
 @pytest.fixture(scope="module")
@@ -162,8 +165,6 @@ def node(
     folder = tmp_path_factory.mktemp("node")
     (folder / "mission.py").write_text(COUNTER)
     (folder / "drone.toml").write_text(DRONE + f'address = "{server[0]}"\n')
-    for topic, kind in ((RESULT, STRING), ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")):
-        ros("listen", topic=topic, kind=kind)
     ros("listen", topic="/upwash/servers", kind=STRING, latched=True)
     with running("-m", "upwash", "ros", "--config", "drone.toml", folder=folder) as process:
         assert ros("wait", topic="/upwash/servers", text="READY")  # a server was selected
@@ -241,8 +242,7 @@ def test_photos_go_on_at_the_drone_when_the_server_is_killed(
     server[1].send_signal(signal.SIGKILL)
     ros("forget", topic=RESULT)
     for size in range(4100, 4104):
-        ros.photo(size)
-        (answer,) = ros.answers(f":{size}")
+        answer = ros.computed(size)
         assert answer["place"] == "local" and "error" not in answer
     assert ros.status("s1", "")["level"] == 1
     node.send_signal(signal.SIGINT)

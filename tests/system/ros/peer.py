@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import os
 import sys
 import threading
 import time
@@ -98,12 +99,12 @@ class Peer:
     def call(self, service: str, kind: str, fields: dict[str, Any] | None = None) -> Any:
         """The reply of a service; None if it is not there, or does not answer."""
         client = self.node.create_client(_type(kind), service)
-        if not client.wait_for_service(10.0):
+        if not client.wait_for_service(30.0):
             return None
         request = _type(kind).Request()
         _set(request, fields or {})
         reply = client.call_async(request)
-        until_s = time.monotonic() + 20
+        until_s = time.monotonic() + 30
         while not reply.done() and time.monotonic() < until_s:
             time.sleep(0.02)
         return _plain(reply.result()) if reply.done() else None
@@ -127,6 +128,7 @@ def main() -> None:
             wanted = json.loads(line)
             sys.stdout.write(json.dumps(getattr(peer, wanted.pop("do"))(**wanted)) + "\n")
             sys.stdout.flush()
+    os._exit(0)  # without a thread of ROS that ends later than what it needs
 
 
 main()
