@@ -15,7 +15,7 @@ from upwash.errors import UsageError
 from upwash.real.instances.sandbox import find_sandbox
 
 QUICK = {  # what each prints, among others
-    "baselines": r"\| waits \| 3 \| .*\n(.*\n)*.*\| 10 % \|( -?[\d.]+ /?){3} \|(.*\n)*\| 2, same field, 2 servers \|",
+    "baselines": r"\| waits \| 3 \| .*\n(.*\n)*.*\| 10 % \|( -?[\d.]+ /?){3}\|(.*\n)*\| 2, same field, 2 servers \|",
     "batches": r"\nheavy +[\d.]+ ms( +[\d.]+){3}\n",
     "call": r"upwash, on the server, mutual TLS +[\d.]+ ms +[\d.]+\n",
     "decide": r"range everywhere +median [\d.]+ ms",
