@@ -18,6 +18,7 @@ from typing import Any
 from unittest.mock import patch
 
 import msgspec
+import tests.sim.planted_answers
 import tests.sim.planted_rows
 import tests.sim.planted_vehicle  # noqa: F401 - which declares defects, as planted_rows does
 from msgspec.structs import replace

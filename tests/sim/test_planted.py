@@ -37,6 +37,9 @@ FOUND_BY_SEED = {
     "a service that does not start is tried without pause": 136,
     "a drone ignores the pause that a server names": 136,
     "a photo whose demand was met is taken again": 1109,
+    "the first answer counts where a better one came": 569,
+    "the demand of a better answer is not met": 569,
+    "the demand of each of two answers is met": 109,
 }
 
 

@@ -441,7 +441,9 @@ class Calling:
         elif (attempt := better.result()) is not None:
             if computing is not None and not computing.task.done():
                 return structs.replace(self._won(attempt, computing), call=call)
-            return CallAnswer(attempt.answer, call, attempt, first_s=answer.first_s if answer else None)
+            if answer is None:
+                return CallAnswer(attempt.answer, call, attempt)
+            return CallAnswer(attempt.answer, call, attempt, answer.onboard_s, first_s=answer.first_s)
         if answer is None:
             assert computing is not None  # noqa: S101 - without a better answer the drone has computed
             await computing.task  # which raises why it has none
@@ -510,12 +512,10 @@ class Calling:
         hearing, selection = twice.hearing, self._decisions.selection
         while twice.by_s - now_s() > _MOMENT_S and not hearing.enough.is_set():
             in_use = selection.current
-            is_next = in_use is None or twice.turn.is_next(in_use.name, twice.by_s)
-            sent, may_come = None, not is_next
-            if is_next:
-                sent, may_come = self._decisions.better(
-                    call.operation, by_s=twice.by_s, waypoint=call.waypoint
-                )
+            is_next = in_use is not None and twice.turn.is_next(in_use.name, twice.by_s)
+            sent, may_come = self._decisions.better(
+                call.operation, by_s=twice.by_s, is_next=is_next, waypoint=call.waypoint
+            )
             if sent is not None:
                 return sent
             if hearing.waits.is_set() and not may_come:

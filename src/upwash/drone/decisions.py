@@ -95,12 +95,17 @@ class Decisions:
         self._told = asyncio.Event()
 
     def decide(
-        self, operation: Operation, *, waypoint: int | None = None, on_drone: bool = False
+        self,
+        operation: Operation,
+        *,
+        waypoint: int | None = None,
+        on_drone: bool = False,
+        drone_is_busy: bool = False,
     ) -> Decision:
         """Decide where the call that the mission makes now runs, and whether lighter; log the decision."""
         position = self._autopilot.position
         decision, effects = self.selection.decide(
-            operation, now_s=now_s(), position=position, on_drone=on_drone
+            operation, now_s=now_s(), position=position, on_drone=on_drone, drone_is_busy=drone_is_busy
         )
         lightened = decision.inputs.lightened
         self._decided(lightened.operation if lightened else operation, decision, effects, position, waypoint)
@@ -151,11 +156,13 @@ class Decisions:
         return self.selection.two_answers(operation)
 
     def better(
-        self, operation: Operation, *, by_s: float, waypoint: int | None = None
+        self, operation: Operation, *, by_s: float, is_next: bool, waypoint: int | None = None
     ) -> tuple[Remote | None, bool]:
         """The READY server for a call's better answer, logged, or None; and whether one may become of use by then."""
         position = self._autopilot.position
-        decision, may_come = self.selection.better(operation, by_s=by_s, now_s=now_s(), position=position)
+        decision, may_come = self.selection.better(
+            operation, by_s=by_s, is_next=is_next, now_s=now_s(), position=position
+        )
         if decision is not None:
             self._decided(operation, decision, (), position, waypoint)
         return decision, may_come

@@ -31,13 +31,14 @@ from upwash.drone.decisions import Decisions, now_s
 class Turn:
     """The turn of a call to be decided; `take` gets the decision, None for the drone without one.
 
-    With `on_drone` only the drone is free for it. `leave` frees its place before the call is answered. `at_server` is
-    a block with the server as a further place, for a better answer; `is_next(server, by_s)` tells whether the server
-    is free for it, of the calls that it can answer by their times.
+    With `on_drone` only the drone is free for it, and with `drone_is_busy` only a server. `leave` frees its place
+    before the call is answered. `at_server` is a block with the server as a further place, for a better answer;
+    `is_next(server, by_s)` tells whether the server is free for it, of the calls that it can answer by their times.
     """
 
     take: Callable[[Decision | None], None]
     on_drone: bool = False
+    drone_is_busy: bool = False
     leave: Callable[[], None] = lambda: None
     is_next: Callable[[str, float], bool] = lambda *_: True
     at_server: Callable[[str], contextlib.AbstractContextManager[object]] = contextlib.nullcontext
@@ -143,6 +144,7 @@ class CallLine:
             yield Turn(
                 take,
                 on_drone=free == "drone",
+                drone_is_busy=ON_DRONE in self._busy(operation),
                 leave=leave,
                 is_next=partial(self._is_next, call, operation),
                 at_server=partial(self._at_server, call, operation),

@@ -199,7 +199,12 @@ class Offloading:
 
     async def _invoke(self, asked: Invocation, turn: Turn, hearing: Hearing, *, asked_s: float) -> Any:
         began_s = now_s()
-        decision = self._decisions.decide(asked.operation, waypoint=asked.waypoint, on_drone=turn.on_drone)
+        decision = self._decisions.decide(
+            asked.operation,
+            waypoint=asked.waypoint,
+            on_drone=turn.on_drone,
+            drone_is_busy=turn.drone_is_busy,
+        )
         call = asked.lighter(decision.inputs.lightened)
         wait: Literal["", "paid off", "failed"] = ""
         why = decision.why

@@ -191,10 +191,12 @@ class CallPlacement:
             return None, math.inf
         return replace(decision, why=f"{server.name} is ready, and sooner", raced=True), math.inf
 
-    def better(self, operation: Operation, by_s: float, now_s: float) -> tuple[Remote | None, bool]:
+    def better(
+        self, operation: Operation, by_s: float, now_s: float, *, is_next: bool
+    ) -> tuple[Remote | None, bool]:
         """The server in use, READY to answer by then a call whose first answer the drone computes; None without one.
 
-        The second value tells whether the server may become of use in time.
+        The second value tells whether the server may become of use in time, as where the call `is_next` there.
         """
         server = self._radios.in_use
         if server is None or not server.in_range or server.state not in (State.READY, *CHECKING):
@@ -209,7 +211,7 @@ class CallPlacement:
             begins_s = max(now_s, self._recovery.trial_due_s(server.name, operation))
         if begins_s + remote_s > by_s:
             return None, False
-        if server.state is not State.READY or begins_s > now_s:
+        if server.state is not State.READY or begins_s > now_s or not is_next:
             return None, True
         decision, _ = self.decide(operation, now_s)
         if not isinstance(decision, Remote):

@@ -156,9 +156,18 @@ class Selection:
         return self._settings.two_answers.get(operation)
 
     def decide(
-        self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
+        self,
+        operation: Operation,
+        *,
+        now_s: float,
+        position: Position,
+        on_drone: bool = False,
+        drone_is_busy: bool = False,
     ) -> tuple[Decision, list[Effect]]:
-        """Decide where a call made now runs; `inputs.lightened` of the decision is set if it runs lighter."""
+        """Decide where a call made now runs; `inputs.lightened` of the decision is set if it runs lighter.
+
+        With `on_drone` the server in use is busy with earlier calls for too long.
+        """
         self._locate(position, now_s)
         if self._comes_down:
             self._comes_down, self._planning.changed = False, True
@@ -170,7 +179,7 @@ class Selection:
         operation = lightened.operation if lightened else operation
         first = self._settings.two_answers.get(operation)
         decision, effects = self._placement.decide(
-            operation, now_s, on_drone=on_drone, first=first.first if first else None
+            operation, now_s, on_drone=on_drone, first=first.first if first and not drone_is_busy else None
         )
         self._planning.decided(decision, operation, now_s)
         if lightened is not None:
@@ -210,14 +219,14 @@ class Selection:
         return decision, again_s
 
     def better(
-        self, operation: Operation, *, by_s: float, now_s: float, position: Position
+        self, operation: Operation, *, by_s: float, is_next: bool, now_s: float, position: Position
     ) -> tuple[Remote | None, bool]:
         """The server that can answer a call by then whose first answer the drone computes; None without one.
 
-        The second value tells whether the server in use may become of use in time.
+        The second value tells whether the server in use may become of use in time, as where the call `is_next` there.
         """
         self._locate(position, now_s)
-        return self._placement.better(operation, by_s, now_s)
+        return self._placement.better(operation, by_s, now_s, is_next=is_next)
 
     def may_send(self, server: str, check: int, *, now_s: float, position: Position) -> bool:
         """Whether a call that was decided for the server, READY since that check, may still go there."""

@@ -14,6 +14,7 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.core.planning.demand_map import DemandMap
 from upwash.drone.resumption import waypoints_done
 from upwash.eventlog import schema
+from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing
 from upwash.lab.faults.history import (
@@ -28,6 +29,7 @@ from upwash.lab.faults.history import (
     may_be_cut_short,
     position_jumps,
     service_of,
+    within_s,
 )
 from upwash.lab.faults.mission import ActionReport, demands_something, is_waited_for
 from upwash.lab.observer import Observation
@@ -42,7 +44,7 @@ def bounded_calls(history: History) -> Iterator[Breach]:
     computed: dict[str, deque[Observation]] = {}  # by service, as a hedged call may outlast one of another
     for fact in history.own("computed"):
         computed.setdefault(service_of(fact), deque()).append(fact)
-    calls = list(calls_of(history.run.events))
+    calls = list(calls_of(history.run.events, within_s=within_s(history.config)))
     before_s: dict[str, float] = {}  # of the last hedged call, by service
     if not history.seen:  # without an observer: no longer than the longest in the log
         for call in calls:
@@ -60,8 +62,8 @@ def bounded_calls(history: History) -> Iterator[Breach]:
         most_s = math.inf if flies_rows(history.config) else before_s.get(service, 0.0)  # in line with others
         if call.queued_s > most_s + SLACK_S:
             yield ended, f"waited {call.queued_s:.3f} s for a service that needed {most_s:.3f} s"
-        if flies_rows(history.config) and not ended.onboard_s:
-            continue  # it was in line for the drone's service until a server answered it
+        if flies_rows(history.config) and (not ended.onboard_s or within_s(history.config)):
+            continue  # it was in line until a server answered it; or calls do not end in the order of computing
         if computed.get(service) and call.computed:
             before_s[service] = took_s = computed[service].popleft().took_s
             if ended.onboard_s > took_s + SLACK_S:
@@ -121,6 +123,9 @@ def one_answer(history: History) -> Iterator[Breach]:
     """One result a call, its own; a server's within the deadline."""
     for call in calls_of(history.run.events):
         yield from _unbelievable(call)
+    if within_s(history.config):
+        yield from _two_answers(history)
+        return
     told, known = _told(history), set[int]()
     for number, (event, heard) in enumerate(told):
         if flies_rows(history.config):
@@ -138,6 +143,41 @@ def one_answer(history: History) -> Iterator[Breach]:
     calls, open_ones = len(history.run.result.calls), _answers_open(history)
     if not calls - open_ones <= len(told) <= calls:
         yield None, f"{counted(calls, 'call')} ended, and {counted(len(told), 'answer')} reached the mission"
+
+
+def _two_answers(history: History) -> Iterator[Breach]:
+    """At most two answers a call, each its own: the first, and then a better one by the deadline, which counts."""
+    firsts, whereabouts = set[int | None](), CallPlaces()
+    for event in history.run.events:
+        whereabouts.take(event)
+        if isinstance(event, schema.FirstAnswer):
+            if event.waypoint in firsts:
+                yield event, f"waypoint {event.waypoint} had a first answer before"
+            firsts.add(event.waypoint)
+        elif isinstance(event, schema.AnswerTaken) and not event.failed and whereabouts.answered is None:
+            yield event, f"the answer of waypoint {event.waypoint} was taken before its call was over"
+    last_s = within_s(history.config) + SLACK_S
+    counted_modes: dict[int | None, str] = {}
+    for call in history.run.result.calls:
+        counted_modes[call.waypoint] = call.key
+        if call.first_s is not None and call.server is not None and call.delay_s > last_s:
+            yield None, f"waypoint {call.waypoint} had a better answer {call.delay_s:.3f} s after its call"
+    heard: dict[int, list[str]] = {}
+    for event, report in _told(history):
+        if report.raised:
+            continue
+        modes, mode = heard.setdefault(report.asked, []), report.answer["mode"]
+        if mode in modes or "heavy" in modes:
+            yield event, f"call {report.asked} was answered by {mode} after {modes}"
+        if report != probing.expected(history.config.mission.program, mode, report.asked):
+            yield (
+                event,
+                f"call {report.asked} was answered by {report.answer}, which is another call's answer",
+            )
+        modes.append(mode)
+    for number, modes in heard.items():
+        if "heavy" in modes and counted_modes.get(number) == "light":
+            yield None, f"call {number} had a better answer, and the first one counted"
 
 
 def _answers_open(history: History) -> int:
@@ -254,7 +294,8 @@ def answers(history: History) -> Iterator[Breach]:
         yield from _miscounted(history.run.demand_map, history.run.events)
     if history.run.result.completed:
         done = sorted(action.done for _, action in _done(history.run.events))
-        wanted = [number for number in range(len(places)) if demands_something(program, number)]
+        keys = {call.waypoint: call.key for call in history.run.result.calls}
+        wanted = [n for n in range(len(places)) if demands_something(program, n, keys.get(n, ""))]
         if done != wanted:
             yield None, f"actions {wanted} were demanded, and {done} done"
 

@@ -16,6 +16,7 @@ from upwash.lab.faults.history import (
     deadline_of,
     flies_rows,
     may_be_cut_short,
+    within_s,
 )
 from upwash.lab.observer import Observation
 from upwash.support.text import counted
@@ -44,7 +45,8 @@ def autonomy(history: History) -> Iterator[Breach]:
         yield None, f"arrived at {len(arrived)} of {counted(len(planned), 'waypoint')}"
     if history.alone is not None:
         made, wanted = (
-            [(call.waypoint, call.operation) for call in flown.result.calls] for flown in (run, history.alone)
+            [(call.waypoint, call.asked or call.operation) for call in flown.result.calls]
+            for flown in (run, history.alone)
         )
         if flies_rows(history.config):
             made, wanted = sorted(made, key=str), sorted(wanted, key=str)
@@ -62,7 +64,7 @@ def no_harm(history: History) -> Iterator[Breach]:
     before answers are not judged: their losses depend on when answers come.
     """
     yield from _hedged_too_much(history)
-    if history.config.policy.stay_or_go != "stay" or flies_rows(history.config):
+    if history.config.policy.stay_or_go != "stay" or flies_rows(history.config) or within_s(history.config):
         return
     if history.alone is None or history.run.failure or history.alone.failure:
         return

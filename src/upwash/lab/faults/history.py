@@ -40,11 +40,12 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class FlownCall:
-    """One call of the mission, its decisions, and its hedge or None."""
+    """One call of the mission, its decisions, and its hedge or None; a better answer counts `within_s`."""
 
     decisions: tuple[schema.Decided, ...]
     ended: schema.Call
     hedged: schema.Hedged | None = None
+    within_s: float = 0.0
 
     @property
     def allowed_s(self) -> float:
@@ -76,13 +77,12 @@ class FlownCall:
     @property
     def computed(self) -> bool:
         """Whether the drone's own service was at it."""
-        raced = any(decision.raced for decision in self.tried) and self.ended.onboard_s > 0
-        return self.hedged is not None or self.ended.server is None or raced
+        return self.hedged is not None or self.ended.server is None or self.ended.onboard_s > 0
 
     @property
     def bound_s(self) -> float:
         """The longest that it may have taken."""
-        return self.allowed_s + self.ended.onboard_s + SLACK_S
+        return max(self.allowed_s + self.ended.onboard_s, self.within_s) + SLACK_S
 
 
 def deadline_of(decided: schema.Decided) -> float:
@@ -91,8 +91,8 @@ def deadline_of(decided: schema.Decided) -> float:
     return decided.deadline_s
 
 
-def calls_of(events: Sequence[Event]) -> Iterator[FlownCall]:
-    """The calls of an event log, in order."""
+def calls_of(events: Sequence[Event], *, within_s: float = 0.0) -> Iterator[FlownCall]:
+    """The calls of an event log, in order; their better answers count `within_s`."""
     decisions: dict[int | None, list[schema.Decided]] = {}  # by waypoint, of several open calls
     hedged: dict[int | None, schema.Hedged] = {}
     for event in events:
@@ -102,7 +102,7 @@ def calls_of(events: Sequence[Event]) -> Iterator[FlownCall]:
             hedged[event.waypoint] = event
         elif isinstance(event, schema.Call):
             call = event.waypoint
-            yield FlownCall(tuple(decisions.pop(call, ())), event, hedged.pop(call, None))
+            yield FlownCall(tuple(decisions.pop(call, ())), event, hedged.pop(call, None), within_s)
 
 
 def may_be_cut_short(history: History) -> bool:
@@ -114,6 +114,13 @@ def may_be_cut_short(history: History) -> bool:
 def flies_rows(config: DroneConfig) -> bool:
     """Whether the drone flies rows without stopping, with several answers open."""
     return config.mission.photos is not None
+
+
+def within_s(config: DroneConfig) -> float:
+    """How long after its call a better answer counts; 0 where calls have one answer."""
+    return max(
+        (service.two_answers.within_s for service in config.services if service.two_answers), default=0.0
+    )
 
 
 def position_jumps(config: DroneConfig) -> bool:

@@ -88,13 +88,22 @@ def look_and_read(drone: Drone, mode: Mode) -> None:
 
 def look_later(drone: Drone, mode: Mode) -> None:
     """Has one number looked at, at each waypoint, and may fly on meanwhile; some answers demand an action there."""
+    _look_later(drone, mode, program=look_later.__name__)
+
+
+def look_twice_later(drone: Drone, mode: Mode) -> None:
+    """The same with two answers, whose demands differ."""
+    _look_later(drone, mode, program=look_twice_later.__name__)
+
+
+def _look_later(drone: Drone, mode: Mode, *, program: str) -> None:
     spotter = drone.service(Spotter)
     drone.autopilot.arm()
     drone.autopilot.takeoff(drone.altitude_m)
     for number, waypoint in enumerate(drone.plan):
         drone.autopilot.goto(waypoint)
         drone.camera.take_photo()
-        visit = _Visit(drone, waypoint, number, look_later.__name__)
+        visit = _Visit(drone, waypoint, number, program)
         pending = drone.start(spotter.look, number, mode)
         drone.stay_or_go(pending, visit.act, demands=visit.demands, failed=visit.fail)
     drone.end_flight()
@@ -104,6 +113,11 @@ def look_later(drone: Drone, mode: Mode) -> None:
 def look_on_the_move(drone: Drone, mode: Mode) -> None:
     """Starts a call at each waypoint of its rows; hovers, waits for a call or leaves the row at some."""
     _look_on_the_move(drone, mode, gauge=None, program=look_on_the_move.__name__)
+
+
+def look_twice_on_the_move(drone: Drone, mode: Mode) -> None:
+    """The same with two answers, whose demands differ."""
+    _look_on_the_move(drone, mode, gauge=None, program=look_twice_on_the_move.__name__)
 
 
 def look_and_read_on_the_move(drone: Drone, mode: Mode) -> None:
@@ -142,15 +156,22 @@ def _look_on_the_move(drone: Drone, mode: Mode, *, gauge: Gauge | None, program:
 
 def is_waited_for(program: str, number: int) -> bool:
     """Whether the mission waits for the call at once."""
-    return not program.endswith(("look_later", "_on_the_move")) or (
+    return not program.endswith(("_later", "_on_the_move")) or (
         program.endswith("_on_the_move") and number % 4 == 3
     )
 
 
-def demands_something(program: str, number: int) -> bool:
-    """Whether the answer demands an action at its waypoint, or the call raises."""
+def demands_something(program: str, number: int, mode: str = "heavy") -> bool:
+    """Whether the answer of that mode demands an action at its waypoint, or the call raises.
+
+    With two answers both demand one at every fourth waypoint, only the better one at the next, and only the first one
+    at the one after it.
+    """
     if is_waited_for(program, number):
         return False
+    if "look_twice" in program:
+        demanding: tuple[str, ...] = (("light", "heavy"), ("heavy",), ("light",), ())[number % 4]
+        return mode in demanding or bool(expected(program, "light", number).raised)
     often = program.endswith("look_later")
     return (number % 3 == 0 if often else number % 6 == 4) or bool(expected(program, "light", number).raised)
 
@@ -167,7 +188,8 @@ class _Visit:
     def demands(self, answer: object) -> bool:
         """Tells the user at once, wherever the drone is."""
         self._tell(CallReport(asked=self.number, answer=msgspec.to_builtins(answer)))
-        return demands_something(self.program, self.number)
+        mode = answer.mode if isinstance(answer, Sighting) else ""
+        return demands_something(self.program, self.number, mode)
 
     def act(self, _: object) -> None:
         self.drone.user.notify(ActionReport(done=self.number), at=self.drone.autopilot.position)

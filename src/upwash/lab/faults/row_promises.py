@@ -58,35 +58,49 @@ def _photos_elsewhere(history: History) -> Iterator[Breach]:
 def _too_many_open(history: History) -> Iterator[Breach]:
     photos = history.config.mission.photos
     assert photos is not None  # noqa: S101 - it flies rows
-    open_ones = 0
+    open_ones, heard = 0, set[int | None]()
     for event in history.run.events:
         if isinstance(event, schema.CallStarted):
             open_ones += 1
             if open_ones > photos.at_most:
                 yield event, f"{open_ones} photos are open, and at most {photos.at_most} may be"
-        elif isinstance(event, schema.AnswerTaken):
+        elif isinstance(event, schema.FirstAnswer):
+            heard.add(event.waypoint)
+            open_ones -= 1
+        elif isinstance(event, schema.AnswerTaken) and event.waypoint not in heard:
             open_ones -= 1
 
 
 def _two_at_a_place(history: History) -> Iterator[Breach]:
     """From the decision for a place until the answer, no other call is decided for it."""
     until_s: dict[str, float] = {}
-    for call in sorted(calls_of(history.run.events), key=_decided_s):
-        if not call.decisions:
-            continue
-        placed = next(decided for decided in call.decisions if decided.decision != "wait")
-        place = ON_DRONE if placed.raced else placed.server or ON_DRONE
-        if placed.t < until_s.get(place, 0.0) - ROUNDING_S:
+    placed = [part for call in calls_of(history.run.events) for part in _placed(call)]
+    for decided, place, to_s in sorted(placed, key=lambda part: part[0].t):
+        if decided.t < until_s.get(place, 0.0) - ROUNDING_S:
             yield (
-                placed,
+                decided,
                 f"this was decided for {place}, which had an earlier call until {until_s[place]:.3f} s",
             )
-        until_s[place] = max(until_s.get(place, 0.0), call.ended.t)
+        until_s[place] = max(until_s.get(place, 0.0), to_s)
 
 
-def _decided_s(call: FlownCall) -> float:
-    placed = [decided.t for decided in call.decisions if decided.decision != "wait"]
-    return min(placed, default=call.ended.t)
+def _placed(call: FlownCall) -> Iterator[tuple[schema.Decided, str, float]]:
+    """The decision for each place of the call, and until when it had the place.
+
+    Where a call has two answers these are the drone, and the server of the better one.
+    """
+    ended, tried = call.ended, [decided for decided in call.decisions if decided.decision != "wait"]
+    if not tried:
+        return
+    place = ON_DRONE if tried[0].raced else tried[0].server or ON_DRONE
+    if ended.first_s is None:
+        yield tried[0], place, ended.t
+        return
+    if place == ON_DRONE:
+        yield tried[0], place, ended.t - ended.delay_s + ended.first_s
+    if ended.server is not None:
+        last = next(decided for decided in reversed(tried) if decided.server == ended.server)
+        yield last, ended.server, ended.t
 
 
 def _out_of_line(history: History) -> Iterator[Breach]:

@@ -321,6 +321,21 @@ def _with_rows(document: Document, chance: random.Random) -> Document:
     }
 
 
+def _with_two_answers(document: Document, chance: random.Random) -> Document:
+    """The drones hear a first answer of their own, and perhaps a better one of a server."""
+    spotter = document["service"][0]
+    light_s, heavy_s = (spotter["local_call_s"][mode] for mode in ("light", "heavy"))
+    if len(document["service"]) > 1 or light_s >= heavy_s:
+        return document
+    program = "look_twice_on_the_move" if "photos" in document["mission"] else "look_twice_later"
+    within_s = light_s + chance.choice((1.0, 5.0, 15.0, 40.0))
+    return {
+        **document,
+        "mission": {**document["mission"], "mode": "heavy", "program": f"{probing.__name__}:{program}"},
+        "service": [{**spotter, "two_answers": {"first": "light", "within_s": round(within_s, 2)}}],
+    }
+
+
 def _rows(chance: random.Random) -> list[list[float]]:
     """The starts and ends of one to three rows, side by side or anywhere."""
     count = chance.choice((1, 2, 2, 3))
@@ -344,6 +359,7 @@ _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Do
     ("pending", 0.6, _with_pending_calls),
     ("radios", None, _with_radios),
     ("rows", 0.8, _with_rows),
+    ("two answers", 0.75, _with_two_answers),
 )
 
 

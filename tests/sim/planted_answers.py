@@ -1,0 +1,51 @@
+"""Defects planted in calls with two answers: `planted.py` lists them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from msgspec.structs import replace
+from tests.sim.planting import planted
+
+from upwash.core.policies.policy import Decision
+from upwash.drone.calling import CallAnswer, Calling, Invocation, Twice
+from upwash.drone.pending import AnswerAction, Demand
+
+
+@planted("a better answer counts after its deadline", Calling, "answer_twice")
+async def waits_longer(
+    answer: Any, self: Calling, decision: Decision, call: Invocation, twice: Twice
+) -> CallAnswer:
+    twice.by_s += 20.0
+    found: CallAnswer = await answer(self, decision, call, twice)
+    return found
+
+
+@planted("the first answer counts where a better one came", Calling, "answer_twice")
+async def keeps_the_first(
+    answer: Any, self: Calling, decision: Decision, call: Invocation, twice: Twice
+) -> CallAnswer:
+    found: CallAnswer = await answer(self, decision, call, twice)
+    heard = twice.hearing.first
+    return replace(found, reply=heard.result()) if heard.done() else found
+
+
+@planted("the demand of a better answer is not met", Demand, "holds")
+def judges_once(holds: Any, self: Demand[Any]) -> bool:
+    return holds(self) if self._holds is None else self._holds
+
+
+@planted("the demand of each of two answers is met", AnswerAction, "finish")
+def acts_on_both(finish: Any, self: AnswerAction[Any], waited_s: float) -> None:
+    was_open = not self.pending.done()
+    finish(self, waited_s)
+    if was_open:
+        self._act(self.pending._answer())
+
+
+@planted("a waypoint is done with its first answer", AnswerAction, "hear")
+def takes_the_first(hear: Any, self: AnswerAction[Any]) -> bool:
+    is_over: bool = hear(self)
+    if not is_over:
+        self.pending._take(0.0)
+    return is_over
