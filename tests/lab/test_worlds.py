@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -46,3 +48,9 @@ def test_worlds_have_all_that_the_page_states() -> None:
     assert {fault["kind"] for world in worlds for fault in world["fault"]} == {
         "off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash",
     }  # fmt: skip
+
+
+def test_comparisons_in_drawn_worlds_render_no_photos() -> None:
+    flown = "import sys, upwash; upwash.compare(worlds=range(1, 3), policies=['look-ahead'], workers=1)"
+    nothing = "assert not {'cv2', 'numpy', 'upwash.services.solar_park'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", f"{flown}; {nothing}"], timeout=120, check=True)
