@@ -20,7 +20,8 @@ from unittest.mock import patch
 import msgspec
 import tests.sim.planted_answers
 import tests.sim.planted_rows
-import tests.sim.planted_vehicle  # noqa: F401 - which declares defects, as planted_rows does
+import tests.sim.planted_servers
+import tests.sim.planted_vehicle  # noqa: F401 - which declares defects, as the others do
 from msgspec.structs import replace
 from tests.sim.planting import DEFECTS, Defect, Planting, plant, planted, planting
 

@@ -40,6 +40,10 @@ FOUND_BY_SEED = {
     "the first answer counts where a better one came": 569,
     "the demand of a better answer is not met": 569,
     "the demand of each of two answers is met": 109,
+    "an instance that only servers run starts on the drone": 45,
+    "a call waits beyond the deadline that the mission chose": 146,
+    "a call that no server answered is not in the log": 89,
+    "a call that was answered ends without an answer too": 45,
 }
 
 

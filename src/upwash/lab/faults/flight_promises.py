@@ -12,6 +12,7 @@ from upwash.lab.faults.history import (
     SLACK_S,
     Breach,
     History,
+    asks_servers,
     calls_of,
     deadline_of,
     flies_rows,
@@ -32,7 +33,7 @@ def autonomy(history: History) -> Iterator[Breach]:
             yield event, f"offloading ended for the rest of the flight: {event.why}"
     arrivals = (event.waypoint for event in events if isinstance(event, schema.Arrived))
     arrived = list(dict.fromkeys(arrivals))  # it may come back to one
-    if flies_rows(history.config):
+    if flies_rows(history.config) or asks_servers(history.config):
         arrived = [waypoint for waypoint in arrived if waypoint is not None]  # from a detour, or off the row
     planned = [waypoint.index for waypoint in waypoints(history.config.mission)]
     if arrived != planned[: len(arrived)]:
@@ -43,7 +44,7 @@ def autonomy(history: History) -> Iterator[Breach]:
         yield (events[-1] if events else None), f"the mission was not completed: {run.failure}"
     elif len(arrived) < len(planned):
         yield None, f"arrived at {len(arrived)} of {counted(len(planned), 'waypoint')}"
-    if history.alone is not None:
+    if history.alone is not None and not asks_servers(history.config):
         made, wanted = (
             [(call.waypoint, call.asked or call.operation) for call in flown.result.calls]
             for flown in (run, history.alone)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, FaultConfig
+from upwash.config import DroneConfig, FaultConfig, only_on_servers
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.observer import Observation
@@ -121,6 +121,11 @@ def within_s(config: DroneConfig) -> float:
     return max(
         (service.two_answers.within_s for service in config.services if service.two_answers), default=0.0
     )
+
+
+def asks_servers(config: DroneConfig) -> bool:
+    """Whether only servers run the mission's service."""
+    return any(map(only_on_servers, config.services))
 
 
 def position_jumps(config: DroneConfig) -> bool:

@@ -70,6 +70,45 @@ class Gauge:
         return number * number
 
 
+HASTY_S = 12.0  # the deadline of some calls that only servers compute
+
+
+@service(where="servers")
+class Surveyor:
+    """Doubles a number, except every fifth number; no drone can run it."""
+
+    def survey(self, number: int) -> int:
+        """Always takes as long."""
+        if number % 5 == 2:
+            raise ValueError("there is no double of", number)
+        return 2 * number
+
+
+def ask_servers(drone: Drone, mode: Mode) -> None:
+    """Asks servers about a number at each waypoint, and goes on; waits for some calls, and gives some a deadline."""
+    patient = drone.service(Surveyor, unanswered=None)
+    hasty = drone.service(Surveyor, unanswered=None, within_s=HASTY_S)
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    for number, waypoint in enumerate(drone.plan):
+        drone.autopilot.goto(waypoint)
+        drone.camera.take_photo()
+        surveyor = hasty if is_hasty(number) else patient
+        if number % 4 == 3:
+            answer: int | None = surveyor.survey(number)
+            drone.user.notify(CallReport(asked=number, answer=answer), at=waypoint)
+            continue
+        visit = _Visit(drone, waypoint, number, ask_servers.__name__)
+        drone.stay_or_go(drone.start(surveyor.survey, number), visit.act, demands=visit.demands)
+    drone.end_flight()
+    drone.autopilot.disarm()
+
+
+def is_hasty(number: int) -> bool:
+    """Whether the call about the number has a deadline."""
+    return number % 3 == 1
+
+
 def look(drone: Drone, mode: Mode) -> None:
     """Has one number looked at, at each waypoint."""
     spotter = drone.service(Spotter)
@@ -188,6 +227,8 @@ class _Visit:
     def demands(self, answer: object) -> bool:
         """Tells the user at once, wherever the drone is."""
         self._tell(CallReport(asked=self.number, answer=msgspec.to_builtins(answer)))
+        if self.program == ask_servers.__name__:
+            return answer is not None and self.number % 6 == 4
         mode = answer.mode if isinstance(answer, Sighting) else ""
         return demands_something(self.program, self.number, mode)
 

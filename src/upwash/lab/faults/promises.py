@@ -22,10 +22,11 @@ from upwash.lab.faults.flight_promises import (
     pilot_wins,
     vehicle_first,
 )
-from upwash.lab.faults.history import Breach, History
+from upwash.lab.faults.history import Breach, History, asks_servers
 from upwash.lab.faults.row_promises import on_the_move
 from upwash.lab.faults.selection_promises import in_range, one_selection, recovered, respect
 from upwash.lab.faults.server_promises import admission, replaced, turns, unswayed
+from upwash.lab.faults.waiting_promises import only_servers
 
 __all__ = ["CHECKS", "Broken", "History", "Promise", "broken_promises"]
 
@@ -53,6 +54,7 @@ class Promise(IntEnum):
     WHO_ACTED = 21
     REPLACED = 22
     ON_THE_MOVE = 23
+    ONLY_SERVERS = 24
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -91,6 +93,16 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.WHO_ACTED: named_truly,
     Promise.REPLACED: replaced,
     Promise.ON_THE_MOVE: on_the_move,
+    Promise.ONLY_SERVERS: only_servers,
+}
+_OF_CALLS_ON_THE_DRONE = {  # what calls of services that only servers run need not keep
+    Promise.BOUNDED_CALLS,
+    Promise.ONE_ANSWER,
+    Promise.TRUTHFUL_ERRORS,
+    Promise.NO_HARM,
+    Promise.RECOVERY,
+    Promise.ANSWERS,
+    Promise.ON_THE_MOVE,
 }
 
 
@@ -98,6 +110,8 @@ def broken_promises(history: History, *, seed: int) -> list[Broken]:
     """The promises that the flight in the world of that seed broke, each by its first breach."""
     found = []
     for promise, check in CHECKS.items():
+        if asks_servers(history.config) and promise in _OF_CALLS_ON_THE_DRONE:
+            continue
         for event, why in check(history):
             found.append(Broken(promise, seed, msgspec.to_builtins(event), why))
             break

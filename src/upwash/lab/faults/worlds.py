@@ -349,6 +349,33 @@ def _rows(chance: random.Random) -> list[list[float]]:
     return [[round(chance.uniform(0, 120), 1), round(chance.uniform(0, 120), 1)] for _ in range(2 * count)]
 
 
+def _with_only_servers(document: Document, chance: random.Random) -> Document:
+    """No drone can run the mission's service."""
+    return {
+        **document,
+        "mission": {**document["mission"], "program": f"{probing.__name__}:ask_servers"},
+        "policy": {**document["policy"], "detour_s": chance.choice((0.0, 20.0, 120.0))},
+        "service": [
+            {
+                "name": "surveyor",
+                "program": f"{probing.__name__}:Surveyor",
+                "request_bytes": chance.choice((1_000, 100_000, 425_000)),
+                "waiting_bytes": chance.choice((20, 200, 1_000_000)),
+            }
+        ],
+        "server": [_surveying(server, chance) for server in document["server"]],
+    }
+
+
+def _surveying(server: dict[str, Any], chance: random.Random) -> dict[str, Any]:
+    call_s = between(chance, 0.1, 6.0)
+    truth = {name: value for name, value in server["truth"].items() if name != "images"}
+    for times in ("remote_call_s", "processing_s"):
+        if times in truth:
+            truth[times] = {"surveyor": round(call_s * chance.uniform(0.5, 2.0), 3)}
+    return {**server, "remote_call_s": {"surveyor": call_s}, "truth": truth}
+
+
 _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Document]], ...] = (
     # the stream of a feature, the share of worlds without it unless it draws that itself, and what it changes
     ("peers", 0.5, _with_peers),
@@ -360,6 +387,7 @@ _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Do
     ("radios", None, _with_radios),
     ("rows", 0.8, _with_rows),
     ("two answers", 0.75, _with_two_answers),
+    ("only servers", 0.88, _with_only_servers),
 )
 
 
