@@ -237,6 +237,10 @@ def _two_answers_problems(config: DroneConfig) -> Iterator[Problem]:
     for service in config.services:
         if service.two_answers is None:
             continue
+        if only_on_servers(service):
+            problem = "the drone cannot give the first answer, as only servers run it: leave this out"
+            yield f"service.{service.name}.two_answers", problem
+            continue
         first, local_call_s = service.two_answers.first, service.local_call_s
         key, others = f"service.{service.name}.two_answers", [name for name in local_call_s if name != first]
         if first not in local_call_s or not others:

@@ -11,17 +11,17 @@ import contextlib
 import itertools
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from upwash.config import DroneConfig
 from upwash.core.operation import Operation
 from upwash.drone.pending import Hearing
 from upwash.drone.preparation import make_offloading, make_selection, onboard_services, parts_before_sending
-from upwash.errors import UpwashError
+from upwash.errors import Unanswered, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Finder, Journal, Network, Program, Runtime, Whereabouts
-from upwash.rpc.service import Method, ServiceSpec
+from upwash.rpc.service import Method, Patience, ServiceSpec
 from upwash.support.background import beside
 
 T = TypeVar("T")
@@ -110,7 +110,11 @@ class Stream(Generic[T]):
         at_most: int,
     ) -> None:
         self._mode = config.mission.mode
-        self._methods = {name: method for name, spec in specs.items() if (method := photo_method(spec))}
+        self._methods = {
+            name: method if spec.on_drone else replace(method, patience=Patience(Unanswered))
+            for name, spec in specs.items()
+            if (method := photo_method(spec))
+        }
         self._jpeg, self._answered = jpeg, answered
         self._lines = {name: _Line[T](at_most) for name in self._methods}
         self._numbers = itertools.count()
@@ -181,8 +185,11 @@ class Stream(Generic[T]):
             keys = {} if method.profile_by is None else {method.profile_by: method.argument(self._mode)}
             key, request = method.encode((await self._jpeg(photo),), keys)
             operation = Operation(service, method.name, key)
+            hearing = Hearing()
+            if method.patience is not None:  # a newer photo is worth more than a wait for the next range
+                hearing.waits.set()
             reply = await self._offloading.invoke(
-                operation, method, request, number, urgent=urgent, hearing=Hearing()
+                operation, method, request, number, urgent=urgent, hearing=hearing
             )
             value = method.result(reply)
         except Exception as error:  # noqa: BLE001 - of the service, or of the photo: the stream goes on
