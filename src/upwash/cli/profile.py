@@ -97,7 +97,11 @@ def run(options: argparse.Namespace) -> bool:
         table = call_table(profile.calls)
         said = "".join(f"# It says: {line}\n" for line in heard)
         text = said + service_table(
-            profile, program=program, computer=_computer(), settings=_settings(service)
+            profile,
+            program=program,
+            computer=_computer(),
+            settings=_settings(service),
+            on_drone=spec_of(service.cls).on_drone,
         )
         if service.part is not None:
             text += _of_part(service, found, photos, start_timeout_s, labels=options.labels)

@@ -210,7 +210,7 @@ async def _called(
     for sample, photo, request in requests_of(found):
         took_s = await _call(session, wanted, sample, photo, request)
         said.setdefault(str(sample.operation), f", called {sample.operation} in {took_s:.2f} s")
-        local_s = wanted.estimates.local_s(sample.operation)
+        local_s = wanted.estimates.alone_s(sample.operation)
         remote_s = wanted.estimates.remote_s(server.name, sample.operation)
         if local_s is None or remote_s is None:
             continue
@@ -256,7 +256,7 @@ def trials(spec: ServiceSpec, estimates: Estimates, photos: Mapping[str, bytes])
         found = samples(spec, photos)
     except UsageError:
         return []
-    return [sample for sample in found if estimates.local_s(sample.operation) is not None]
+    return [sample for sample in found if estimates.alone_s(sample.operation) is not None]
 
 
 def call_limit_s(local_s: float | None) -> float:
@@ -270,6 +270,8 @@ async def services_in_trouble(config: DroneConfig, photos: Mapping[str, bytes]) 
     estimates = make_estimates(config, {name: spec_of(service.cls) for name, service in services.items()})
     own, failed = OwnProcesses(config.name, max_message_bytes=config.max_message_bytes), list[UpwashError]()
     for name, service in services.items():
+        if not spec_of(service.cls).on_drone:
+            continue
         spec = InstanceSpec(config.name, name, service.program)
         found = trials(spec_of(service.cls), estimates, photos)
         try:

@@ -89,7 +89,8 @@ def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
             f"service {configured.name!r} runs {cls.__name__}, which is declared as {spec.name!r}: use that name"
         )
     table = configured.settings
-    program = Program(path, _settings(spec, table, key, "service.settings"), configured.command)
+    runs = spec.on_drone or not isinstance(configured, ServiceConfig)  # an instance of it
+    program = Program(path, _settings(spec, table, key, "service.settings", runs=runs), configured.command)
     before = configured.before_sending if isinstance(configured, ServiceConfig) else None
     if spec.before_sending is None:
         if before is not None:
@@ -103,13 +104,15 @@ def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
     return LoadedService(cls, program, Program(_path_beside(path, part), settings))
 
 
-def _settings(spec: ServiceSpec, table: SettingsTable | None, key: str, shown: str) -> dict[str, object]:
+def _settings(
+    spec: ServiceSpec, table: SettingsTable | None, key: str, shown: str, *, runs: bool = True
+) -> dict[str, object]:
     if table is not None:
         given = convert(
             table.values, spec.settings, file=table.file, as_written=table.values, at=f"{key}.settings"
         )
         return plain(given)
-    if needed := required_settings(spec.settings):
+    if runs and (needed := required_settings(spec.settings)):
         raise UsageError(f"service {spec.name!r} needs {', '.join(needed)}: add them in [{shown}]")
     return {}
 

@@ -39,8 +39,13 @@ def call_table(profiles: Sequence[CallProfile]) -> Table:
     return table
 
 
-def service_table(profile: OnboardProfile, *, program: str | None, computer: str, settings: str = "") -> str:
-    """The [[service]] table of a configuration; comments name the computer and the settings."""
+def service_table(
+    profile: OnboardProfile, *, program: str | None, computer: str, settings: str = "", on_drone: bool = True
+) -> str:
+    """The [[service]] table of a configuration; comments name the computer and the settings.
+
+    For a service that only servers run, `on_drone` is False, and the times are those of a server's own computer.
+    """
     calls = profile.calls
     first_extra_s = max(0.0, *(call.first_s - call.mean_s for call in calls))
     lines = [
@@ -54,12 +59,15 @@ def service_table(profile: OnboardProfile, *, program: str | None, computer: str
         lines.insert(2, f"# {settings}")
     if program is not None:
         lines.append(f"program = {_text(program)}")
+    delays = _delays({_key(call): call.mean_s for call in calls})
     lines += [
         f"request_bytes = {max(call.sample.request_bytes for call in calls)}",
         f"reply_bytes = {max(call.reply_bytes for call in calls)}",
-        f"local_call_s = {_delays({_key(call): call.mean_s for call in calls})}",
-        f"local_first_extra_s = {first_extra_s:.3f}",
     ]
+    if on_drone:
+        lines += [f"local_call_s = {delays}", f"local_first_extra_s = {first_extra_s:.3f}"]
+    else:
+        lines.append(f"# only servers run it: in the [[server]] with this computer, processing_s = {delays}")
     return "\n".join(lines) + "\n"
 
 
