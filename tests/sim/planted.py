@@ -20,6 +20,7 @@ from unittest.mock import patch
 import msgspec
 import tests.sim.planted_answers
 import tests.sim.planted_rows
+import tests.sim.planted_sending
 import tests.sim.planted_servers
 import tests.sim.planted_vehicle  # noqa: F401 - which declares defects, as the others do
 from msgspec.structs import replace

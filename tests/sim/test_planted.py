@@ -44,6 +44,8 @@ FOUND_BY_SEED = {
     "a call waits beyond the deadline that the mission chose": 146,
     "a call that no server answered is not in the log": 89,
     "a call that was answered ends without an answer too": 45,
+    "a part that fails is tried for ever": 133,
+    "a server that was left meanwhile gets the smaller request": 2280,
 }
 
 

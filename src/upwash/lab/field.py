@@ -38,8 +38,19 @@ class Software:
         self.programs = {name: service.program for name, service in services.items()}
         self.parts = {name: service.part for name, service in services.items() if service.part}
         self.objects: Mapping[str, object] = (
-            {name: service.made() for name, service in services.items()} if computing else {}
+            {name: service.made() for name, service in services.items()} | _made_parts(services)
+            if computing
+            else {}
         )
+
+
+def _made_parts(services: Mapping[str, LoadedService]) -> dict[str, object]:
+    found = {}
+    for service in services.values():
+        part = spec_of(service.cls).before_sending
+        if part is not None and service.part is not None:
+            found[spec_of(part).name] = LoadedService(part, service.part).made()
+    return found
 
 
 def daemon_address(server: str) -> str:

@@ -19,6 +19,7 @@ from upwash.drone.pending import Pending
 from upwash.rpc.service import service
 
 Mode = Literal["light", "heavy"]
+_PICTURE = bytes(64)
 
 
 class Blurred(Exception):
@@ -48,11 +49,25 @@ class ActionReport(msgspec.Struct, frozen=True, kw_only=True):
     done: int
 
 
-@service(profile_by="mode")
+@service
+class Thumbnail:
+    """Makes pictures smaller, except of six numbers in a row of each ten."""
+
+    def look(self, number: int, picture: bytes) -> tuple[int, bytes]:
+        """Raises, or makes more of it, where it fails."""
+        match number % 10:
+            case 1 | 3 | 5 | 6:
+                raise Blurred(f"number {number} has no smaller picture")
+            case 2 | 4:
+                return number, picture * 2
+        return number, picture[:8]
+
+
+@service(profile_by="mode", before_sending=Thumbnail)
 class Spotter:
     """Reads the digits of a number, except of every fifth number."""
 
-    def look(self, number: int, mode: Mode) -> Sighting:
+    def look(self, number: int, mode: Mode, picture: bytes = _PICTURE) -> Sighting:
         """Slow or fast, by the mode."""
         if number % 5 == 2:
             raise Blurred(f"number {number} is blurred")

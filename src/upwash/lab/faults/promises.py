@@ -25,6 +25,7 @@ from upwash.lab.faults.flight_promises import (
 from upwash.lab.faults.history import Breach, History, asks_servers
 from upwash.lab.faults.row_promises import on_the_move
 from upwash.lab.faults.selection_promises import in_range, one_selection, recovered, respect
+from upwash.lab.faults.sending_promises import less_to_send
 from upwash.lab.faults.server_promises import admission, replaced, turns, unswayed
 from upwash.lab.faults.waiting_promises import only_servers
 
@@ -55,6 +56,7 @@ class Promise(IntEnum):
     REPLACED = 22
     ON_THE_MOVE = 23
     ONLY_SERVERS = 24
+    LESS_TO_SEND = 25
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -94,6 +96,7 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.REPLACED: replaced,
     Promise.ON_THE_MOVE: on_the_move,
     Promise.ONLY_SERVERS: only_servers,
+    Promise.LESS_TO_SEND: less_to_send,
 }
 _OF_CALLS_ON_THE_DRONE = {  # what calls of services that only servers run need not keep
     Promise.BOUNDED_CALLS,

@@ -376,6 +376,28 @@ def _surveying(server: dict[str, Any], chance: random.Random) -> dict[str, Any]:
     return {**server, "remote_call_s": {"surveyor": call_s}, "truth": truth}
 
 
+def _with_less_to_send(document: Document, chance: random.Random) -> Document:
+    """A part makes requests smaller before they are sent, as far as the user allows its loss."""
+    spotter, *others = document["service"]
+    if spotter["name"] != "spotter":
+        return document
+    request_bytes = max(100_000, spotter["request_bytes"])
+    part = {
+        "takes_s": chance.choice((0.0, 0.05, 0.5, 1.0)),
+        "request_bytes": round(request_bytes * chance.choice((0.05, 0.1, 0.3, 1.2))),
+        "loss": chance.choice((0.0, 0.01, 0.05)),
+    }
+    servers = [
+        {**server, "bandwidth_bit_s": chance.choice((0.3e6, 1e6, 4e6))} for server in document["server"]
+    ]
+    return {
+        **document,
+        "service": [{**spotter, "request_bytes": request_bytes, "before_sending": part}, *others],
+        "server": servers,
+        "policy": {**document["policy"], "most_loss": chance.choice((0.0, 0.02, 0.1, 0.1))},
+    }
+
+
 _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Document]], ...] = (
     # the stream of a feature, the share of worlds without it unless it draws that itself, and what it changes
     ("peers", 0.5, _with_peers),
@@ -388,6 +410,7 @@ _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Do
     ("rows", 0.8, _with_rows),
     ("two answers", 0.75, _with_two_answers),
     ("only servers", 0.88, _with_only_servers),
+    ("less to send", 0.7, _with_less_to_send),
 )
 
 
