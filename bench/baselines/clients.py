@@ -27,7 +27,7 @@ from upwash.sim.world import computing_s, delay_of
 from upwash.support.background import end
 
 _FLAP_S = 5.0
-_HARMLESS = ("full",)  # to a client that has its slot already
+_HARMLESS = ("full", "wrong")  # to a client that has its slot and the instances' addresses already
 
 
 class Racing(LookAhead):
@@ -66,7 +66,8 @@ def replicated(run: Run, config: DroneConfig) -> Replicated:
     """The run's mission, if each call went to every server in range and to the drone, and the first answer counted.
 
     In its favour nothing has to be joined, asked or started, calls do not disturb each other, the drone's computer is
-    never hot, and a server that a fault befalls during a call has answered before.
+    never hot, a server that a fault befalls during a call has answered before, and a server that is back has the call
+    at once.
     """
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     services = {service.name: service for service in config.services}
@@ -83,12 +84,9 @@ def replicated(run: Run, config: DroneConfig) -> Replicated:
         service, truth = services[operation.service], truths[server]
         if not areas[server].contains(position) or service.name not in truth.images:
             return None
-        extra_s = _extra_s(config.faults, server, at_s)
         try:
             call_s = computing_s(operation, truth)
         except KeyError:
-            return None
-        if extra_s is None:
             return None
         call_s *= chance.factor(f"copy/{server}/{operation}", config.noise.call)
         if (goodput := goodputs[server, service.name]) is not None:
@@ -96,7 +94,7 @@ def replicated(run: Run, config: DroneConfig) -> Replicated:
             call_s += goodput.transfer_s(service.request_bytes, spot) + goodput.transfer_s(
                 service.reply_bytes, spot
             )
-        return call_s + extra_s
+        return call_s + _extra_s(config.faults, server, at_s)
 
     for event in run.events:
         match event:
@@ -109,19 +107,21 @@ def replicated(run: Run, config: DroneConfig) -> Replicated:
                 local_s = delay_of(operation, services[operation.service].local_call_s)
                 local_s *= chance.factor(f"copy/{operation}", config.noise.call)
                 saved_s += delay_s - min([local_s, *answers_s])
-                calls, copies = calls + 1, copies + len(answers_s)
+                calls, copies = calls + 1, copies + sum(answered_s <= local_s for answered_s in answers_s)
     return Replicated(run.result.mission_time_s - saved_s, copies / max(1, calls))
 
 
-def _extra_s(faults: tuple[FaultConfig, ...], server: str, at_s: float) -> float | None:
-    """By how much faults delay the server's answer; None if there is none."""
-    extra_s = 0.0
+def _extra_s(faults: tuple[FaultConfig, ...], server: str, at_s: float) -> float:
+    """By how much faults delay the server's answer to a call that it gets once it is back; infinite if it is not."""
+    extra_s = back_s = 0.0
     for fault in faults:
         if fault.target not in (server, f"link:{server}") or not fault.from_s <= at_s < fault.to_s:
             continue
-        flaps_back = fault.kind == "flapping" and int((at_s - fault.from_s) / _FLAP_S) % 2
         if fault.kind == "slow":
             extra_s += fault.extra_s
-        elif fault.kind not in _HARMLESS and not flaps_back:
-            return None
-    return extra_s
+        elif fault.kind == "flapping":
+            flaps_s = _FLAP_S - (at_s - fault.from_s) % (2 * _FLAP_S)
+            back_s = max(back_s, min(flaps_s, fault.to_s - at_s))
+        elif fault.kind not in _HARMLESS:
+            back_s = max(back_s, fault.to_s - at_s)
+    return back_s + extra_s

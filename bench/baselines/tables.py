@@ -7,7 +7,7 @@ from itertools import groupby
 from statistics import fmean, median, quantiles
 
 from bench.baselines.knowing import Known
-from bench.baselines.manners import ALONE, CLIENTS, COPIES, LEAST, MANNERS, REPLICATED, SERVED
+from bench.baselines.manners import ALONE, COPIES, LEAST, MANNERS, REPLICATED, SERVED
 from bench.baselines.reserving import WAYS, Shared
 from bench.gains.kept import Missions
 
@@ -109,14 +109,15 @@ def lost_most(worlds: Sequence[World], count: int = 5) -> str:
     return ", ".join(f"{name} ({-value:.1f} %)" for name, value in least if value < 0)
 
 
-CLIENTS_HEAD = ("world", "look-ahead, min", *CLIENTS, REPLICATED, "servers computing a call")
+_SHOWN = ("thesis", "races, stops", REPLICATED)  # the other clients are no stronger
+CLIENTS_HEAD = ("world", "look-ahead, min", *_SHOWN, "servers a call")
 
 
 def by_client(worlds: Sequence[World]) -> Table:
     """Minutes under look-ahead, and by how many % the mission of each other client is shorter (or longer)."""
     reference = f"{SERVED}, waits"
     for world in (*(world for world in worlds if world.group != "held out"), *_held_out(worlds)):
-        cells = (_percent(world.saved(reference, name)) for name in (*CLIENTS, REPLICATED))
+        cells = (_figure(world.saved(reference, name)) for name in _SHOWN)
         yield world.name, f"{world.mean_s(reference) / 60:.2f}", *cells, f"{world.mean_s(COPIES):.2f}"
 
 
@@ -155,20 +156,15 @@ def worst_regrets(found: Sequence[Known]) -> str:
     return f"Intervals are ± {margin:.1f} or less. Learning {'; '.join(parts)}."
 
 
-SHARED_HEAD = ("drones", *WAYS)
+SHARED_HEAD = ("drones", "local-only, min", *WAYS[1:])
 
 
 def by_sharing(found: Sequence[Shared]) -> Table:
-    """Mean minutes, what they are shorter than local-only by, the worst drone's minutes, and Jain's index."""
+    """By how many % the mean mission is shorter than local-only, and Jain's index of the savings."""
     for (layout, drones), own in groupby(found, lambda each: (each.layout, each.drones)):
-        cells = (
-            f"{way.mean_min:.1f}"
-            if way.way == "local-only"
-            else f"{way.mean_min:.1f} (-{way.saved_percent:.1f} ± {way.margin_percent:.1f} %), {way.worst_min:.1f}, "
-            f"{way.jain:.2f}"
-            for way in own
-        )
-        yield f"{drones}, {layout}", *cells
+        alone, *others = own
+        cells = (f"{way.saved_percent:.1f} ± {way.margin_percent:.1f}, {way.jain:.2f}" for way in others)
+        yield f"{drones}, {layout}", f"{alone.mean_min:.1f}", *cells
 
 
 def in_markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -223,5 +219,5 @@ def _percent(mean: Mean) -> str:
 
 
 def _figure(mean: Mean) -> str:
-    margin = f" ± {mean.margin:.1f}" if mean.count > 1 else ""
+    margin = f" ± {mean.margin:.1f}" if mean.count > 1 and mean.margin >= 0.05 else ""
     return f"{round(mean.value, 1) + 0.0:.1f}{margin}"  # no "-0.0"
