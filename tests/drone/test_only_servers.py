@@ -10,6 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
+from msgspec.structs import replace
 from tests.drone.test_pending import of
 
 from upwash import Drone, Unanswered, once, service
@@ -20,6 +21,8 @@ from upwash.drone.resumption import waypoints_done
 from upwash.errors import DeclarationError, UsageError
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate_fleet
+from upwash.launch.survey import services_in_trouble
+from upwash.missions.bundled import load_specs
 from upwash.services import Detector
 
 
@@ -390,6 +393,22 @@ def test_a_file_that_contradicts_the_declaration_is_refused(segmenter: dict[str,
     with pytest.raises(UsageError) as refusal:
         flown(scenario(segmenter=segmenter), survey())
     assert problem in str(refusal.value)
+
+
+@service(where="servers", name="segmenter")
+class Tuned:
+    def __init__(self, *, words: str) -> None:
+        raise AssertionError("no instance of it is made")
+
+    def segment(self, photo: bytes) -> list[int]:
+        return []
+
+
+async def test_the_drone_needs_no_settings_and_starts_no_instance_of_it() -> None:
+    config = scenario(segmenter={"program": f"{__name__}:Tuned"})
+    config = replace(config, services=config.services[:1])
+    assert load_specs(config.services)["segmenter"].where == "servers"
+    assert await services_in_trouble(config, {"photo": b"\xff\xd8"}) == []
 
 
 # --- where ---------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from upwash.errors import UpwashError, UsageError
 from upwash.lab.campaigns.campaign import Chunk, fly_chunk
 from upwash.lab.campaigns.file import CampaignRow
 from upwash.lab.run import simulate
+from upwash.preflight.answers import ServerAnswers, answers_of
 from upwash.preflight.check import MissionCheck, check, missions_to_fly, read_plan
 from upwash.preflight.placement import STEPS, Places, Trials, best_places, candidates, place
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, without
@@ -382,3 +383,64 @@ def test_a_missing_camera_is_warned_of_where_the_simulated_mission_takes_a_photo
     (tmp_path / "drone.toml").write_text(MISSION_FOR_FLIGHT.format(program="mission.py:fly"))
     found, _ = checked(tmp_path / "drone.toml")
     assert {warning.kind for warning in found.warnings} == kinds
+
+
+ASKS = """
+from upwash import Drone, service
+
+@service(where="servers")
+class Segmenter:
+    def segment(self, photo: bytes) -> list[str]:
+        return []
+
+def survey(drone: Drone) -> None:
+    segmenter = drone.service(Segmenter, unanswered=None, within_s=WITHIN_S)
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    for waypoint in drone.plan:
+        drone.autopilot.goto(waypoint)
+        drone.stay_or_go(drone.start(segmenter.segment, drone.camera.take_photo()), print)
+    drone.end_flight()
+    drone.autopilot.disarm()
+"""
+
+
+@pytest.mark.parametrize(
+    ("within_s", "policy", "warned"),
+    [
+        ("None", "look-ahead", ""),
+        (
+            "20.0",
+            "look-ahead",
+            "1 call of segmenter.segment will not be answered, at waypoint 4: no server answered within 20 s",
+        ),
+        ("0.5", "look-ahead", "within_s = 0.5 is less than the 0.7 s of the fastest server"),
+        ("None", "local-only", "only servers run it, and local-only uses none"),
+    ],
+)
+def test_it_says_which_photos_servers_will_answer_and_when(
+    tmp_path: Path, within_s: str, policy: str, warned: str
+) -> None:
+    (tmp_path / "asks.py").write_text(ASKS.replace("WITHIN_S", within_s))
+    text = SCENARIO.replace('name = "detector"\nlocal_call_s = { light = 3.0, heavy = 10.0 }', "")
+    text = text.replace("[[service]]\n", '[[service]]\nname = "segmenter"\nprogram = "asks.py:Segmenter"\n')
+    text = text.replace("{ light = 0.3, heavy = 0.7 }", "0.7").replace(
+        "[mission]\n",
+        f'[policy]\nname = "{policy}"\ndetour_s = 200.0\n\n[mission]\nprogram = "asks.py:survey"\n',
+    )
+    file = tmp_path / "drone.toml"
+    file.write_text(text)
+    plan = read_plan(file)
+    found = check(plan, seeds=1, fly=here)
+    assert isinstance(found.answers, ServerAnswers)
+    flown = simulate(plan.config).result
+    assert [stay.waypoints for stay in found.answers.answered] == [
+        stay.waypoints for stay in answers_of(simulate(plan.config).events, plan.config).answered
+    ]
+    told = [waypoint for stay in found.answers.answered for waypoint in stay.waypoints]
+    assert sorted(told) == sorted(call.waypoint for call in flown.calls if call.waypoint is not None)
+    never = [waypoint for never in found.answers.never for waypoint in never.waypoints]
+    assert sorted(told + never) == [0, 1, 2, 3, 4, 5]
+    (*_, last) = [warning.text for warning in found.warnings if warning.kind == "unanswered"] or [""]
+    assert warned in last and bool(warned) == bool(last)
+    assert not {"no-gain", "hurts"} & {warning.kind for warning in found.warnings}

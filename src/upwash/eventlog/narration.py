@@ -404,19 +404,20 @@ def left_undone(result: RunResult) -> Iterator[str]:
     if result.not_acted_on:
         one = len(result.not_acted_on) == 1
         answers = "the answer at" if one else "the answers at"
-        yield f"not done: what {answers} {_places(result.not_acted_on)} {'demands' if one else 'demand'}"
+        yield f"not done: what {answers} {at_places(result.not_acted_on)} {'demands' if one else 'demand'}"
     if result.failed_calls:
         calls = "the call" if len(result.failed_calls) == 1 else "the calls"
-        yield f"{calls} at {_places(result.failed_calls)} failed, and the mission did nothing about it"
+        yield f"{calls} at {at_places(result.failed_calls)} failed, and the mission did nothing about it"
     if result.not_looked_at:
         answers = "the answer" if len(result.not_looked_at) == 1 else "the answers"
-        yield f"not looked at: {answers} at {_places(result.not_looked_at)}"
+        yield f"not looked at: {answers} at {at_places(result.not_looked_at)}"
     for why, places in result.unanswered.items():
         calls = "the call" if len(places) == 1 else "the calls"
-        yield f"without an answer: {calls} at {_places(places)}, as {why}"
+        yield f"without an answer: {calls} at {at_places(places)}, as {why}"
 
 
-def _places(waypoints: Sequence[int | None]) -> str:
+def at_places(waypoints: Sequence[int | None]) -> str:
+    """Waypoints as text: "waypoint 4", "waypoints 0-3, 7 and a place beside the plan"."""
     planned = [waypoint for waypoint in waypoints if waypoint is not None]
     beside = ["a place beside the plan"] if len(planned) < len(waypoints) else []
     noun = "waypoint" if len(planned) == 1 else "waypoints"

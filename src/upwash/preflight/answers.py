@@ -10,7 +10,7 @@ from msgspec import Struct
 from upwash.config import Document, DroneConfig, drone_config, only_on_servers
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
-from upwash.eventlog.narration import spans
+from upwash.eventlog.narration import at_places
 from upwash.eventlog.progress import MissionTime, clock
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
@@ -98,11 +98,11 @@ def told_answers(answers: ServerAnswers) -> Iterator[str]:
         if stay.to_s > stay.from_s:
             when = f"from {clock(stay.from_s)} to {clock(stay.to_s)}"
         yield (
-            f"{stay.operation}, waypoints {spans(stay.waypoints)}: answered by {stay.server} {when}, up to "
+            f"{stay.operation}, {at_places(stay.waypoints)}: answered by {stay.server} {when}, up to "
             f"{stay.longest_s:.0f} s after the call"
         )
     for never in answers.never:
-        yield f"{never.operation}, waypoints {spans(never.waypoints)}: never answered, as {never.why}"
+        yield f"{never.operation}, {at_places(never.waypoints)}: never answered, as {never.why}"
 
 
 def answer_concerns(config: DroneConfig, answers: ServerAnswers) -> Iterator[PreflightWarning]:
@@ -137,5 +137,5 @@ def answer_concerns(config: DroneConfig, answers: ServerAnswers) -> Iterator[Pre
             why = never.why
         yield PreflightWarning(
             "unanswered",
-            f"{count} of {never.operation} will not be answered, of the waypoints {spans(never.waypoints)}: {why}",
+            f"{count} of {never.operation} will not be answered, at {at_places(never.waypoints)}: {why}",
         )
