@@ -36,6 +36,7 @@ QUICK = {  # what each prints, among others
     "simulate": r"- servers, all near\n( +[\d.]+)+\n",
     "stay_or_go": r" 50 % +[\d.]+( +-?[\d.]+ ± [\d.]+ %){2} +[\d.]+ / [\d.]+\n",
     "tiles": r"\| auto \| 49 (\| \d+ ms ){3}\| [\d.]+ \| [\d.]+ (PASS|MISS) \|",
+    "whatif": r"\d+ of 3 hold \([\d.]+ %\)",
     "vehicle": r"\| total \| [\d.]+ \| [\d.]+ \|",
 }
 BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}

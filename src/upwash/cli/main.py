@@ -51,6 +51,7 @@ _COMMANDS = {
     "compare": "fly every policy in the same scenarios, beside the bound",
     "traces": "make traces for simulations from an event log",
     "worlds": "draw worlds at random, as scenarios to compare policies in",
+    "whatif": "predict a flight under other policies, from its log",
     "explain": "say why each call of a flight ran where it ran",
     "chaos": "simulate worlds full of faults and test what upwash promises",
     "emulate": "fly a scenario in real time, by real programs in network namespaces of their own (root)",
