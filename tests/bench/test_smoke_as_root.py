@@ -43,6 +43,15 @@ def test_a_server_a_second_away_is_used_and_one_behind_a_small_mtu_is_explained(
     )
 
 
+@needs_root
+@needs_ip
+def test_smaller_photos_are_scored_called_with_and_flown_with() -> None:
+    said = printed("bench.less_to_send", "--quick")
+    assert re.search(r"\n\| 0\.4 MB \| 2 \| 720 px, 85 \| \d+ kB \| [\d.]+ \|", said)
+    assert re.search(r"\n\| 0\.4 MB \| 54 Mbit/s \|( [\d.]+ s \|){5}", said)
+    assert re.search(r"\n\| 10 MB, as 1 MB \|( \d+ s, [\d.]+ % \(.*?\) \|){3}", said)
+
+
 @pytest.mark.flight
 @pytest.mark.xdist_group("emulate")
 @needs_root

@@ -235,7 +235,7 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
         "call on the drone",
         schema.LocalEnded: "{event.service} on the drone ended ({event.how}); starting it again",
         schema.LocalFailed: "local failed: {event.why}",
-        schema.SentWhole: "{event.operation} was not made smaller before sending: {event.why}",
+        schema.SentWhole: "{event.operation} was not made smaller before sending: {event.why}{event.then}",
         schema.RemoteFailed: "remote failed: {event.why}",
         schema.LeaveFailed: "leave failed: {event.why}",
         schema.SafeEndFailed: "safe end failed: {event.why}",

@@ -1003,6 +1003,11 @@ class SentWhole(Event, frozen=True, kw_only=True, omit_defaults=True):
     why: Text
     given_up: bool = False
 
+    @property
+    def then(self) -> str:
+        """What follows, as the end of a sentence; empty if the part is tried again."""
+        return "; from now on all is sent whole" if self.given_up else ""
+
 
 class RemoteRaised(Event, frozen=True, kw_only=True):
     """The exception that a server reports for a call; the drone's own service repeats the call."""

@@ -1,0 +1,89 @@
+"""A real flight past a real server: requests are made smaller before they are sent, in a process of the drone's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import tomli_w
+from tests.events import read
+from tests.programs import running, stand_in, write_drone
+
+from upwash.cli.main import main
+
+pytestmark = [pytest.mark.system, pytest.mark.flight]
+
+PROGRAM = """
+import os
+from upwash import service
+
+@service
+class Halve:
+    def count(self, photo: bytes) -> bytes:
+        if photo.startswith(b"crash"):
+            os._exit(3)
+        return photo[: len(photo) // 2]
+
+@service(before_sending=Halve)
+class Counter:
+    def count(self, photo: bytes) -> int:
+        return len(photo)
+
+def fly(drone):
+    counter = drone.service(Counter)
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    drone.autopilot.goto(drone.plan[0])
+    drone.autopilot.hover(6.0)
+    for first in (b"first", b"crash"):
+        drone.user.notify(counter.count(first + bytes(399_995)), at=drone.autopilot.position)
+    drone.end_flight()
+    drone.autopilot.disarm()
+"""
+
+
+def test_requests_are_made_smaller_and_a_crash_of_the_part_costs_no_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    counter = {"name": "counter", "program": "mission.py:Counter"}
+    part = {"takes_s": 0.5, "request_bytes": 200_000, "loss": 0.5}
+    write_drone(
+        tmp_path,
+        PROGRAM,
+        mission={"altitude_m": 2.0},
+        service=[{**counter, "request_bytes": 400_000, "local_call_s": 9.0, "before_sending": part}],
+        server=[
+            {
+                "name": "s1",
+                "east_m": 0.0,
+                "north_m": 0.0,
+                "range_m": 100.0,
+                "address": f"unix:{tmp_path}/s1.sock",
+                "bandwidth_bit_s": 1e6,
+                "remote_call_s": 3.5,
+            }
+        ],
+        policy={"most_loss": 0.6},
+    )
+    daemon = {
+        "listen": f"unix:{tmp_path}/s1.sock",
+        "allow_without_certificates": True,
+        "runtime": {"sandbox": "off"},
+        "service": [counter],
+        "server": [{"name": "s1"}],
+    }
+    (tmp_path / "server.toml").write_text(tomli_w.dumps(daemon))
+    with running("serve", "--config", "server.toml") as serving, stand_in(tmp_path) as connection:
+        assert serving.stdout is not None
+        assert any(" ready at " in line for line in serving.stdout)
+        assert main(["fly", "--config", "drone.toml", "--autopilot", connection]) == 0
+    (log,) = Path("runs").glob("*/events.jsonl")
+    events = read(log)
+    calls = [event for event in events if event["event"] == "call"]
+    assert [call["place"] for call in calls] == ["s1", "s1"]
+    assert ["sent_bytes" in call for call in calls] == [True, False]
+    answers = [event["message"] for event in events if event["event"] == "notified"]
+    assert answers == [200_000, 400_000]
+    (failed,) = [event for event in events if event["event"] == "sent_whole"]
+    assert failed["operation"] == "counter.count"
