@@ -163,7 +163,10 @@ def test_tuning_says_what_settings_save_and_what_was_measured() -> None:
     assert saved["stay_or_go = stay"].value == 0.0  # as it was flown
     assert saved["stay_or_go = go"].value > saved["stay_or_go = go"].margin  # no answer demands anything
     assert found.settings[0].setting in {"stay_or_go = go", "stay_or_go = learn"}
-    assert any(line.startswith("s2: remote_call_s = ") and "= 0.7" in line for line in found.estimates)
+    assert any(
+        line.startswith('s2: remote_call_s.detector = { "heavy" = 0.7') and "check_s = 11" in line
+        for line in found.estimates
+    )
     with pytest.raises(UsageError, match="nothing to tune"):
         tune([flown("local-only")], replays=FEW)
 

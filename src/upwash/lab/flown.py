@@ -104,9 +104,7 @@ class FlownMission:
     stop_s: float = 0.0  # of the photo, and of all else at a stop but calls and actions
     action_s: float = 0.0
     landing_s: float = 0.0
-    stops: dict[int, tuple[float, float]] = field(
-        default_factory=dict
-    )  # places by waypoint, as they were reached
+    stops: dict[int, tuple[float, float]] = field(default_factory=dict)  # by waypoint, as they were reached
     calls: dict[int, list[str]] = field(default_factory=dict)  # operations by waypoint
     remote_calls: int = 0
     demanding: set[int | None] = field(default_factory=set)
@@ -122,9 +120,7 @@ class FlownMission:
     notes: list[str] = field(default_factory=list)
     ended_early: str = ""
     _now_s: float = 0.0
-    _stays: list[list[float]] = field(
-        default_factory=list
-    )  # at each stop: arrival, what was spent, departure
+    _stays: list[list[float]] = field(default_factory=list)  # arrival, seconds spent on answers, departure
     _actions_s: list[float] = field(default_factory=list)
     _started: int = 0  # calls that the mission did not wait for yet
     _taken_s: float = 0.0  # when the last answer was taken
@@ -149,12 +145,17 @@ class FlownMission:
     def estimates(self) -> Iterator[str]:
         """What was measured of each server, as the keys of its table."""
         for name, server in self.servers.items():
-            if server.answers and server.join_s:
-                times = [f'"{operation}" = {fmean(calls):.3g}' for operation, calls in server.call_s.items()]
-                check = f", check_running_s = {fmean(server.join_s):.3g}"
+            times: dict[str, list[str]] = defaultdict(list)
+            for operation, calls in server.call_s.items():
+                service_name, _, method = operation.removesuffix("]").partition(".")
+                method, _, key = method.partition("[")
+                times[service_name].append(f'"{key or method}" = {fmean(calls):.3g}')
+            said = [f"remote_call_s.{called} = {{ {', '.join(keys)} }}" for called, keys in times.items()]
+            if said and server.join_s:
+                said.append(f"check_running_s = {fmean(server.join_s):.3g}")
                 if server.start_s:
-                    check += f", check_s = {fmean(server.join_s) + fmean(server.start_s):.3g}"
-                yield f"{name}: remote_call_s = {{ {', '.join(times)} }}{check}"
+                    said.append(f"check_s = {fmean(server.join_s) + fmean(server.start_s):.3g}")
+                yield f"{name}: {', '.join(said)}"
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
