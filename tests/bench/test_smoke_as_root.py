@@ -10,6 +10,7 @@ import pytest
 from tests.engines import OwnEngine
 from tests.podman import OwnPodman
 from tests.programs import printed
+from tests.system.test_ros import NO_ROS, PYTHON
 
 pytestmark = [pytest.mark.root, pytest.mark.system]
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="makes network namespaces: needs root")
@@ -50,6 +51,17 @@ def test_smaller_photos_are_scored_called_with_and_flown_with() -> None:
     assert re.search(r"\n\| 0\.4 MB \| 2 \| 720 px, 85 \| \d+ kB \| [\d.]+ \|", said)
     assert re.search(r"\n\| 0\.4 MB \| 54 Mbit/s \|( [\d.]+ s \|){5}", said)
     assert re.search(r"\n\| 10 MB, as 1 MB \|( \d+ s, [\d.]+ % \(.*?\) \|){3}", said)
+
+
+@pytest.mark.xdist_group("ros")
+@pytest.mark.skipif(not PYTHON.exists(), reason=NO_ROS)
+@needs_root
+@needs_ip
+def test_calls_over_ros_are_measured_in_three_ways() -> None:
+    said = printed("bench.ros", "--quick", "--python", PYTHON)
+    for way in ("bare ROS 2 service", "FogROS2's way", "`upwash ros`"):
+        assert re.search(rf"\| good link \| {way} \| [\d.]+ s \| [\d.]+ \|", said)
+    assert re.search(r"\| black-out \| `upwash ros` \|.*\| (\d+) of \1 \|", said)
 
 
 @pytest.mark.flight

@@ -18,6 +18,7 @@ import tomli_w
 from tests.programs import COUNTING, ROOT, stand_in, write_drone
 
 PYTHON = Path(os.environ.get("UPWASH_ROS_PYTHON", ROOT / ".venv-ros" / "bin" / "python"))
+NO_ROS = "needs ROS 2: make .venv-ros/.ready, with Python 3.11 on x86-64"
 STRING, IMAGE = "std_msgs/msg/String", "sensor_msgs/msg/CompressedImage"
 TOPIC = "/camera/image/compressed"
 RESULT = "/upwash/counter/result"
@@ -39,6 +40,11 @@ remote_call_s = 0.05
 check_s = 1
 check_running_s = 1
 """
+ALONE = DRONE.partition("[[server]]")[0]
+PLACED = """
+ros.position = "/mavros/global_position/global"
+mission = { home = { latitude_deg = 39.0, longitude_deg = 22.0 }, waypoints_m = [[0, 0]] }
+"""
 COUNTER = """
 import time
 from upwash import service
@@ -55,14 +61,14 @@ class Counter:
 pytestmark = [
     pytest.mark.system,
     pytest.mark.xdist_group("ros"),
-    pytest.mark.skipif(
-        not PYTHON.exists(), reason="needs ROS 2: make .venv-ros/.ready, with Python 3.11 on x86-64"
-    ),
+    pytest.mark.skipif(not PYTHON.exists(), reason=NO_ROS),
 ]
 
 
 class Ros:
     """Another node, in a process of its own."""
+
+    node = "upwash"  # whose answers are read
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -89,9 +95,10 @@ class Ros:
         )
 
     def answers(self, text: str, count: int = 1, **said: Any) -> list[dict[str, Any]]:
+        topic = f"/{self.node}/counter/result"
         return [
             json.loads(message["data"])
-            for message in self("wait", topic=RESULT, text=text, count=count, **said)
+            for message in self("wait", topic=topic, text=text, count=count, **said)
         ]
 
     def computed(self, size: int) -> dict[str, Any]:
@@ -131,6 +138,24 @@ def running(*command: object, folder: Path) -> Iterator[subprocess.Popen[str]]:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(10)
             process.kill()
+
+
+@contextlib.contextmanager
+def another_node(
+    ros: Ros, name: str, folder: Path, config: str = ALONE, *, topic: str = TOPIC, managed: bool = False
+) -> Iterator[None]:
+    """A node, without servers by default, whose answers are read in the block."""
+    (folder / "mission.py").write_text(COUNTER)
+    (folder / "drone.toml").write_text(config)
+    ros("listen", topic=f"/{name}/counter/result", kind=STRING)
+    words = ("ros", "--config", "drone.toml", *(["--managed"] if managed else []))
+    names = ("--ros-args", "-r", f"__node:={name}", "-r", f"{TOPIC}:={topic}")
+    ros.node = name
+    try:
+        with running("-m", "upwash", *words, *names, folder=folder):
+            yield
+    finally:
+        ros.node = Ros.node
 
 
 @pytest.fixture(scope="module")
@@ -236,6 +261,30 @@ def test_what_does_not_fit_is_a_diagnostic_and_the_next_photo_is_computed(ros: R
     assert ros.answers(":4002")[0]["stamp"]["sec"] == 1000
 
 
+def test_a_server_is_used_where_mavros_says_that_the_drone_is_in_its_range(
+    ros: Ros, server: tuple[str, subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    ranged = DRONE.replace('range_m = "measured"', "east_m = 0\nnorth_m = 0\nrange_m = 100")
+    fix = {"topic": "/mavros/global_position/global", "kind": "sensor_msgs/msg/NavSatFix"}
+
+    def computed_at(latitude_deg: float, place: str) -> bool:
+        for _ in range(20):
+            place_there = {"latitude": latitude_deg, "longitude": 22.0, "altitude": 5.0}
+            ros("publish", **fix, fields={"status": {"status": 0}, **place_there})
+            if ros.computed(4400)["place"] == place:
+                return True
+            ros("forget", topic="/placed/counter/result")
+            time.sleep(0.3)  # a check takes a while
+        return False
+
+    config = PLACED + ranged + f'address = "{server[0]}"\n'
+    with another_node(ros, "placed", tmp_path, config):
+        assert computed_at(39.01, "local")  # 1.1 km away
+        assert computed_at(39.0001, "s1")
+        ros("publish", **fix, fields={"status": {"status": 0}, "latitude": 1e9}, times=3)
+        assert "no place on the Earth" in ros.status("position", "Earth")["message"]
+
+
 def test_photos_go_on_at_the_drone_when_the_server_is_killed(
     ros: Ros, node: subprocess.Popen[str], server: tuple[str, subprocess.Popen[str]]
 ) -> None:
@@ -250,20 +299,13 @@ def test_photos_go_on_at_the_drone_when_the_server_is_killed(
 
 
 def test_a_lifecycle_manager_activates_a_managed_node(tmp_path: Path, ros: Ros) -> None:
-    (tmp_path / "mission.py").write_text(COUNTER)
-    (tmp_path / "drone.toml").write_text(DRONE.partition("[[server]]")[0])
-
     def change(transition: int) -> bool:
-        kind = "lifecycle_msgs/srv/ChangeState"
-        reply = ros(
-            "call", service="/upwash/change_state", kind=kind, fields={"transition": {"id": transition}}
-        )
-        return bool(reply["success"])
+        kind, fields = "lifecycle_msgs/srv/ChangeState", {"transition": {"id": transition}}
+        return bool(ros("call", service="/managed/change_state", kind=kind, fields=fields)["success"])
 
-    ros("forget", topic=RESULT)
-    with running("-m", "upwash", "ros", "--config", "drone.toml", "--managed", folder=tmp_path):
+    with another_node(ros, "managed", tmp_path, managed=True):
         assert change(1)  # configure
-        reply = ros("call", service="/upwash/counter", kind="std_srvs/srv/Trigger")
+        reply = ros("call", service="/managed/counter", kind="std_srvs/srv/Trigger")
         assert (reply["success"], reply["message"]) == (False, "the node is not active")
         assert change(3)  # activate
         assert ros.computed(4200)["place"] == "local"
@@ -273,23 +315,18 @@ def test_a_lifecycle_manager_activates_a_managed_node(tmp_path: Path, ros: Ros) 
 
 
 def test_raw_images_are_computed_and_an_unknown_encoding_is_named(tmp_path: Path, ros: Ros) -> None:
-    (tmp_path / "mission.py").write_text(COUNTER)
-    (tmp_path / "drone.toml").write_text(DRONE.partition("[[server]]")[0])
     image = {"height": 2, "width": 2, "step": 6, "encoding": "rgb8", "data": [0] * 12}
-    ros("forget", topic=RESULT)
-    remapped = ("--ros-args", "-r", f"{TOPIC}:=/camera/raw")
-    with running("-m", "upwash", "ros", "--config", "drone.toml", *remapped, folder=tmp_path):
-        ros("publish", topic="/camera/raw", kind="sensor_msgs/msg/Image", fields=image, times=5, every_s=0.3)
+    raw = {"topic": "/camera/raw", "kind": "sensor_msgs/msg/Image"}
+    with another_node(ros, "raw", tmp_path, topic="/camera/raw"):
+        ros("publish", **raw, fields=image, times=5, every_s=0.3)
         assert ros.answers("result")[0]["result"] > 100  # of a JPEG
         for changed, said in (({"encoding": "rainbow"}, "'rainbow'"), ({"height": 3}, "12 bytes")):
-            ros("publish", topic="/camera/raw", kind="sensor_msgs/msg/Image", fields=image | changed)
+            ros("publish", **raw, fields=image | changed)
             assert said in ros.status("counter", said)["message"]
 
 
 def test_a_topic_of_another_type_is_named(tmp_path: Path, ros: Ros) -> None:
-    (tmp_path / "mission.py").write_text(COUNTER)
-    (tmp_path / "drone.toml").write_text(DRONE.partition("[[server]]")[0].replace(TOPIC, "/camera/text"))
-    with running("-m", "upwash", "ros", "--config", "drone.toml", folder=tmp_path):
+    with another_node(ros, "text", tmp_path, topic="/camera/text"):
         ros("publish", topic="/camera/text", kind=STRING, fields={}, times=0)
         assert "carries std_msgs/msg/String" in ros.status("photos", "carries")["message"]
 
@@ -319,7 +356,7 @@ def test_a_flight_takes_its_photos_from_a_topic_and_tells_other_nodes_of_it(tmp_
 
 
 def test_without_ros_the_command_says_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "drone.toml").write_text(DRONE.partition("[[server]]")[0])
+    (tmp_path / "drone.toml").write_text(ALONE)
     (tmp_path / "mission.py").write_text(COUNTER)
     hidden = "import sys; sys.modules['rclpy'] = None; from upwash.cli.main import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run(

@@ -34,9 +34,8 @@ from upwash.real.host.signals import stopping_politely
 from upwash.real.instances.runtime import OwnProcesses
 from upwash.ros.position import NowhereKnown, TopicPosition
 from upwash.ros.session import ros_imports, spinning
-from upwash.ros.topics import ImageTopic
+from upwash.ros.topics import ImageTopic, jpeg_soon
 from upwash.rpc.service import spec_of
-from upwash.services.ros_image import jpeg_of_message
 from upwash.support.background import beside, first, in_thread, kept_up
 
 if TYPE_CHECKING:
@@ -213,8 +212,7 @@ class _RosProgram:
         return await self._stream.ask(service)
 
     async def _jpeg(self, message: Any) -> bytes:
-        topic = self._images.name if self._images else ""
-        return await in_thread(functools.partial(jpeg_of_message, topic, message), name="an image of ROS 2")
+        return await jpeg_soon(self._images.name if self._images else "", message)
 
     def _answered(self, message: Any, answer: StreamAnswer) -> None:
         self._computed[answer.service] += not answer.why

@@ -13,9 +13,7 @@ from upwash.core.geo import Position
 from upwash.errors import CameraError
 from upwash.ports import Photo
 from upwash.ros.session import ros_imports, spinning
-from upwash.ros.topics import EventTopic, ImageTopic, age_s
-from upwash.services.ros_image import jpeg_of_message
-from upwash.support.background import in_thread
+from upwash.ros.topics import EventTopic, ImageTopic, age_s, jpeg_soon
 
 _PHOTO_S = 5.0
 
@@ -46,9 +44,7 @@ class TopicCamera:
             raise CameraError(self._topic.name, f"no image within {_PHOTO_S:g} s: {why}") from None
         finally:
             self._requests.remove(request)
-        jpeg = await in_thread(
-            functools.partial(jpeg_of_message, self._topic.name, message), name="an image of ROS 2"
-        )
+        jpeg = await jpeg_soon(self._topic.name, message)
         return Photo(jpeg, captured_s, source=_source(self._topic.name, message), lens=self._lens)
 
     def _take(self, message: Any) -> None:

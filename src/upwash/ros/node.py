@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
@@ -39,7 +39,7 @@ class Finding:
 
     name: str
     troubles: Sequence[str] = ()
-    values: Mapping[str, object] = msgspec.field(default_factory=dict)
+    values: Mapping[str, object] = field(default_factory=dict)
     is_error: bool = False
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -10,6 +11,8 @@ import msgspec
 
 from upwash.eventlog.schema import Event
 from upwash.ros.session import guarded, ros_imports
+from upwash.services.ros_image import jpeg_of_message
+from upwash.support.background import in_thread
 from upwash.support.text import counted
 
 _KEPT_EVENTS = 100  # for a subscriber that is slower
@@ -104,6 +107,13 @@ class EventTopic:
         """Publishes the event; one that cannot be published is only in the log."""
         with contextlib.suppress(Exception):  # such as a context that was shut down from outside
             self._publisher.publish(self._string(data=msgspec.json.encode(event).decode()))
+
+
+async def jpeg_soon(topic: str, message: Any) -> bytes:
+    """The JPEG of an image, as `jpeg_of_message`; what takes time is done in a thread."""
+    work = functools.partial(jpeg_of_message, topic, message)
+    is_jpeg = not hasattr(message, "encoding") and message.data[:1].tobytes() == b"\xff"
+    return work() if is_jpeg else await in_thread(work, name="an image of ROS 2")
 
 
 def age_s(node: Any, message: Any) -> float:

@@ -1,0 +1,1 @@
+"""The same call over ROS 2 in three ways: see docs/ros.md."""
