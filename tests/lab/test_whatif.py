@@ -128,6 +128,11 @@ def before_the_first_waypoint() -> Sequence[Event]:
     return list(itertools.takewhile(lambda event: not isinstance(event, schema.Arrived), flown("look-ahead")))
 
 
+def with_two_answers() -> Sequence[Event]:
+    first = schema.FirstAnswer(t=20.0, waypoint=1, operation="detector.process_photo[light]", delay_s=3.0)
+    return [*flown("look-ahead"), first]
+
+
 def endless() -> Sequence[Event]:
     events = list(flown("look-ahead"))
     call = next(event for event in events if isinstance(event, schema.Call))
@@ -141,6 +146,7 @@ def endless() -> Sequence[Event]:
         (of_two_drones, "missions of several drones"),
         (resumed, "broken off and resumed"),
         (before_the_first_waypoint, "reached no waypoint"),
+        (with_two_answers, "two answers"),
         (endless, "contradict one another"),
         (lambda: [schema.LocalReady(t=0.0, service="detector")], "no mission to replay"),
     ],

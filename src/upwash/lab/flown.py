@@ -23,6 +23,7 @@ LEAST_S = 1e-3
 UNUSED = "unused"  # an operation that the mission could have called, and did not
 _MOST_CALLS, _LONGEST_S = 5_000, 48 * 3600.0
 _BY_CALLS = (schema.CallFailedInRange, schema.CallFailedOutOfRange)
+_OTHER_CALLS = (schema.FirstAnswer, schema.Unanswered, schema.SoughtAnswers)
 _FAILURES = (schema.CheckFailed, schema.NetworkLost, *_BY_CALLS)
 
 
@@ -367,6 +368,10 @@ def read_flown(log: Iterable[Event]) -> FlownMission:
         raise UsageError(
             "the drone took photos on rows without stopping, and only missions that stop are replayed: "
             "compare policies in a scenario of them"
+        )
+    if any(isinstance(event, _OTHER_CALLS) for event in events):
+        raise UsageError(
+            "calls of this flight have two answers, or run on servers alone: these are not replayed"
         )
     flown = FlownMission()
     for event in events:
