@@ -103,6 +103,30 @@ def test_a_service_that_no_server_offers_is_named_with_the_line_to_add() -> None
     assert warnings(alone, [], [believed()], predicted(local=9.0, configured=9.0)) == []
 
 
+@pytest.mark.parametrize(
+    ("part", "bandwidth_bit_s", "said"),
+    [
+        ({}, 4e6, "no [[service]] has a before_sending"),
+        ({"loss": 0.3}, 4e6, "each before_sending loses more"),
+        ({"loss": 0.1}, None, "no [[server]] has a bandwidth_bit_s"),
+        ({"loss": 0.1}, 4e6, ""),
+    ],
+)
+def test_a_loss_that_is_allowed_in_vain_is_named(
+    part: dict[str, Any], bandwidth_bit_s: float | None, said: str
+) -> None:
+    detector: dict[str, Any] = {"name": "detector", "local_call_s": {"heavy": 10.0}}
+    server: dict[str, Any] = {"name": "s1", "east_m": 0, "north_m": 0, "range_m": 50}
+    server["remote_call_s"] = {"heavy": 1.0}
+    if part:
+        detector["before_sending"] = {"takes_s": 0.1, "request_bytes": 1000, **part}
+    if bandwidth_bit_s is not None:
+        server["bandwidth_bit_s"] = bandwidth_bit_s
+    config = configured(policy={"most_loss": 0.2}, service=[detector], server=[server])
+    found = warnings(config, [covered()], [believed()], GOOD)
+    assert [(each.kind, said in each.text) for each in found] == ([("sent-whole", True)] if said else [])
+
+
 def test_a_wait_that_can_never_pay_off_is_named() -> None:
     greedy = {"gain_wait": 0.9}
     assert kinds(configured(policy=greedy)) == ["never-waits"]

@@ -12,7 +12,7 @@ its message, which `explanation` has to take apart.
 
 from __future__ import annotations
 
-from upwash.config.checks import never_offloaded, only_on_servers
+from upwash.config.checks import never_made_smaller, never_offloaded, only_on_servers
 from upwash.config.daemon import (
     DaemonConfig,
     DaemonKeysConfig,

@@ -86,6 +86,23 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
         yield from below(f"drone[{index}]", _drone_problems(drone, config))
 
 
+def never_made_smaller(config: DroneConfig) -> str:
+    """Why no request is made smaller before it is sent, though `most_loss` allows it; "" if some may be."""
+    most_loss = config.policy.most_loss
+    parts = {service.name: service.before_sending for service in config.services if service.before_sending}
+    if not most_loss or not config.servers:
+        return ""
+    if not parts:
+        why = "no [[service]] has a before_sending: upwash profile measures it"
+    elif all(min(part.loss.values()) > most_loss for part in parts.values()):
+        why = "each before_sending loses more: allow more, or let its part keep more"
+    elif all(server.bandwidth_bit_s is None for server in config.servers):
+        why = "no [[server]] has a bandwidth_bit_s, which tells what the transfer of a request takes: add it"
+    else:
+        return ""
+    return f"policy.most_loss is {most_loss:g}, and all requests are sent whole: {why}"
+
+
 def never_offloaded(config: DroneConfig) -> Iterator[str]:
     """A warning for each service that always runs on the drone, as no server is believed to offer it."""
     offered = {name for server in config.servers for name in (*server.processing_s, *server.remote_call_s)}

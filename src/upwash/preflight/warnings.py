@@ -12,6 +12,7 @@ from upwash.config import (
     PolicyConfig,
     ServerConfig,
     finish_by_s,
+    never_made_smaller,
     never_offloaded,
     only_on_servers,
     reserve_percent,
@@ -131,6 +132,8 @@ def _operation_concerns(config: DroneConfig, beliefs: Sequence[Belief]) -> Itera
         return
     for problem in never_offloaded(config):
         yield PreflightWarning("not-offered", problem)
+    if problem := never_made_smaller(config):
+        yield PreflightWarning("sent-whole", problem)
     for belief in beliefs:
         fastest_s = min(belief.remote_s.values(), default=None)
         if fastest_s is not None and fastest_s >= belief.local_s:
