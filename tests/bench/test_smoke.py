@@ -37,6 +37,7 @@ QUICK = {  # what each prints, among others
     "stay_or_go": r" 50 % +[\d.]+( +-?[\d.]+ ± [\d.]+ %){2} +[\d.]+ / [\d.]+\n",
     "tiles": r"\| auto \| 49 (\| \d+ ms ){3}\| [\d.]+ \| [\d.]+ (PASS|MISS) \|",
     "whatif": r"\d+ of 3 hold \([\d.]+ %\)",
+    "two_answers": r"\| rows \| 4 s \| [\d.]+ \| -?[\d.]+ ± [\d.]+ % \|",
     "vehicle": r"\| total \| [\d.]+ \| [\d.]+ \|",
 }
 BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}

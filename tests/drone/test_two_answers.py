@@ -11,9 +11,11 @@ from tests.preflight.test_check import here
 from tests.scenarios import fault, scenario, server
 
 from upwash import Drone
+from upwash.config import DroneConfig
 from upwash.drone.resumption import waypoints_done
 from upwash.errors import ConfigError, UsageError
 from upwash.eventlog import schema
+from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
 from upwash.preflight.check import check, read_plan
 from upwash.report.notices import NoticesTaken
@@ -35,15 +37,18 @@ MISSED = {"every": 1, "missed": {"light": 1.0}}  # only the better answers deman
 FALSE = {"probability": 0.0, "false_alarms": {"light": 1.0}}  # only the first ones do
 
 
-def fly(
+def configured(
     *servers: dict[str, Any], two: dict[str, Any] | None = TWO, mode: str = "heavy", **tables: Any
-) -> Run:
+) -> DroneConfig:
     service = {"name": "detector", "local_call_s": {"light": 1.0, "heavy": 10.0}}
     mission = {"mode": mode, "action_s": 2.0, **tables.pop("mission", {})}
     if two is not None:
         service["two_answers"] = two
-    places = {"columns": 3, "rows": 1, "service": [service], "mission": mission, **tables}
-    run = simulate(scenario(*servers, **places))
+    return scenario(*servers, **{"columns": 3, "rows": 1, "service": [service], "mission": mission, **tables})
+
+
+def fly(*servers: dict[str, Any], **tables: Any) -> Run:
+    run = simulate(configured(*servers, **tables))
     assert run.failure == "" and run.result.completed
     return run
 
@@ -101,6 +106,20 @@ def test_no_better_answer_counts_after_the_deadline(mission: dict[str, Any], wit
     run = fly(NEAR, two={**TWO, "within_s": within_s}, faults=[stuck], mission=mission, event=MISSED)
     assert {call.key for call in run.result.calls} == {"light"} and acted(run) == []
     assert max(call.delay_s for call in run.result.calls) <= within_s + 0.01
+
+
+@pytest.mark.parametrize("manner", ["stay", "go"])
+@pytest.mark.parametrize("event", [MISSED, {"probability": 0.0}], ids=["better", "none"])
+def test_the_forecast_and_the_least_time_count_the_first_answer(event: dict[str, Any], manner: str) -> None:
+    config = configured(NEAR, event=event, policy={"stay_or_go": manner})
+    run = simulate(config)
+    least, took_s = bound_of(run, config), run.result.mission_time_s
+    assert least is not None and least.free_s <= took_s + 1e-6
+    (foreseen,) = of(list(run.events), schema.Foreseen)
+    if event is not MISSED and manner == "stay":
+        assert foreseen.as_asked_s == pytest.approx(
+            took_s - 3.0, abs=1.0
+        )  # the last better answer comes late
 
 
 def test_a_server_that_is_sooner_than_the_drone_answers_alone() -> None:

@@ -353,10 +353,7 @@ class Calling:
         self._journal.record(
             schema.RemoteRaised(server=server, check=attempt.check, operation=operation, raised=raised)
         )
-        if (
-            attempt.twice is not None
-        ):  # the drone computes another operation, and its result tells nothing of this operation
-            why = f"{server} says that {operation} raised {raised}"
+        if attempt.twice is not None:  # the drone computes another operation, which tests nothing
             if attempt.sends_less:  # which may be the fault of what was sent
                 self._decisions.part_failed(attempt.call.operation, why)
             else:

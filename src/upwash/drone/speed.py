@@ -30,7 +30,7 @@ from upwash.core.operation import Operation
 from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.ground_speed import ChosenSpeed, SpeedLimit, choose_speed
 from upwash.core.planning.row_forecast import RowForecast, RowMission, forecast_rows
-from upwash.drone.preparation import home_s, make_estimates, mission_beliefs
+from upwash.drone.preparation import home_s, make_estimates, mission_beliefs, two_answers
 from upwash.rpc.service import ServiceSpec
 
 SHARP_PX, BLURRED_PX = 0.5, 1.0
@@ -116,6 +116,7 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
     operations = [call.operation for call in beliefs.stop]
     alone = [operation for operation in operations if not estimates.needs_server(operation)]
     operations = alone or operations  # answers that only servers give hold the drone up no more than others
+    first = {operation: two.first for operation, two in two_answers(config, specs, estimates).items()}
     areas = {} if config.policy.name == "local-only" else server_areas(config)
     known = RowMission(
         plan=plan,
@@ -125,7 +126,7 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         takeoff_s=beliefs.pace.takeoff_s(mission.altitude_m),
         home_s=home_s(config, places[-1], start),
         photo_s=config.camera.photo_s,
-        local_s=sum(estimates.local_s(operation) or 0.0 for operation in operations)
+        local_s=sum(estimates.local_s(first.get(operation, operation)) or 0.0 for operation in operations)
         if alone or not operations
         else math.inf,
         servers={

@@ -21,7 +21,7 @@ from upwash.config import (
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.operation import Operation
 from upwash.core.planning.schedule import ComingCall, Offer
-from upwash.drone.preparation import make_estimates
+from upwash.drone.preparation import make_estimates, two_answers
 from upwash.errors import MissionFailed
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces
@@ -147,7 +147,8 @@ def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -
     mission_s = run.result.mission_time_s
     if config.mission.photos is not None or any(map(only_on_servers, config.services)):
         return _Mission([], min(mission_s, _least_alone_s(run, config)), may_go=True)
-    if config.policy.stay_or_go == "stay":
+    may_go = config.policy.stay_or_go != "stay" or any(service.two_answers for service in config.services)
+    if not may_go:
         other_s = mission_s - run.result.totals.service_delay_s
         return _Mission(list(_made(run, config, truths)), other_s, may_go=False)
     ways = Ways()
@@ -226,6 +227,7 @@ def _made(
     specs = load_specs(config.services)
     estimates = make_estimates(config, specs)
     operations = {str(operation): operation for operation in estimates.operations}
+    twice = two_answers(config, specs, estimates)
     services = {service.name: service for service in config.services}
     places = server_places(config)
     ended_s, position, decided = 0.0, Position(0.0, 0.0), False
@@ -235,7 +237,7 @@ def _made(
             case schema.Decided() if not decided:  # a second time where the drone may be by then
                 position, decided = event.position, True
             case schema.Call(at_s=begun_s, operation=name, t=now_s, delay_s=delay_s):
-                operation = operations[name]
+                operation = operations[name if event.first_s is None else event.asked or name]
                 service = services[operation.service]
                 passage = ways.after(number) if ways else None
                 offers = [
@@ -269,7 +271,8 @@ def _made(
                     for stay, later_s in _met(run.range_intervals, passage)
                 ]
                 waited_s = ways.waited_s.get(number, delay_s) if ways else delay_s
-                local_s = delay_of(operation, service.local_call_s)
+                computed = twice[operation].first if operation in twice else operation
+                local_s = delay_of(computed, service.local_call_s)
                 call = ComingCall(local_s, begun_s - ended_s, offers)
                 yield _Made(operation, call, waited_s, max(0.0, delay_s - waited_s), passage, on_the_way)
                 ended_s, decided, number = now_s, False, number + 1

@@ -61,7 +61,8 @@ class CallPlacement:
         local_end_s = max(now_s, busy_until_s.get(ON_DRONE, now_s)) + first_s
         if remote_end_s < local_end_s:
             return "" if server.name in busy_until_s else "either"
-        return "drone" if is_drone_free else ""
+        is_for_both = first != operation and server.name not in busy_until_s
+        return ("either" if is_for_both else "drone") if is_drone_free else ""
 
     def _first_s(self, first: Operation, local_s: float) -> float:
         first_s = self._estimates.local_s(first)
