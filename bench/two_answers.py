@@ -50,11 +50,7 @@ ANSWERS: Mapping[str, tuple[Mode, str, bool]] = {  # mode, policy, whether two a
     "heavy": ("heavy", "look-ahead", False),
     "two answers": ("heavy", "look-ahead", True),
 }
-MANNERS: Mapping[str, dict[str, Any]] = {
-    "stops": {"mission.photos": None, "policy.stay_or_go": "stay"},
-    "stops, learns": {"mission.photos": None, "policy.stay_or_go": "learn"},
-    "rows": {},
-}
+MANNERS = ("rows", "stops")
 SEEDS, QUICK_SEEDS = 30, 2
 
 
@@ -179,12 +175,11 @@ def _document(flight: Flight) -> dict[str, Any]:
     document = read_document(SCENARIO)
     mode, policy, has_two = ANSWERS[flight.answers]
     local_s, processing_s = MODELS[flight.model]
-    manner = MANNERS[flight.manner]
     document["seed"] = flight.seed
     document["mission"] |= {"mode": mode}
-    if "mission.photos" in manner:
+    if flight.manner == "stops":
         del document["mission"]["photos"]
-    document["policy"] = {"name": policy, "stay_or_go": manner.get("policy.stay_or_go", "stay")}
+    document["policy"] = {"name": policy}
     service: dict[str, Any] = {"name": "detector", "local_call_s": local_s}
     if has_two:
         service["two_answers"] = {"first": "light", "within_s": WITHIN_S}
@@ -211,7 +206,7 @@ def _document(flight: Flight) -> dict[str, Any]:
 
 def accuracy(photos: Sequence[Seen], files: Mapping[int, str], quick: bool) -> Iterator[str]:
     """The rows of the first table."""
-    manners, models = ("rows",) if quick else ("stops", "rows"), ("4 s",) if quick else tuple(MODELS)
+    manners, models = (("rows",), ("4 s",)) if quick else (MANNERS, tuple(MODELS))
     links = LINKS_BIT_S[:1] if quick else LINKS_BIT_S
     wanted = [
         Flight(manner, model, link, answers, 1, file)
@@ -251,27 +246,24 @@ def _cell(flown: Mapping[int, Flown], seen: Mapping[tuple[int, int], Seen]) -> s
 def gains(quick: bool) -> Iterator[str]:
     """The rows of the second table."""
     seeds = range(1, 1 + (QUICK_SEEDS if quick else SEEDS))
-    manners = ("rows",) if quick else tuple(MANNERS)
     differs = (0.0,) if quick else (0.0, 0.1)
-    alone = [Flight(*each) for each in itertools.product(manners, MODELS, (54e6,), ("heavy",), seeds)]
-    both = [
-        each._replace(answers="two answers", differ=differ)
-        for each, differ in itertools.product(alone, differs)
-    ]
-    with in_processes(fly, alone + both) as results:
-        flown = dict(results)
     heads = " | ".join(f"light misses {100 * differ:g} %" for differ in differs)
     yield f"| flies | heavy on a server | one answer, min | {heads} |"
-    for manner, model in itertools.product(manners, MODELS):
-        own = [each for each in alone if (each.manner, each.model) == (manner, model)]
+    manners, models = (("rows",), ("4 s",)) if quick else (MANNERS, tuple(MODELS))
+    for manner, model in itertools.product(manners, models):
+        alone = [Flight(manner, model, 54e6, "heavy", seed) for seed in seeds]
+        both = {
+            differ: [one._replace(answers="two answers", differ=differ) for one in alone]
+            for differ in differs
+        }
+        with in_processes(fly, [*alone, *itertools.chain(*both.values())]) as results:
+            flown = dict(results)
         cells = []
-        for differ in differs:
-            pairs = [
-                (flown[each], flown[each._replace(answers="two answers", differ=differ)]) for each in own
-            ]
-            gain = mean_of([100 * (1 - two.mission_s / one.mission_s) for one, two in pairs])
+        for flights in both.values():
+            pairs = zip(alone, flights, strict=True)
+            gain = mean_of([100 * (1 - flown[two].mission_s / flown[one].mission_s) for one, two in pairs])
             cells.append(f"{gain.value:.1f} ± {gain.margin:.1f} %")
-        minutes = fmean(flown[each].mission_s for each in own) / 60
+        minutes = fmean(flown[one].mission_s for one in alone) / 60
         yield f"| {manner} | {model} | {minutes:.2f} | {' | '.join(cells)} |"
 
 

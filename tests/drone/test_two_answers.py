@@ -131,6 +131,14 @@ def test_a_server_that_is_sooner_than_the_drone_answers_alone() -> None:
     assert first.first_s is not None
 
 
+def test_servers_are_chosen_for_the_calls_as_asked_for() -> None:
+    slow = {
+        **NEAR,
+        "remote_call_s": {"light": 2.0, "heavy": 4.0},
+    }  # slower for the first answers than the drone
+    assert {call.server for call in fly(slow, columns=6).result.calls} == {"s1"}
+
+
 def test_calls_that_ask_for_the_first_key_have_one_answer() -> None:
     run = fly(NEAR, mode="light")
     assert of(list(run.events), schema.FirstAnswer) == []

@@ -80,6 +80,7 @@ class Twice:
     hearing: Hearing
     turn: Turn
     asked_s: float
+    asked: Operation
     has_failed: asyncio.Event = field(default_factory=asyncio.Event)  # a server
     is_sent: bool = False  # its place in line is a server
     gives_up: bool = False  # the mission needs no better answer
@@ -463,7 +464,7 @@ class Calling:
         finally:
             if not twice.is_sent:
                 twice.turn.leave()
-        answer = self._done_onboard(reply, computing, None)
+        answer = self._done_onboard(reply, computing, None, asked=twice.asked)
         first_s = now_s() - twice.asked_s
         if not twice.first.method.raised(reply):
             twice.hearing.hear(reply, twice.first.operation, first_s)
@@ -587,7 +588,9 @@ class Calling:
             await self._decisions.until_told(computing.task, until_s=again_s)
         return None
 
-    def _done_onboard(self, reply: Any, computing: _Computing, attempt: Attempt | None) -> CallAnswer:
+    def _done_onboard(
+        self, reply: Any, computing: _Computing, attempt: Attempt | None, *, asked: Operation | None = None
+    ) -> CallAnswer:
         began_s = computing.asked_s if computing.began_s is None else computing.began_s
         delay_s = now_s() - began_s
         late = attempt.reply if attempt is not None else None
@@ -597,7 +600,7 @@ class Calling:
             self.test(attempt, reply)
         if late is not None:
             self._keep(late, None)
-        self._decisions.tell(events.LocalCallEnded(computing.call.operation, delay_s))
+        self._decisions.tell(events.LocalCallEnded(computing.call.operation, delay_s, asked))
         return CallAnswer(
             reply,
             computing.call,

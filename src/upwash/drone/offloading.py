@@ -218,7 +218,9 @@ class Offloading:
         if two is None:
             answer = await self._calling.answer(decision, call)
         else:
-            twice = Twice(call.under(two.first), asked_s + two.within_s, hearing, turn, asked_s)
+            twice = Twice(
+                call.under(two.first), asked_s + two.within_s, hearing, turn, asked_s, call.operation
+            )
             answer = await self._calling.answer_twice(decision, call, twice)
         if two is not None:
             why += _of_two(answer, is_first=answer.call is not call)

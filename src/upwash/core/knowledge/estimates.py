@@ -250,11 +250,11 @@ class Estimates:
         """Whether the server has no configured range, so that its delays are measured for each place."""
         return self.coverage is not None and server in self.coverage.servers
 
-    def observe_local(self, operation: Operation, delay_s: float) -> None:
-        """Add the delay of a local call."""
+    def observe_local(self, operation: Operation, delay_s: float, *, asked: Operation | None = None) -> None:
+        """Add the delay of a local call, or of the first answer to a call as it was `asked` for, which counts."""
         if operation in self._local:
             self._local[operation] = self._local[operation].observe(delay_s)
-            self._count(operation)
+            self._count(asked or operation)
 
     def observe_remote(
         self,

@@ -129,10 +129,11 @@ class CallOver(SelectionEvent, frozen=True):
 
 
 class LocalCallEnded(SelectionEvent, frozen=True):
-    """A call ran on the drone."""
+    """A call ran on the drone; the first of two answers as another operation than the call `asked` for."""
 
     operation: Operation
     delay_s: float
+    asked: Operation | None = None
 
 
 class PartFailed(SelectionEvent, frozen=True):

@@ -293,8 +293,8 @@ class Selection:
                 self._ended = True
             case events.CallWaits() | events.CallOver():
                 self._planning.waits(event, now_s)
-            case events.LocalCallEnded(operation, delay_s):
-                self.estimates.observe_local(operation, delay_s)
+            case events.LocalCallEnded(operation, delay_s, asked):
+                self.estimates.observe_local(operation, delay_s, asked=asked)
                 self._planning.answered(now_s)
             case events.PartFailed(service):
                 self.estimates.part_failed(service)
