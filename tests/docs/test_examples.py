@@ -28,7 +28,7 @@ def test_an_example_is_flown_on_the_drone_and_on_its_server(scenario: Path) -> N
     run = upwash("simulate", scenario, "--json")
     assert run.returncode == 0, run.stderr
     totals = msgspec.json.decode(run.stdout)["totals"]
-    assert totals["local"] > 0
+    assert (totals["local"] > 0) == (scenario.stem != "segmenter")  # which only servers run
     assert totals["remote"]["s1"] > 0
 
 
