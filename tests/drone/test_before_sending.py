@@ -18,7 +18,7 @@ from tests.services_for_tests import Carrier, Halve
 from upwash.core.operation import Operation
 from upwash.drone.before_sending import BeforeSending, NotReduced, RunningPart
 from upwash.drone.onboard import OnboardServices
-from upwash.lab.run import Run, simulate
+from upwash.lab.run import Run, simulate, simulate_fleet
 from upwash.ports import Dialer, InstanceSpec, Program, Runtime
 from upwash.real.instances.runtime import OwnProcesses
 from upwash.rpc.service import Reduced, spec_of
@@ -176,3 +176,58 @@ def test_a_delay_that_is_given_from_end_to_end_is_shorter_by_the_transfer_that_i
     }
     run = simulate(scenario(s1, service=[detector], policy={"most_loss": 0.02}))
     assert calls(run)[-1]["delay_s"] == pytest.approx(0.7 - 0.2 + 0.02)
+
+
+FUSSY = """
+from upwash import service
+
+@service
+class Clip:
+    def look(self, photo: bytes) -> bytes:
+        return b""
+
+@service(where="servers", before_sending=Clip)
+class Fussy:
+    def look(self, photo: bytes) -> int:
+        if not photo:
+            raise ValueError("no photo")
+        return len(photo)
+
+def fly(drone):
+    fussy = drone.service(Fussy, unanswered=None)
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    drone.autopilot.hover(20.0)
+    for waypoint in drone.plan:
+        drone.autopilot.goto(waypoint)
+        drone.user.notify(fussy.look(b"1234"), at=waypoint)
+    drone.end_flight()
+    drone.autopilot.disarm()
+"""
+
+
+def test_a_server_that_refuses_what_a_part_made_answers_the_whole_and_the_part_is_given_up(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "fussy.py").write_text(FUSSY)
+    s1 = server("s1", 0.0, 0.0, range_m=500.0, bandwidth_bit_s=1e6, remote_call_s=3.0)
+    fussy = {
+        "name": "fussy",
+        "program": f"{tmp_path}/fussy.py:Fussy",
+        "request_bytes": 300_000,
+        "before_sending": {"takes_s": 0.1, "request_bytes": 3_000, "loss": 0.01},
+    }
+    config = scenario(
+        s1,
+        service=[fussy],
+        policy={"most_loss": 0.02},
+        mission={"program": f"{tmp_path}/fussy.py:fly", "grid": {"columns": 5, "rows": 1, "spacing_m": 9.0}},
+    )
+    (run,) = simulate_fleet([config], computing=True)
+    told = [event for event in written(run.events) if event["event"] in ("notified", "sent_whole")]
+    assert [event["message"] for event in told if event["event"] == "notified"] == [4] * 5
+    assert [event.get("given_up", False) for event in told if event["event"] == "sent_whole"] == [
+        False,
+        False,
+        True,
+    ]

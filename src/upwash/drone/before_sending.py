@@ -56,7 +56,8 @@ class BeforeSending:
 
         Raises NotReduced.
         """
-        part = self._parts[service]
+        if (part := self._parts.get(service)) is None:
+            raise NotReduced(f"{service} has no part that was started")
         within_s = min(_OF_DEADLINE * deadline_s, max(_LEAST_S, _FACTOR * part.takes_s))
         trying = begin(self._reduced(part, method, request, within_s))
         # It is not cancelled: a part that hangs is stopped at its end.
@@ -79,7 +80,7 @@ class BeforeSending:
             reduced = method.reduced(request, reply)
         except InstanceError as error:
             return str(error.__cause__ or error)
-        except (UpwashError, ValueError) as error:  # or values above the bounds
+        except Exception as error:  # noqa: BLE001 - whatever it is, the call goes on
             return f"{part.name}: {error}"
         if len(reduced) > len(request):
             return f"{part.name} made {len(request):,} bytes to {len(reduced):,}"

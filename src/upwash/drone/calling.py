@@ -221,6 +221,13 @@ class Calling:
         if not attempt.raised:
             return ""
         why = f"{attempt.server} says that {call.operation} raised {attempt.raised}"
+        if attempt.sends_less:  # which may be the fault of what was sent
+            self._decisions.part_failed(call.operation, why)
+            longer = (attempt.inputs.whole_s or 1.0) / (attempt.inputs.less_s or 1.0)
+            whole = replace(decision, deadline_s=longer * decision.deadline_s, inputs=NO_INPUTS)
+            if not self._decisions.may_send(attempt.server, attempt.check):
+                return ""
+            return await self.by_server(whole, call, raised_before=raised_before)
         self._decisions.tell(
             events.RemoteFaultTested(
                 attempt.server, attempt.check, call.operation, attempt.delay_s, why, raised_before

@@ -137,13 +137,14 @@ class ServerCalls:
                     turn.take(decision)
                     answer = await self._calling.by_server(decision, asked, raised_before=raised)
                     if not isinstance(answer, str):
+                        attempt = answer.attempt
                         self._journal.record(
                             schema.Call(
                                 waypoint=asked.waypoint,
                                 operation=str(asked.operation),
                                 place=decision.server,
-                                check=answer.attempt.check if answer.attempt is not None else None,
-                                decision=decision.why,
+                                check=attempt.check if attempt is not None else None,
+                                decision=decision.why + (attempt.told_of_sending if attempt else ""),
                                 at_s=asked_s,
                                 delay_s=now_s() - asked_s,
                                 waited_s=0.0,
@@ -151,6 +152,7 @@ class ServerCalls:
                                 wait="",
                                 fell_back=False,
                                 queued_s=began_s - asked_s or None,
+                                **(attempt.facts_of_sending if attempt else {}),
                             )
                         )
                         return answer.reply
