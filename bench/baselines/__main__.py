@@ -31,7 +31,10 @@ from upwash.lab import processes
 
 T = TypeVar("T")
 R = TypeVar("R")
-SEEDS, DRAWN = {"named": 5, "speeds": 5, "clients": 5, "knowing": 10, "reserving": 3}, 200
+SEEDS, DRAWN = (
+    {"named": 5, "speeds": 5, "clients": 3, "knowing": 5, "reserving": 2},
+    {"drawn": 400, "clients": 100},
+)
 
 
 def main() -> None:
@@ -39,7 +42,7 @@ def main() -> None:
     parser = command_line("baselines", __doc__)
     parser.add_argument("--part", choices=PARTS, action="append", help="fly only this one (default: all)")
     parser.add_argument("--seeds", type=int, help="of each mission (default: as the page has them)")
-    parser.add_argument("--worlds", type=int, default=DRAWN, help="drawn ones (default: %(default)s)")
+    parser.add_argument("--worlds", type=int, help="drawn ones (default: as the page has them)")
     parser.add_argument("--workers", type=int, help="processes (default: one per core)")
     parser.add_argument("--keep", action="store_true", help="leave the missions in bench/results")
     options = parser.parse_args()
@@ -47,7 +50,7 @@ def main() -> None:
     for part in options.part or PARTS:
         begun_s = time.monotonic()
         seeds = 2 if options.quick else options.seeds or SEEDS.get(part, 1)
-        count = 3 if options.quick else options.worlds
+        count = 3 if options.quick else options.worlds or DRAWN.get(part, 0)
         figures: Any = None
         if part == "knowing":
             figures = list(
