@@ -314,6 +314,15 @@ def test_where_the_drone_stops_for_what_waits(
     assert not of(list(run.events), schema.Demanded)
 
 
+@pytest.mark.parametrize(("endurance_s", "all_answered"), [(600.0, True), (180.0, False)])
+def test_a_stop_ends_before_the_reserve_would_end_the_flight(endurance_s: float, all_answered: bool) -> None:
+    config = scenario(server_m=(150.0, 60.0), mission={"reserve_s": 20.0})
+    run = flown(replace(config, vehicle=replace(config.vehicle, endurance_s=endurance_s)), survey())
+    assert run.result.completed, run.failure
+    assert sorted([*answered(run), *unanswered(run)]) == EVERY
+    assert (len(answered(run)) == 10) == all_answered
+
+
 def test_the_drone_waits_before_it_leaves_the_last_range_of_its_way() -> None:
     places = [[200.0, 80.0], [30.0, 60.0], [30.0, 80.0], [30.0, 140.0], [0.0, 280.0]]
     mission = {"waypoints_m": places}
