@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import itertools
+import json
 import math
 import os
 import signal
@@ -577,6 +578,9 @@ def test_what_a_drone_that_goes_came_to_has_columns_of_its_own(tmp_path: Path) -
     told = [(row["went_on"], row["turns_back"], float(row["hidden_s"])) for row in cells(out)]
     assert told == [("0", "0", 0.0), ("2", "1", 20.0)]
     out.unlink()
+    note = json.loads(out.with_suffix(".campaign.json").read_text())
+    assert (note["scenario"], note["configuration"]["event"]) == (file.name, {"every": 2})
+    assert note["upwash"]
     out.with_suffix(".campaign.json").unlink()
     run_here(read_sweep(file, ["policy.stay_or_go=stay"], seeds=1), out)
     assert "turns_back" not in cells(out)[0]

@@ -15,8 +15,10 @@ from typing import Any
 
 import pytest
 
+import upwash
 from upwash.cli.main import main
 from upwash.drone.mission import mission_failed
+from upwash.eventlog.schema import Simulated
 from upwash.lab.scenario import read_scenario
 
 THESIS = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
@@ -40,6 +42,7 @@ def test_json_is_one_object_with_the_fields_of_the_contract(capsys: pytest.Captu
     result = simulate(capsys, THESIS)
     assert list(result) == [
         "scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals", "bound",
+        "upwash", "configuration",
     ]  # fmt: skip
     assert (result["scenario"], result["policy"], result["seed"]) == ("thesis", "location-aware", 1)
     assert result["completed"] is True
@@ -235,3 +238,30 @@ def test_a_call_takes_its_processing_and_the_transfer_at_the_bandwidth(
     remote = [call for call in simulate(capsys, scenario)["calls"] if call["place"] == "s1"]
     assert [call["delay_s"] - call["waited_s"] for call in remote] == [pytest.approx(2.504)] * len(remote)
     assert remote
+
+
+def test_a_result_says_what_it_was_made_of_and_by_what(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scenario = tmp_path / "secret.toml"
+    scenario.write_text(THESIS.read_text() + '\n[user]\nwebhook = "https://example.org/hook?token=hidden"\n')
+    log = tmp_path / "log.jsonl"
+    result = simulate(capsys, scenario, "--policy", "opportunistic", "--seed", "3", "--log", str(log))
+    written = result["configuration"]
+    assert (written["policy"]["name"], written["seed"], written["server"][0]["name"]) == (
+        "opportunistic",
+        3,
+        "s1",
+    )
+    again = upwash.simulate(written)
+    assert again.mission_time_s == result["mission_time_s"]
+    opening = upwash.read_log(log)[0]
+    assert isinstance(opening, Simulated)
+    assert json.loads(opening.configuration) == written
+    assert {"version": opening.upwash, "commit": opening.commit} == result["upwash"]
+    assert "hidden" not in log.read_text()
+    if (THESIS.parents[1] / ".git").exists():
+        head = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=THESIS.parents[1], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        assert opening.commit == head

@@ -34,6 +34,7 @@ from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 from upwash.support.output_files import write_file
 from upwash.support.sentences import say
+from upwash.support.software import software
 from upwash.support.tables import show_table
 from upwash.support.text import printable
 
@@ -74,11 +75,11 @@ def _run_one(options: argparse.Namespace) -> None:
         keep_demands=options.keep_demands,
     )
     if options.json:
-        _print_json(_as_object(simulation))
+        _print_json(_as_object(simulation) | _origin(simulation))
     else:
         _print_simulation(simulation, calls=options.calls)
     if options.log is not None:
-        _write_log(options.log, simulation, options.scenario, seed=simulation.seed)
+        _write_log(options.log, simulation, options.scenario, of=simulation)
     if figures is not None:
         _draw(simulation, options.scenario, figures)
     if simulation.failure:
@@ -103,13 +104,14 @@ def _run_fleet(options: argparse.Namespace) -> None:
     fleet = simulate_fleet(options.scenario, policy=options.policy, seed=options.seed)
     if options.json:
         drones = {name: _as_object(simulation) for name, simulation in fleet.drones.items()}
-        _print_json({"drones": drones} | {name: getattr(fleet, name) for name in _PRINTED_OF_FLEET})
+        shown = {name: getattr(fleet, name) for name in _PRINTED_OF_FLEET}
+        _print_json({"drones": drones} | shown | _origin(fleet))
     else:
         _print_fleet(fleet)
     if options.log is not None:
         for name, simulation in fleet.drones.items():
             log = options.log.with_name(f"{options.log.stem}-{name}{options.log.suffix}")
-            _write_log(log, simulation, options.scenario, seed=fleet.seed)
+            _write_log(log, simulation, options.scenario, of=fleet)
     for name, failure in fleet.failures.items():
         raise UpwashError(f"{name} did not complete its mission: {failure}")
 
@@ -123,10 +125,25 @@ def _draw(simulation: Simulation, scenario: Path, figures: FigureFiles) -> None:
     draw_call_delays(simulation.events, reference=reference.events, files=figures.files("call_delay"))
 
 
-def _write_log(file: Path, simulation: Simulation, scenario: Path, *, seed: int) -> None:
-    """Write the log that a flight would have left, after an event that names the scenario and the seed."""
-    named = schema.Simulated(t=0.0, scenario=str(scenario.resolve()), seed=seed, version=schema.VERSION)
+def _write_log(
+    file: Path, simulation: Simulation, scenario: Path, *, of: Simulation | FleetSimulation
+) -> None:
+    """Write the log that a flight would have left, after an event that says what was simulated by what."""
+    named = schema.Simulated(
+        t=0.0,
+        scenario=str(scenario.resolve()),
+        seed=of.seed,
+        version=schema.VERSION,
+        upwash=software().version,
+        commit=software().commit,
+        configuration=msgspec.json.encode(of.configuration).decode(),
+    )
     write_file(file, itertools.chain(lines_of([named]), lines_of(simulation.events)))
+
+
+def _origin(result: Simulation | FleetSimulation) -> dict[str, Any]:
+    """What the result was made of, and by what."""
+    return {"upwash": software()._asdict(), "configuration": result.configuration}
 
 
 def _print_json(printed: dict[str, Any]) -> None:

@@ -50,7 +50,7 @@ class Events(list[Event]):
         """A pandas.DataFrame: a row for each call, or for each event of that kind, such as "decided".
 
         Columns are the fields of `CallResult`, or of the event; those of a position are columns of their own, such as
-        `position.east_m`. UsageError for a kind that no event has, and without pandas.
+        `position.east_m`. `attrs` has the log's origin. UsageError for a kind that no event has, and without pandas.
         """
         with extra("pandas"):
             import pandas
@@ -65,7 +65,11 @@ class Events(list[Event]):
         )
         rows = [event for event in self if event.kind == kind] if kind else read_result(self).calls
         table = [{name: msgspec.to_builtins(getattr(row, name)) for name in columns} for row in rows]
-        return pandas.json_normalize(table) if table else pandas.DataFrame(columns=columns)
+        frame = pandas.json_normalize(table) if table else pandas.DataFrame(columns=columns)
+        opening = self[0] if self else None
+        if isinstance(opening, (schema.LogOpened, schema.Simulated)):
+            frame.attrs = {name: getattr(opening, name, "") for name in ("upwash", "commit", "configuration")}
+        return frame
 
 
 class EventLog(Iterable[Event]):

@@ -102,10 +102,15 @@ class _Explained(Event, frozen=True, kw_only=True):
 
 
 class LogOpened(Event, frozen=True, kw_only=True):
-    """The log of a flight begins at this date and time; `version` is the version of the log's format."""
+    """The log of a flight begins at this date and time, written by this version of upwash and git commit, if known.
+
+    `version` is the version of the log's format.
+    """
 
     time: _Time
     version: Count = 0
+    upwash: Text = ""
+    commit: Text = ""
 
 
 class LogResumed(Event, frozen=True, kw_only=True):
@@ -116,11 +121,18 @@ class LogResumed(Event, frozen=True, kw_only=True):
 
 
 class Simulated(Event, frozen=True, kw_only=True):
-    """First line of `upwash simulate --log`: the scenario's file and the seed."""
+    """First line of `upwash simulate --log`: the scenario's file and the seed, and what the file said, as JSON.
+
+    `upwash` and `commit` are those of `log_opened`. The configuration lacks what may have secrets: where findings are
+    handed over, keys, and the camera's device.
+    """
 
     scenario: Text
     seed: int
     version: Count = 0
+    upwash: Text = ""
+    commit: Text = ""
+    configuration: Annotated[str, msgspec.Meta(max_length=4_000_000)] = ""
 
 
 class EventsLost(Event, frozen=True, kw_only=True):

@@ -118,6 +118,18 @@ def read_scenario(
 
     The file of a policy that is given counts from the current folder.
     """
+    document, file = scenario_tables(scenario, policy=policy, seed=seed, overrides=overrides)
+    return drone_config(document, file)
+
+
+def scenario_tables(
+    scenario: str | os.PathLike[str] | Mapping[str, object],
+    *,
+    policy: str | None = None,
+    seed: int | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> tuple[Document, Path]:
+    """The tables of the scenario that `read_scenario` reads, and their file."""
     if isinstance(scenario, Mapping):
         file = _UNNAMED
         document: Document = _plain(dict(scenario), "", file)
@@ -131,7 +143,15 @@ def read_scenario(
     changes = {**(overrides or {}), **{key: value for key, value in instead.items() if value is not None}}
     for key, value in changes.items():
         document = with_value(document, file, key, _plain(value, key, file))
-    return drone_config(document, file)
+    return document, file
+
+
+def told(document: Document) -> Document:
+    """The tables without what may have secrets: results go to strangers."""
+    shown = {key: value for key, value in document.items() if key not in ("user", "keys")}
+    if isinstance(camera := shown.get("camera"), dict):
+        shown["camera"] = {key: value for key, value in camera.items() if key != "device"}
+    return shown
 
 
 def _without_own_policies(document: Document) -> Document:

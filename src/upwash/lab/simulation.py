@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
-from upwash.config import DroneConfig, coverage_kept, demands_kept, fleet_of
+from upwash.config import DroneConfig, coverage_kept, demands_kept, drone_config, fleet_of
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import Event
@@ -15,7 +16,7 @@ from upwash.lab.least_time import Bound, FleetBound
 from upwash.lab.outcome import fleet_outcome
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.run import simulate as fly
-from upwash.lab.scenario import name_of, read_scenario
+from upwash.lab.scenario import name_of, scenario_tables, told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,7 +24,8 @@ class Simulation(RunResult):
     """One simulated mission: its result, the least times that were possible, and its events.
 
     `failure` says why it was not completed, "" if it was; then there is no bound. `vanished` is whether the scenario
-    had the drone vanish.
+    had the drone vanish. `configuration` has the scenario's tables, without what may have secrets; for one of several
+    drones it is empty, as `FleetSimulation` has them.
     """
 
     scenario: str
@@ -32,6 +34,7 @@ class Simulation(RunResult):
     vanished: bool = False
     bound: Bound | None
     events: Sequence[Event] = field(repr=False)
+    configuration: Mapping[str, Any] = field(repr=False, default_factory=dict)
 
 
 def simulate(
@@ -54,7 +57,8 @@ def simulate(
     mission program with a bug. What else ends a mission early is the result's `failure`. A scenario of several drones
     is for `simulate_fleet`.
     """
-    config = read_scenario(scenario, policy=policy, seed=seed, overrides=overrides)
+    document, file = scenario_tables(scenario, policy=policy, seed=seed, overrides=overrides)
+    config = drone_config(document, file)
     if config.drones:
         raise UsageError(
             f"{name_of(scenario)} has [[drone]] tables ({len(config.drones)}), and this simulates one mission: "
@@ -69,7 +73,8 @@ def simulate(
         demands_kept(config, run.demand_map)
     if keep_coverage and run.coverage is not None:
         coverage_kept(config, run.coverage)
-    return simulation_of(run, config, bound_of(run, config), scenario=name_of(scenario))
+    simulation = simulation_of(run, config, bound_of(run, config), scenario=name_of(scenario))
+    return replace(simulation, configuration=told(document))
 
 
 def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenario: str) -> Simulation:
@@ -103,6 +108,7 @@ class FleetSimulation:
     saved_s: Mapping[str, float]
     jain: float | None
     bound: FleetBound | None
+    configuration: Mapping[str, Any] = field(repr=False, default_factory=dict)
 
     @property
     def failures(self) -> dict[str, str]:
@@ -123,7 +129,8 @@ def simulate_fleet(
 
     Its arguments and errors are those of `simulate`. A policy that is given is every drone's.
     """
-    config = read_scenario(scenario, policy=policy, seed=seed, overrides=overrides)
+    document, file = scenario_tables(scenario, policy=policy, seed=seed, overrides=overrides)
+    config = drone_config(document, file)
     fleet, runs = fleet_of(config), simulate_drones(config)
     bounds, of_all = bounds_of(list(runs.values()), fleet)
     outcome = fleet_outcome(runs, config, of_all)
@@ -139,4 +146,5 @@ def simulate_fleet(
         saved_s=outcome.saved_s,
         jain=outcome.jain,
         bound=outcome.bound,
+        configuration=told(document),
     )

@@ -16,8 +16,10 @@ import msgspec
 from upwash.config import Document
 from upwash.errors import NotWritten, UsageError
 from upwash.lab.campaigns.sweep import ParameterSweep
+from upwash.lab.scenario import told
 from upwash.support.loading import extra
 from upwash.support.output_files import append_whole, flush_to_disk, write_file
+from upwash.support.software import software
 from upwash.support.text import counted
 
 
@@ -67,11 +69,14 @@ _COLUMNS = tuple(name for name in CampaignRow.__struct_fields__[1:] if name not 
 
 
 class Note(msgspec.Struct, frozen=True):
-    """Which campaign a file belongs to."""
+    """Which campaign a file belongs to, what its scenario said, and which upwash flew it last."""
 
     scenario: str
     settings: dict[str, tuple[object, ...]]
     fingerprint: str
+    upwash: str = ""
+    commit: str = ""
+    configuration: Document = {}
 
 
 class CampaignFile:
@@ -153,7 +158,11 @@ class CampaignFile:
         sweep = self.sweep
         note_file = self._csv_file.with_suffix(".campaign.json")
         note = Note(
-            sweep.file.name, {setting.key: setting.values for setting in sweep.settings}, sweep.fingerprint
+            sweep.file.name,
+            {setting.key: setting.values for setting in sweep.settings},
+            sweep.fingerprint,
+            *software(),
+            told(sweep.combinations[0].document),
         )
         if self._csv_file.exists():
             found = None

@@ -21,6 +21,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.fitting import fitted, line_of
 from upwash.eventlog.schema import LONGEST, Event
 from upwash.support.output_files import append_whole
+from upwash.support.software import software
 
 _MOST_UNWRITTEN_BYTES = 2**25  # in memory: some hours of a flight
 _TRY_AGAIN_S = 1.0  # to write to a full disk
@@ -85,8 +86,13 @@ class FileJournal:
                 f"no flight is taken up after {opened_s:.0f} s: the times in {path} are not true"
             )
         self._began_s = self._loop.time() - opened_s
-        kind = schema.LogResumed if resumes else schema.LogOpened
-        opening = kind(t=round(opened_s, 6), time=now, version=schema.VERSION)
+        opening: Event = (
+            schema.LogResumed(t=round(opened_s, 6), time=now, version=schema.VERSION)
+            if resumes
+            else schema.LogOpened(
+                t=0.0, time=now, version=schema.VERSION, upwash=software().version, commit=software().commit
+            )
+        )
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = _LineFile(path, cuts_torn_line=resumes)
