@@ -31,6 +31,7 @@ DOMAINS = {"service": 11, "topics": 12, "upwash": 13}
 GIVEN_UP_S = 60.0  # in the black-out and the first call
 LOSSY_GIVEN_UP_S = 10.0
 _WARM_UP_S = 60.0
+_QUIET_S = 0.3  # what one way leaves on the radio delays no other
 
 
 def node_of(way: str, peers: str = "") -> Node:
@@ -138,6 +139,7 @@ def drone(peer: str, in_turns: int, at_once_s: float, period_s: float) -> None:
             for _ in range(in_turns):
                 for way in DOMAINS:
                     measured(name, way)
+                    time.sleep(_QUIET_S)
         elif how in DOMAINS:
             for _ in range(max(1, in_turns // 3)):
                 measured(name, how)

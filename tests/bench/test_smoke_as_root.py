@@ -10,7 +10,7 @@ import pytest
 from tests.engines import OwnEngine
 from tests.podman import OwnPodman
 from tests.programs import printed
-from tests.system.test_ros import NO_ROS, PYTHON
+from tests.system.test_ros import HAS_ROS, NO_ROS, PYTHON
 
 pytestmark = [pytest.mark.root, pytest.mark.system]
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="makes network namespaces: needs root")
@@ -54,7 +54,7 @@ def test_smaller_photos_are_scored_called_with_and_flown_with() -> None:
 
 
 @pytest.mark.xdist_group("ros")
-@pytest.mark.skipif(not PYTHON.exists(), reason=NO_ROS)
+@pytest.mark.skipif(not HAS_ROS, reason=NO_ROS)
 @needs_root
 @needs_ip
 def test_calls_over_ros_are_measured_in_three_ways() -> None:
