@@ -1,6 +1,6 @@
 """What two answers of one call gain, in accuracy and in time: `python -m bench.two_answers`.
 
-Accuracy: rendered fields of the solar park, 121 photos each from 20 m, of which about one in ten shows a fault. The
+Accuracy: rendered fields of the solar park, 121 photos each from 20 m; about one photo in ten shows a fault. The
 bundled detector looks at each photo in both modes; missions are simulated with what it found. Recall and precision
 are of faults, by the answer of each photo that counts at its deadline. A photo with an answer demands 5 s.
 
