@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.peers.link import DRONE, SERVER, dark, make_link
-from bench.results import FOLDER, leave
+from bench.results import leave
 
 from upwash.emulation.enclosure import require_root_and_tools, run_enclosed, settle_in
 from upwash.emulation.namespaces import command, inside, require_tools
@@ -108,7 +108,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--dark-s", type=float, default=30.0, help="the black-out")
     parser.add_argument("--around-s", type=float, default=20.0, help="before and after it")
     parser.add_argument("--local-s", type=float, default=1.0, help="a call on the drone")
-    parser.add_argument("--out", type=Path, nargs="?", const=FOLDER / "ros.json")
+    parser.add_argument("--out", type=Path, help="a file for the figures")
     parser.add_argument("--quick", action="store_true", help="a few calls and seconds")
     parser.add_argument("--enclosed", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
