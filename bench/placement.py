@@ -36,7 +36,7 @@ def main() -> None:
         trials = Trials(pairs.times_s)
         first = trials.best([(at,) for at in pairs.grid], than=())
         greedy_s = trials.time_s(trials.best([(*first, at) for at in pairs.grid], than=first))
-        found_s = trials.time_s(best_places(pairs.way, 2, trials))
+        found_s = trials.time_s(best_places(pairs.way, pairs.ranges_m, trials))
         best_s, simulated = pairs.best_s(found_s)
         times = " | ".join(f"{time_s:.1f} s" for time_s in (greedy_s, found_s, best_s))
         print(f"| {name} | {times} | {simulated} of {math.comb(len(pairs.grid), 2)} |", flush=True)
@@ -87,11 +87,12 @@ class Pairs:
         easts_m, norths_m = [at.east_m for at in self.way], [at.north_m for at in self.way]
         self.grid = [Position(east_m, north_m) for east_m in _steps(easts_m) for north_m in _steps(norths_m)]
         server = field["server"][0]
-        self._range_m = server["range_m"]
+        self.ranges_m = [server["range_m"]] * 2
         mode = config.mission.mode
         self._saved_s = field["service"][0]["local_call_s"][mode] - server["remote_call_s"][mode]
         cool = {key: value for key, value in field.items() if key != "heat"}
-        self._alone_s = _time_s({**cool, "server": []})
+        first_s = field["service"][0].get("local_first_extra_s", 0.0)
+        self._alone_s = _time_s({**cool, "server": []}) - first_s
 
     def times_s(self, trials: Sequence[Places]) -> list[float]:
         """The mission time of each trial."""
@@ -100,7 +101,7 @@ class Pairs:
     def best_s(self, least_s: float) -> tuple[float, int]:
         """The shortest mission of all pairs, at most `least_s`; and how many pairs were simulated."""
         covered = [
-            sum(1 << number for number, at in enumerate(self.way) if _apart_m(at, place) <= self._range_m)
+            sum(1 << number for number, at in enumerate(self.way) if _apart_m(at, place) <= self.ranges_m[0])
             for place in self.grid
         ]
         bounds = sorted(

@@ -192,15 +192,15 @@ def left_out_with(*reach_m: float) -> Trials:
 
 def test_two_servers_share_the_way_where_the_best_place_of_one_is_the_middle() -> None:
     trials = left_out_with(25.0, 25.0)
-    (alone,) = best_places(LINE, 1, trials)
+    (alone,) = best_places(LINE, [25.0], trials)
     assert alone is not None
     assert 25.0 <= alone.east_m <= 75.0
-    assert trials.time_s(best_places(LINE, 2, trials)) == 0.0
+    assert trials.time_s(best_places(LINE, [25.0, 25.0], trials)) == 0.0
 
 
 def test_no_server_is_placed_that_gains_nothing() -> None:
     trials = left_out_with(50.0, 30.0)
-    assert len(best_places(LINE, 2, trials)) == 1
+    assert len(best_places(LINE, [50.0, 30.0], trials)) == 1
 
 
 def test_without_a_server_to_be_like_nothing_is_placed(file: Path) -> None:

@@ -1,9 +1,9 @@
 """Where servers help most: the places of all of them together, by the predicted mission time.
 
 one more    the places of one server less, and the best of STEPS by STEPS middles of equal parts of the field
-or spread   the middles of as many equal parts of the way
-moved       one server at a time to another middle, while that helps
-pushed      one server at a time by half a part, by a quarter, and so on down to FINEST_M
+or covering places whose ranges together have the most waypoints
+moved       then one server at a time to another middle, while that helps
+pushed      and by half a part, by a quarter, and so on down to FINEST_M
 """
 
 from __future__ import annotations
@@ -12,19 +12,23 @@ import copy
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import reduce
+from operator import or_
 from pathlib import Path
 from statistics import fmean
 
 from msgspec import Struct
 
 from upwash.config import Document, DroneConfig, waypoints
-from upwash.core.geo import Position
+from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import UsageError
 from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.prediction import changed, predict
 
 STEPS = 6  # middles along each side of the field
 FINEST_M = 5.0  # nobody puts a box down more exactly
+_MOST_LINES = 24  # of the grid, each way, on which ranges are compared
+_MOST_STARTS = 8
 
 Places = tuple[Position | None, ...]  # None for a server that is not there
 TimesOf = Callable[
@@ -85,7 +89,8 @@ def place(
 
     trials = Trials(times_s)
     way = [waypoint.position for waypoint in waypoints(config.mission)]
-    best = best_places(way, len(servers), trials)
+    ranges_m = [server.get("range_m", 0.0) for server in servers]
+    best = best_places(way, ranges_m, trials)
     time_s = trials.time_s(best)
     if math.isinf(time_s):
         raise UsageError(f"no place can be compared: no mission is completed: {failures[0]}")
@@ -99,7 +104,7 @@ def place(
         for number, (server, at) in enumerate(zip(servers, best, strict=False))
         if at is not None
     )
-    less_s = trials.time_s(best_places(way, max(0, len(best) - 1), trials))
+    less_s = trials.time_s(best_places(way, ranges_m[: max(0, len(best) - 1)], trials))
     return (
         Placement(places=places, mission_time_s=time_s, one_less_s=less_s),
         _with_servers(document, servers, best),
@@ -130,15 +135,14 @@ class Trials:
         return [self._known[places] for places in trials]
 
 
-def best_places(way: Sequence[Position], servers: int, trials: Trials) -> Places:
-    """The best places found for that many servers; fewer if one more gains nothing."""
+def best_places(way: Sequence[Position], ranges_m: Sequence[float], trials: Trials) -> Places:
+    """The best places found for servers with these ranges; fewer if one more gains nothing."""
     field = candidates(way)
     best: Places = ()
-    for count in range(1, servers + 1):
-        one_more = trials.best([(*best, at) for at in field], than=best)
-        starts = [start for start in (one_more, _spread(way, count)) if len(start) == count]
-        settled = [_pushed(_improved(start, lambda _: field, trials), way, trials) for start in starts]
-        found = trials.best(settled, than=best)
+    for count in range(1, len(ranges_m) + 1):
+        starts = [*((*best, at) for at in field), *covering(way, ranges_m[:count])]
+        start = trials.best(starts, than=best)
+        found = _pushed(_improved(start, lambda _: field, trials), way, trials)
         if len(found) < count:
             break
         best = found
@@ -162,12 +166,59 @@ def _middles(values_m: Sequence[float]) -> Iterator[float]:
         yield low_m + (step + 0.5) * (high_m - low_m) / STEPS
 
 
-def _spread(way: Sequence[Position], count: int) -> Places:
-    ends = [round(part * len(way) / count) for part in range(count + 1)]
-    parts = [way[first:last] for first, last in itertools.pairwise(ends) if first < last]
-    return tuple(
-        Position(fmean(at.east_m for at in part), fmean(at.north_m for at in part)) for part in parts
-    )
+def covering(way: Sequence[Position], ranges_m: Sequence[float]) -> list[Places]:
+    """Some places, at most eight, whose ranges together have the most of the way's places; none without ranges."""
+    if not all(ranges_m):
+        return []
+    norths_m = _lines([at.north_m for at in way])
+    grid = [Position(east_m, north_m) for east_m in _lines([at.east_m for at in way]) for north_m in norths_m]
+    masks = {range_m: [_within(at, range_m, way) for at in grid] for range_m in set(ranges_m)}
+    by_server = [masks[range_m] for range_m in ranges_m]
+    ends = {_exchanged(start, by_server) for start in range(0, len(grid), max(1, len(grid) // STEPS**2))}
+    counts = {end: _joined(end, by_server).bit_count() for end in ends}
+    best = sorted(end for end in ends if counts[end] == max(counts.values()))
+    return [tuple(grid[number] for number in end) for end in best[:_MOST_STARTS]]
+
+
+def _lines(values_m: Sequence[float]) -> Sequence[float]:
+    """The lines of a grid: through the values and half-way between two of them, or as many as are compared."""
+    values_m = sorted(set(values_m))
+    lines = sorted([*values_m, *(fmean(two) for two in itertools.pairwise(values_m))])
+    if len(lines) <= _MOST_LINES:
+        return lines
+    step_m = (lines[-1] - lines[0]) / (_MOST_LINES - 1)
+    return [lines[0] + step_m * number for number in range(_MOST_LINES)]
+
+
+def _within(centre: Position, range_m: float, way: Sequence[Position]) -> int:
+    """The way's places in the range, as bits."""
+    return sum(1 << number for number, at in enumerate(way) if ground_distance_m(at, centre) <= range_m)
+
+
+def _joined(places: Sequence[int], masks: Sequence[Sequence[int]]) -> int:
+    return reduce(or_, (mask[place] for place, mask in zip(places, masks, strict=True)), 0)
+
+
+def _exchanged(start: int, masks: Sequence[Sequence[int]]) -> tuple[int, ...]:
+    """Places on the grid, the first of them near `start`, from where no move of one covers more."""
+    places = [start]
+    for number, mask in enumerate(masks[1:], start=1):
+        joined = _joined(places, masks[:number])
+        places.append(_most(mask, joined))
+    while True:
+        former = tuple(places)
+        for number, mask in enumerate(masks):
+            others = _joined(places[:number] + places[number + 1 :], [*masks[:number], *masks[number + 1 :]])
+            best = _most(mask, others)
+            if (others | mask[best]).bit_count() > (others | mask[places[number]]).bit_count():
+                places[number] = best
+        if tuple(places) == former:
+            return former
+
+
+def _most(mask: Sequence[int], joined: int) -> int:
+    """The place that has the most besides what is joined."""
+    return max(range(len(mask)), key=lambda place: (joined | mask[place]).bit_count())
 
 
 def _pushed(places: Places, way: Sequence[Position], trials: Trials) -> Places:
