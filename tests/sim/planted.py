@@ -1,6 +1,7 @@
 """Defects planted in the programs, to see that the promises' checks find them.
 
-    python -m tests.sim.planted        flies worlds with each until a promise is broken; prints a table
+    python -m tests.sim.planted           flies worlds with each until a promise is broken; prints a table
+    python -m tests.sim.planted --keep    begins at the seeds that are known, and keeps it for docs/safety-case.md
 
 A defect is found where its worlds break a promise; without it they break none.
 """
@@ -14,6 +15,7 @@ import logging
 import math
 import sys
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -23,8 +25,9 @@ import tests.sim.planted_rows
 import tests.sim.planted_sending
 import tests.sim.planted_servers
 import tests.sim.planted_vehicle  # noqa: F401 - which declares defects, as the others do
+from bench.results import leave
 from msgspec.structs import replace
-from tests.sim.planting import DEFECTS, Defect, Planting, plant, planted, planting
+from tests.sim.planting import DEFECTS, FOUND_BY_SEED, Defect, Planting, plant, planted, planting
 
 from upwash.config import DroneConfig
 from upwash.core.admission.admission import AdmissionController
@@ -419,14 +422,20 @@ def pause_ignored(original: Any, self: Server, pause_s: float, now_s: float) -> 
 
 
 def main() -> None:
-    """Plants each defect, flies worlds until one breaks a promise, and prints the table."""
+    """Plants each defect, flies worlds until one breaks a promise, and prints or keeps the table."""
+    keeps, kept = "--keep" in sys.argv, []
     sys.stdout.write("| planted defect | found by | at seed |\n|---|---|---|\n")
     for defect in DEFECTS:
-        broken = first_broken(defect)
-        promises = ", ".join(dict.fromkeys(str(each.promise) for each in broken))
-        found = f"{promises} | {broken[0].seed}" if broken else f"nothing | > {MOST_SEEDS}"
+        broken = first_broken(defect, since=FOUND_BY_SEED.get(defect.what, 1) if keeps else 1)
+        promises = list(dict.fromkeys(each.promise for each in broken))
+        kept.append({"what": defect.what, "promises": [promise.value for promise in promises]})
+        names = ", ".join(map(str, promises))
+        found = f"{names} | {broken[0].seed}" if broken else f"nothing | > {MOST_SEEDS}"
         sys.stdout.write(f"| {defect.what} | {found} |\n")
         sys.stdout.flush()
+    if keeps:
+        file = Path(__file__).with_name("planted.json")
+        leave(file, command="python -m tests.sim.planted --keep", figures=kept)
 
 
 if __name__ == "__main__":

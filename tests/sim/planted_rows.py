@@ -12,6 +12,7 @@ from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.demand_map import DemandMap
+from upwash.drone import line
 from upwash.drone.legs import Legs
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
@@ -62,10 +63,9 @@ plant(
 plant("the line knows no busy place", CallLine, "_busy", lambda *_: {})
 
 
-@planted("the line is left from its other end", CallLine, "__init__")
-def other_end(init: Any, self: CallLine, *parts: Any, **more: Any) -> None:
-    init(self, *parts, **more)
-    self._first = -1 - self._first
+@planted("the line is left from its other end", line._Line, "__init__")
+def other_end(init: Any, self: line._Line, first: int) -> None:
+    init(self, -1 - first)
 
 
 @planted("a call that the mission waits for joins the line", CallLine, "turn")

@@ -273,18 +273,19 @@ def _with_eager_hedges(document: Document, _: random.Random) -> Document:
 
 
 def _with_pending_calls(document: Document, chance: random.Random) -> Document:
-    """With one service the drones may fly on before they have an answer.
-
-    Not among peers: slots that peers hold for drones that wait for answers are too rare to test.
-    """
-    among_peers = any("peers" in server["truth"] for server in document["server"])
-    if len(document["service"]) > 1 or among_peers:
+    """With one service the drones may fly on before they have an answer."""
+    if len(document["service"]) > 1 or _has_peers(document):
         return document
     return {
         **document,
         "mission": {**document["mission"], "program": f"{probing.__name__}:look_later"},
         "policy": _that_goes(document, chance),
     }
+
+
+def _has_peers(document: Document) -> bool:
+    """Whether servers are peers: slots that peers hold for drones that wait for answers are too rare to test."""
+    return any("peers" in server["truth"] for server in document["server"])
 
 
 def _that_goes(document: Document, chance: random.Random) -> Document:
@@ -325,7 +326,7 @@ def _with_two_answers(document: Document, chance: random.Random) -> Document:
     """The drones hear a first answer of their own, and perhaps a better one of a server."""
     spotter = document["service"][0]
     light_s, heavy_s = (spotter["local_call_s"][mode] for mode in ("light", "heavy"))
-    if len(document["service"]) > 1 or light_s >= heavy_s:
+    if len(document["service"]) > 1 or light_s >= heavy_s or _has_peers(document):
         return document
     program = "look_twice_on_the_move" if "photos" in document["mission"] else "look_twice_later"
     within_s = light_s + chance.choice((1.0, 5.0, 15.0, 40.0))
