@@ -146,6 +146,7 @@ COMMANDS = [
     ("explain with.jsonl", ""),
     ("worlds --seeds 2 --out worlds", ""),
     ("traces with.jsonl --out traces", ""),
+    ("whatif with.jsonl --draws 2", ""),
     ("chaos --seed 1", ""),
     (f"emulate {THESIS}", "emulation"),
     ("goodput --out table.csv", ""),
