@@ -74,6 +74,7 @@ docs: $(READY)
 	$(BIN)/python site/wire.py
 	$(BIN)/python site/configuration.py
 	$(BIN)/python site/commands.py
+	$(BIN)/python site/safety_case.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f site/mkdocs.yml
 	@echo "open dist/docs/index.html, or: $(BIN)/python -m http.server --directory dist/docs"
 

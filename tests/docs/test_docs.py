@@ -52,7 +52,7 @@ def test_the_page_of_the_event_log_says_what_the_types_say() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["configuration", "commands"])
+@pytest.mark.parametrize("name", ["configuration", "commands", "safety_case"])
 def test_the_references_say_what_the_code_says(name: str) -> None:
     written = runpy.run_path(str(ROOT / "site" / f"{name}.py"))
     assert written["page"]() == written["PAGE"].read_text(), f"run make docs, or python site/{name}.py alone"
