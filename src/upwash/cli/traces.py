@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> None:
     files = traces_of(record)
     if not files:
         raise UsageError(
-            f"{options.log} has neither a take-off nor a call on a server: nothing to make a trace of"
+            f"{options.log} has no take-off and no call on a server, so that no trace can be made of it"
         )
     for name, text in files.items():
         write_file(options.out / name, text.encode())

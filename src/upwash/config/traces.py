@@ -137,7 +137,7 @@ def read_battery(file: Path) -> Trace:
 
 
 def stamp_of(file: Path) -> Stamp:
-    """What changes with the file's content; a file is read again when it has another one."""
+    """What changes with the file's content; a file with changed content is read again."""
     try:
         found = file.stat()
     except OSError:  # which reading it reports

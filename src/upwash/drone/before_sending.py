@@ -44,7 +44,7 @@ class BeforeSending:
         self._trying: Sequence[asyncio.Task[Any]] = ()
 
     async def start(self) -> None:
-        """Start each part; one that does not start is logged, and fails at each call."""
+        """Start each part; a part that does not start is logged, and fails at each call."""
         for part in self._parts.values():
             try:
                 await part.onboard.start()

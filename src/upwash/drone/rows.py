@@ -11,9 +11,10 @@
 With `policy.stay_or_go = "learn"` the drone rests at the next spot and waits for the answer, where frequent demands
 make that faster.
 
-A plan that stops at each waypoint is flown so too if the mission calls a service that only servers run: then each leg
-ends at rest, and the drone leaves a waypoint as the mission says. Answers of such a service are waited for where they
-come soon, and otherwise left open (server_calls.py); what waits at the end has stops of its own (seeking.py).
+A plan that stops at each waypoint is flown the same way if the mission calls a service that only servers run. Then
+each leg ends at rest, and the drone leaves a waypoint as the mission says. The drone waits for the service's answers
+where they come soon, and leaves them open elsewhere (server_calls.py). At the end it stops for calls that wait
+(seeking.py).
 """
 
 from __future__ import annotations
@@ -304,7 +305,7 @@ class Rows:
             self._meet(demanding)
 
     def seek_answers(self) -> None:
-        """Fly to a place where servers answer what waits, if that is worth it, before the way home."""
+        """Before the way home, fly to a place where servers answer waiting calls, if the detour pays."""
         if self._rules.servers is None or not self._open:
             return
         _, seeking = self._rules.servers

@@ -123,7 +123,7 @@ class Seeking:
         return min(self._detour_s, math.inf if spare_s is None else spare_s) - extra_s
 
     def _needed_s(self) -> float:
-        """The least time in which the oldest call is answered there."""
+        """The seconds until the oldest call is answered there, at least."""
         hosting, waiting = self._hosting(), self._calls.waiting
         times_s = [
             self._estimates.check_s(name, running=False) + remote_s

@@ -186,7 +186,7 @@ class ServerCalls:
             size_bytes -= waiter.size_bytes
 
     async def soon_s(self, operation: Operation) -> float | None:
-        """Seconds until a call made now is answered here, if that is worth a stop; None if it is not."""
+        """Seconds until a call made now is answered here; None if a stop is not worth it."""
         reach_s, alone_s = (
             self._reach_s(operation),
             self._decisions.selection.estimates.alone_s(operation),

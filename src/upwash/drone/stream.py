@@ -43,7 +43,7 @@ class StreamPorts:
 
 @dataclass(frozen=True, slots=True)
 class StreamAnswer:
-    """What became of a photo: a value, or why there is none; `call` has where and how long, if it was answered."""
+    """What became of a photo: a value, or why there is none; `call` has the place of an answer."""
 
     service: str
     method: str

@@ -105,7 +105,9 @@ class FlownMission:
     stop_s: float = 0.0  # of the photo, and of all else at a stop but calls and actions
     action_s: float = 0.0
     landing_s: float = 0.0
-    stops: dict[int, tuple[float, float]] = field(default_factory=dict)  # by waypoint, as they were reached
+    stops: dict[int, tuple[float, float]] = field(
+        default_factory=dict
+    )  # by waypoint, in the order of the flight
     calls: dict[int, list[str]] = field(default_factory=dict)  # operations by waypoint
     remote_calls: int = 0
     demanding: set[int | None] = field(default_factory=set)
@@ -130,7 +132,7 @@ class FlownMission:
     _checks: dict[int, float] = field(default_factory=dict)  # when a check last got on
     _decided: dict[tuple[str, str | None], schema.Decided] = field(default_factory=dict)
     _states: dict[str, State] = field(default_factory=dict)
-    _means_s: list[float] = field(default_factory=list)  # of operations on the drone, as they were believed
+    _means_s: list[float] = field(default_factory=list)  # of operations on the drone, by belief
     _alone: bool = True
 
     @property
@@ -363,7 +365,7 @@ def read_flown(log: Iterable[Event]) -> FlownMission:
             f"the log has missions of several drones ({', '.join(drones[:5])}): give a log of one"
         )
     if started[-1].done or any(isinstance(event, schema.LogResumed) for event in events):
-        raise UsageError("the mission was broken off and resumed, and such a flight cannot be replayed")
+        raise UsageError("the mission was broken off and resumed: only whole flights are replayed")
     if any(isinstance(event, schema.PhotosWait) or getattr(event, "passing", False) for event in events):
         raise UsageError(
             "the drone took photos on rows without stopping, and only missions that stop are replayed: "

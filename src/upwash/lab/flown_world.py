@@ -39,7 +39,7 @@ class _Pace(NamedTuple):
 
 
 class _Computer(NamedTuple):
-    """The drone's computer at a temperature of the air, None for one that never gets hot: its delays when cool."""
+    """The drone's computer at a temperature of the air, with its cool delays; None: the computer never gets hot."""
 
     log_likelihood: float
     ambient_c: int | None
@@ -304,7 +304,7 @@ def _true_range_m(server: FlownServer, chance: random.Random) -> float:
 
 
 def _faults(name: str, server: FlownServer, time_s: float, chance: random.Random) -> Iterator[dict[str, Any]]:
-    """When the server failed, as far as that was seen, and perhaps when nobody looked."""
+    """When the server failed: the times that the flight saw, and drawn times at which it did not look."""
     radius_m = server.circle.radius_m
     met = sorted(
         (met for met in server.contacts if met.good or met.distance_m <= radius_m), key=lambda met: met.t

@@ -26,8 +26,8 @@ from upwash.lab.campaigns.campaign import Fly
 from upwash.preflight.prediction import changed, predict
 
 STEPS = 6  # middles along each side of the field
-FINEST_M = 5.0  # nobody puts a box down more exactly
-_MOST_LINES = 24  # of the grid, each way, on which ranges are compared
+FINEST_M = 5.0  # a box is not put down more exactly
+_MOST_LINES = 24  # of the grid for comparing ranges, each way
 _MOST_STARTS = 8
 
 Places = tuple[Position | None, ...]  # None for a server that is not there

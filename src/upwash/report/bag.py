@@ -50,7 +50,7 @@ def write_bag(records: Sequence[Record], folder: Path, *, photos: Path | None = 
                 writer.write(connections[topic], time_ns, _TYPES.serialize_cdr(message, kind))
     except WriterError as error:
         raise UsageError(
-            f"{folder}: {error}: a bag is a new folder, name one that is not there yet"
+            f"{folder}: {error}: a bag is a new folder: give the name of a folder that does not exist"
         ) from error
     except OSError as error:
         raise NotWritten(folder, error, "the bag is not whole") from error

@@ -21,7 +21,7 @@ _APART_S = 10.0  # of two rows of a track, at most: what a log does not tell is 
 
 
 def traces_of(record: Record) -> dict[str, str]:
-    """By name, the files that the log has something for; times count from the take-off."""
+    """By name, the files that can be made of the log; times count from the take-off."""
     calls: dict[str, list[Sequence[object]]] = {}
     for event in record.events:
         if isinstance(event, schema.Call) and event.server is not None and not event.onboard_s:

@@ -132,7 +132,7 @@ class UpwashNode(LifecycleNode):
     # --- what is published ---
 
     def tell(self, why: str) -> None:
-        """Logs a trouble, unless it is the last one that was logged."""
+        """Logs a trouble, unless it is the last logged trouble."""
         if self._said.get("") != why:
             self._said[""] = why
             self.get_logger().warning(why)
@@ -244,7 +244,7 @@ class UpwashNode(LifecycleNode):
         return self.create_publisher(kind, topic, qos or QoSProfile(depth=_KEPT), event_callbacks=events)
 
     def _optional(self, module: str, name: str) -> tuple[Any, Any]:
-        """The type of that name and its module; None for both, and a line in the log, where it is not installed."""
+        """The type of that name and its module; None for both, and a line in the log, without the package."""
         try:
             types = __import__(module, fromlist=[name])
         except ImportError:

@@ -89,7 +89,7 @@ class TopicPosition:
 
     def _take(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
         """In the thread of ROS: a place, which is out of bounds while a receiver starts."""
-        if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):  # nor where they are NaN
+        if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):  # false for NaN too
             self._fail(f"{latitude_deg} and {longitude_deg} degrees are no place on the Earth")
             return
         with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile

@@ -104,7 +104,7 @@ class EventTopic:
         self._publisher = node.create_publisher(String, "~/events", _KEPT_EVENTS)
 
     def follow(self, event: Event) -> None:
-        """Publishes the event; one that cannot be published is only in the log."""
+        """Publishes the event; an event that cannot be published is only in the log."""
         with contextlib.suppress(Exception):  # such as a context that was shut down from outside
             self._publisher.publish(self._string(data=msgspec.json.encode(event).decode()))
 

@@ -36,7 +36,7 @@ _ENCODINGS: dict[str, tuple[int, int, str]] = {
 
 
 def jpeg_of_message(topic: str, message: Any) -> bytes:
-    """The JPEG of a CompressedImage or an Image; raises CameraError for one that is no photo, and UsageError.
+    """The JPEG of a CompressedImage or an Image; raises CameraError for an image that is no photo, and UsageError.
 
     A compressed JPEG is passed on as it is. `message` has the fields of the ROS message, of rclpy or of a bag.
     """

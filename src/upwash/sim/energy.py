@@ -68,7 +68,7 @@ class Rotors:
 
 
 class EnergyMeter:
-    """Adds up the energy that one drone draws, by part; radios and computer draw from its creation until it is read.
+    """Adds up the energy that a drone draws, by part; radios and computer draw from its creation until it is read.
 
     `load_w` is the power that a call adds to the computer's, `wind` the measured wind since the take-off.
     """

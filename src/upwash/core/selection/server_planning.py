@@ -127,7 +127,7 @@ class ServerPlanning:
             self.under_way = None
 
     def reach_s(self, operation: Operation, now_s: float, position: Position) -> float | None:
-        """Seconds until a server in range answers a call, if one can that the policy uses; None without one."""
+        """Seconds until a server in range that the policy uses answers a call; None without a server."""
         server = self._radios.in_use
         if server is None or not server.in_range:
             name = self.choose(now_s, position).server

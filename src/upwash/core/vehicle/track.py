@@ -54,7 +54,7 @@ class Track:
         return at_s if nearest_m <= NEAR_M else None
 
     def nearest_m(self, spot: Position) -> float:
-        """How near it comes to the spot over the ground."""
+        """The least distance from the spot over the ground."""
         ways = zip(pairwise(self.places), pairwise(self.times_s), strict=True)
         return min(
             _nearest(spot, *way, begins_s=begins_s, ends_s=ends_s, from_s=begins_s)[1]

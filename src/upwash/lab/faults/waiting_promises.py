@@ -13,7 +13,7 @@ from upwash.eventlog.schema import Event
 from upwash.lab.faults.history import SLACK_S, Breach, History, asks_servers
 from upwash.lab.faults.mission import HASTY_S, CallReport, Surveyor, is_hasty
 
-_MOST_CRASHES = 12  # moments of a flight at which a kill is tried
+_MOST_CRASHES = 12  # moments of a flight, with a kill at each
 
 
 def only_servers(history: History) -> Iterator[Breach]:
@@ -56,7 +56,7 @@ def _ends(history: History) -> Iterator[Breach]:
 
 
 def _heard(history: History) -> Iterator[Breach]:
-    """What the mission tells its user fits the end of the call, and is told once."""
+    """The mission sends its user one message for the end of the call, which fits that end."""
     unanswered = {event.waypoint for event in history.run.events if isinstance(event, schema.Unanswered)}
     heard = Counter[int]()
     for event in history.run.events:

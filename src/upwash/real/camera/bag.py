@@ -43,7 +43,7 @@ class BagCamera:
         self._images: Iterator[tuple[int, Any]] = iter(())
 
     async def take_photo(self, at: Position) -> Photo:
-        """Returns the next image after `photo_s` seconds; raises CameraError for one that is no photo."""
+        """Returns the next image after `photo_s` seconds; raises CameraError for an image that is no photo."""
         await asyncio.sleep(self._photo_s)
         captured_s = asyncio.get_running_loop().time()
         time_ns, jpeg = await in_thread(self._next, name=f"reading {self._bag.name}")
