@@ -29,8 +29,8 @@ _HEAD = """\
 
 <!-- written by site/safety_case.py from site/safety_case.toml, the promises and kept results -->
 
-**Claim.** Servers and networks, whatever they do, do not make a flight end badly. A flight ends badly only if one of
-the [conditions](#when-a-flight-ends-badly) C1, C2, ... holds.
+**Claim.** No fault of a server or a network makes a flight end badly. A flight ends badly only if one of the
+[conditions](#when-a-flight-ends-badly) C1, C2, ... holds.
 
 **Scope.** Multicopters of ArduCopter and PX4, companion computers with Linux. The programs flew in simulated worlds,
 against [stand-ins](stand-in.md), and with real autopilots in their own simulations. **Nothing has flown in the air.**
@@ -75,7 +75,7 @@ def _hazards(hazards: list[dict[str, Any]]) -> Iterator[str]:
         against = ", ".join(f"[{promise}](#promise-{promise})" for promise in hazard["unless"])
         yield f"### {hazard['what']}\n"
         yield f"{hazard['because']}\n"
-        yield f"It happens only if upwash breaks one of the promises {against}, or:\n"
+        yield f"It happens only if upwash breaks a promise ({against}), or one of these conditions holds:\n"
         for condition in hazard["ends_badly_if"]:
             number += 1
             yield f"- **C{number}.** {condition[0].upper()}{condition[1:]}."

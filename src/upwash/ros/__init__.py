@@ -9,6 +9,6 @@
 rclpy calls its callbacks in the thread of the session. They only hand values over to the event loop, and the loop
 publishes: rclpy's publishers may be used from any thread. Nothing here sends a command to a vehicle.
 
-No other room imports rclpy, and this room does so only if a configuration asks for ROS. ROS itself installs rclpy, for
-the Python of the system: it is no dependency, and no extra.
+No other room imports rclpy, and this room does so only if a configuration asks for ROS. ROS itself installs rclpy,
+for the Python of the system: it is no dependency, and no extra.
 """
