@@ -211,7 +211,7 @@ def test_an_explanation_has_the_bound_of_those_that_completed_it(
 def test_json_has_the_parts_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(BATTERY), "--json"]) == 0
     flown = json.loads(capsys.readouterr().out)
-    assert list(flown)[-1] == "energy" and list(flown["energy"]) == [
+    assert list(flown)[-3:] == ["energy", "upwash", "configuration"] and list(flown["energy"]) == [
         "total_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh", "battery_wh",
     ]  # fmt: skip
     assert main(["simulate", str(BATTERY), "--json", "--policy", "local-only"]) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,8 @@ def test_each_drone_is_a_simulation_and_all_together_are_their_means(scenario: P
 def test_a_scenario_of_one_drone_is_a_fleet_of_one() -> None:
     scenario = tables([], {})
     alone, fleet = upwash.simulate(scenario), upwash.simulate_fleet(scenario)
-    assert list(fleet.drones) == ["drone"] and fleet.drones["drone"] == alone
+    assert list(fleet.drones) == ["drone"] and fleet.configuration == alone.configuration
+    assert dataclasses.replace(fleet.drones["drone"], configuration=alone.configuration) == alone
     assert fleet.mean_s == fleet.worst_s == alone.mission_time_s
     assert fleet.jain == 1.0
 

@@ -6,6 +6,7 @@ import asyncio
 import dataclasses
 import json
 import tomllib
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ def tables() -> dict[str, Any]:
 def test_the_command_prints_what_a_notebook_gets(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(PATROL), "--policy", "local-only", "--seed", "7", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
+    assert printed.pop("upwash")["version"] == version("upwash")
     simulation = upwash.simulate(str(PATROL), policy="local-only", seed=7)
     assert printed == {name: as_json(getattr(simulation, name)) for name in printed}
     assert (simulation.policy, simulation.seed, simulation.failure) == ("local-only", 7, "")
@@ -60,7 +62,7 @@ def test_a_result_can_be_put_into_a_table_and_not_be_changed() -> None:
     simulation = upwash.simulate(PATROL)
     rows = [dataclasses.asdict(call) for call in simulation.calls]
     assert [row["waypoint"] for row in rows] == [0, 1, 2, 3, 4]
-    assert {type(value) for row in rows for value in row.values()} <= {int, str, float}
+    assert {type(value) for row in rows for value in row.values()} <= {int, str, float, type(None)}
     with pytest.raises(dataclasses.FrozenInstanceError):
         simulation.mission_time_s = 0.0  # type: ignore[misc]
     assert len(repr(simulation)) < 1000  # which a notebook prints

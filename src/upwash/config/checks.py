@@ -93,7 +93,7 @@ def never_made_smaller(config: DroneConfig) -> str:
     if not most_loss or not config.servers:
         return ""
     if not parts:
-        why = "no [[service]] has a before_sending: upwash profile measures it"
+        why = "no [[service]] has a before_sending: measure it with `upwash profile detector --photos photos`"
     elif all(min(part.loss.values()) > most_loss for part in parts.values()):
         why = "each before_sending loses more: allow more, or let its part keep more"
     elif all(server.bandwidth_bit_s is None for server in config.servers):

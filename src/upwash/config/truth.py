@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -139,10 +140,12 @@ def _remote_calls_still_believed(server: ServerConfig, services: Sequence[Servic
         service: {key: seconds for key, seconds in by_key.items() if key not in true_s.get(service, {})}
         for service, by_key in server.remote_call_s.items()
     }
+    goodput_bit_s = server.bandwidth_bit_s
+    if goodput_bit_s is None and server.truth.service_csv is not None:
+        goodput_bit_s = math.inf  # its times have the transfer in them
     for service in services:
-        if believed.get(service.name):
-            bits, goodput_bit_s = 8 * (service.request_bytes + service.reply_bytes), server.bandwidth_bit_s
-            transfer_s = 0.0 if goodput_bit_s is None else bits / goodput_bit_s
+        if believed.get(service.name) and goodput_bit_s is not None:
+            transfer_s = 8 * (service.request_bytes + service.reply_bytes) / goodput_bit_s
             true = true_s.get(service.name, {})
             believed[service.name] |= {key: seconds + transfer_s for key, seconds in true.items()}
     return believed

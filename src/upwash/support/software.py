@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from functools import cache
-from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +18,8 @@ class Software(NamedTuple):
 @cache
 def software() -> Software:
     """The upwash that runs."""
+    from importlib.metadata import PackageNotFoundError, distribution  # some 20 modules
+
     try:
         installed = distribution("upwash")
     except PackageNotFoundError:
