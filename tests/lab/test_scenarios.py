@@ -65,7 +65,7 @@ def test_no_mission_beats_the_bounds(scenario: str, policy: str) -> None:
     assert bound.free_s <= bound.with_joins_s <= time_s(scenario, policy) + 1e-6
 
 
-@pytest.mark.parametrize("scenario", FILES.keys() - SERVERS_SEE_MORE)
+@pytest.mark.parametrize("scenario", [name for name in FILES if name not in SERVERS_SEE_MORE])
 def test_the_bounds_are_those_of_the_world_whatever_policy_flew_in_it(scenario: str) -> None:
     config = read_scenario(FILES[scenario])
     bounds = [bound_of(fly(scenario, policy), config) for policy in POLICIES]
