@@ -32,7 +32,7 @@ _HEAD = """\
 **Claim.** A flight with upwash ends badly only if upwash breaks a [promise](#promises-and-their-evidence) or one of
 the [conditions](#when-a-flight-ends-badly) C1, C2, ... holds. We know of no other cause.
 
-*Badly* means a collision, a landing that nobody chose, a command against the pilot, or an action of the mission that
+*Badly* means a collision, an unchosen landing, a command against the pilot, or an action of the mission that
 is done twice, elsewhere or never. The list was made from the promises, the limits and the questions of one reader. It
 has no likelihoods and no severities.
 

@@ -55,7 +55,7 @@ def stopping(config: DroneConfig) -> DroneConfig:
 
 
 def demanding(config: DroneConfig, share: float, *, action_s: float = 5.0) -> DroneConfig:
-    """The world in which that share of the answers demands an action."""
+    """The world, where that share of the answers demands an action."""
     event = EventConfig(probability=share) if share else None
     return replace(config, event=event, mission=replace(config.mission, action_s=action_s))
 

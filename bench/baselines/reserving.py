@@ -1,9 +1,9 @@
 """Servers reserved before the flight, beside drones that take turns in flight.
 
-A planner that knows every plan simulates the fleet without noise, and gives each server to one drone at a time: among
-the drones in range the one with the least time so far. It repeats that with the flights that follow, with slots of
-several lengths, and keeps the table with the shortest mean mission. In flight, with noise, a drone uses a server only
-at the drone's own times.
+A planner that knows every plan simulates the fleet without noise. It gives each server to one drone at a time: to the
+drone in range that has had the least time. It repeats that with the flights that follow, with slots of several
+lengths, and keeps the table with the shortest mean mission. In flight, with noise, a drone uses a server only at the
+drone's own times.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A call over ROS 2 as a bare service, in FogROS2's way, and by `upwash ros`: `python -m bench.ros`, as root.
 
-All three share a radio of 54 Mbit/s: they take turns on a good link, make calls apart with 5 % of the frames lost
-each way (given up after 10 s), and side by side through a black-out. See docs/ros.md.
+All three share a radio of 54 Mbit/s. On a good link they take turns. With 5 % of the frames lost each way they make
+calls apart, given up after 10 s. Through a black-out they run side by side. See docs/ros.md.
 """
 
 from __future__ import annotations

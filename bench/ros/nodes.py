@@ -2,7 +2,7 @@
 
 Three ways to have a photo of 430,000 bytes looked at on the server:
 
-    service   a ROS service over Fast DDS, as it is delivered; rclpy has no time-out
+    service   a ROS service over Fast DDS with its defaults; rclpy has no time-out
     topics    a topic there and one back, with peers given by address, as FogROS2 connects a robot and a cloud
     upwash    a topic of the robot, which `upwash ros` subscribes to
 """

@@ -19,8 +19,8 @@ class Less(Struct, frozen=True):
 class BothWays(Struct, frozen=True):
     """How the delay of a call at one server goes with what is sent.
 
-    A call takes its `fixed_s`, whatever is sent, and the rest for the transfer of its request. The two functions are
-    inverse: an estimate from calls with less to send, kept as of whole ones, is their mean again.
+    A call takes its `fixed_s` for a request of any size, and the rest for the transfer of its request. The two
+    functions are inverse: an estimate from calls with less to send, kept as of whole ones, is their mean again.
     """
 
     less: Less

@@ -250,7 +250,7 @@ class Selection:
     # --- what arrives ---------------------------------------------------------------------------------------
 
     def _take_in(self, event: SelectionEvent, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912, PLR0915
-        """Learn from the event; return its own effects, before the policy is asked."""
+        """Learn from the event; return its own effects. The policy decides afterwards."""
         match event:
             # What the radios report concerns the mission only once a server changes its state.
             case events.Tick():  # first: by far the most frequent
