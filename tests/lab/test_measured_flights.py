@@ -183,4 +183,4 @@ def test_a_log_without_anything_to_trace_is_said(tmp_path: Path, capsys: pytest.
         '{"event":"armed","t":1.0,"position":{"east_m":0,"north_m":0,"altitude_m":0}}\n'
     )
     assert main(["traces", str(log), "--out", str(tmp_path / "out")]) == 2
-    assert "nothing to make a trace of" in capsys.readouterr().err
+    assert "no trace can be made of it" in capsys.readouterr().err

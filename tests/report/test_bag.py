@@ -68,4 +68,4 @@ def test_a_bag_that_is_none_or_lacks_the_topic_is_named(bag: Path, tmp_path: Pat
 
 def test_no_bag_is_written_over_another(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(bag.parent / "flown.jsonl"), "--bag", str(bag)]) == 2
-    assert "name one that is not there yet" in capsys.readouterr().err
+    assert "a bag is a new folder, so give the name of one" in capsys.readouterr().err

@@ -295,7 +295,7 @@ def test_photos_go_on_at_the_drone_when_the_server_is_killed(
     ros("forget", topic=RESULT)
     for size in range(4100, 4104):
         answer = ros.computed(size)
-        assert answer["place"] == "local" and "error" not in answer
+        assert answer["place"] == "local" and "error" not in answer, answer
     assert ros.status("s1", "")["level"] == 1
     node.send_signal(signal.SIGINT)
     assert node.wait(20) == 0

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from upwash.core.geo import LocalFrame
@@ -35,6 +35,8 @@ def write_bag(records: Sequence[Record], folder: Path, *, photos: Path | None = 
     With `photos`, a folder, the bag has the photos there that the logs name. Raises NotWritten, and UsageError where
     the folder is there already.
     """
+    if folder.exists():
+        raise UsageError(f"{folder} exists: a bag is a new folder, so give the name of one that does not exist")
     shelf = PhotoShelf(photos)
     found: list[tuple[int, str, Any]] = []
     for record in records:
@@ -48,10 +50,6 @@ def write_bag(records: Sequence[Record], folder: Path, *, photos: Path | None = 
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=_TYPES)
                 writer.write(connections[topic], time_ns, _TYPES.serialize_cdr(message, kind))
-    except WriterError as error:
-        raise UsageError(
-            f"{folder}: {error}: a bag is a new folder: give the name of a folder that does not exist"
-        ) from error
     except OSError as error:
         raise NotWritten(folder, error, "the bag is not whole") from error
 
