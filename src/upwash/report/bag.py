@@ -36,7 +36,9 @@ def write_bag(records: Sequence[Record], folder: Path, *, photos: Path | None = 
     the folder is there already.
     """
     if folder.exists():
-        raise UsageError(f"{folder} exists: a bag is a new folder, so give the name of one that does not exist")
+        raise UsageError(
+            f"{folder} exists: a bag is a new folder, so give the name of one that does not exist"
+        )
     shelf = PhotoShelf(photos)
     found: list[tuple[int, str, Any]] = []
     for record in records:
