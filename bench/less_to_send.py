@@ -9,33 +9,27 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
 import statistics
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import msgspec
-from bench.links.wan import DRONE, SERVER, Shape, wan
+from bench.links.drone import session_with
+from bench.links.visit import make_ends, visit
+from bench.links.wan import Shape, wan
 from bench.program import command_line, machine
 
 from upwash import simulate
 from upwash.drone.before_sending import BeforeSending, RunningPart
-from upwash.drone.networks import NoNetwork
 from upwash.drone.onboard import OnboardServices
-from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.emulation.enclosure import require_root_and_tools, run_enclosed, settle_in
-from upwash.emulation.namespaces import inside, make_namespace
+from upwash.emulation.enclosure import require_root_and_tools, run_enclosed
 from upwash.eventlog.schema import Event
 from upwash.ports import InstanceSpec, Program
 from upwash.profiling.agreement import LabelledBox, mean_ap50
 from upwash.real.instances.runtime import OwnProcesses
-from upwash.real.link.link import GrpcDialer
-from upwash.real.trust.authority import make_keys
-from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.service import spec_of
 from upwash.services import Detector, Shrink
 from upwash.services.photo import shrunk
@@ -43,8 +37,6 @@ from upwash.services.solar_park import RenderedPhoto, render_photo
 from upwash.services.solar_park import photo as camera
 from upwash.support.background import beside
 
-ROOT = Path(__file__).parents[1]
-ADDRESS = f"{SERVER.address}:7070"
 RATES_BIT_S = {"54 Mbit/s": 54e6, "12 Mbit/s": 12e6, "4 Mbit/s": 4e6}
 SIZES = {"0.4 MB": (1440, 1080, 425_000), "2 MB": (3200, 2400, 2_000_000), "10 MB": (5600, 4200, 10_000_000)}
 PHOTOS = {"0.4 MB": 40, "2 MB": 8, "10 MB": 4}  # that are judged
@@ -57,16 +49,6 @@ SETTINGS: dict[str, tuple[int, int] | None] = {
 FIRST_SEED = 9_000
 LONGEST_S = 120.0
 MOST_BYTES = 32 * 2**20
-SERVER_TOML = """\
-listen = "{address}"
-runtime = {{ sandbox = "off" }}
-max_message_bytes = {most}
-keys = {{ authority = "{keys}/authority.pem", certificate = "{keys}/s1.pem", key = "{keys}/s1.key" }}
-[[service]]
-name = "detector"
-[[server]]
-name = "s1"
-"""
 
 
 def main() -> int:
@@ -94,7 +76,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--calls", type=int, default=3)
     parser.add_argument("--part", choices=("answers", "calls", "missions"), help="only that table")
     parser.add_argument("--enclosed", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--drone", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--drone", nargs=4, help=argparse.SUPPRESS)
     return parser.parse_args()
 
 
@@ -142,9 +124,7 @@ def _made(photo: bytes, setting: tuple[int, int] | None) -> bytes:
 def _measure(options: argparse.Namespace) -> int:
     calls = 1 if options.quick else options.calls
     sizes = list(SIZES)[:1] if options.quick else list(SIZES)
-    settle_in(lambda: os._exit(1))
-    for end in (DRONE, SERVER):
-        make_namespace(end.namespace)
+    make_ends()
     print(f"medians of {calls} calls of the detector, heavy mode, part included; {machine()}\n")
     print("| photo | link |", " | ".join(SETTINGS), "| the part takes |")
     print("|---" * (3 + len(SETTINGS)) + "|", flush=True)
@@ -153,7 +133,12 @@ def _measure(options: argparse.Namespace) -> int:
             Path(folder, f"{size}.jpg").write_bytes(photographed(size, FIRST_SEED).jpeg)
         for rate, rate_bit_s in list(RATES_BIT_S.items())[: 1 if options.quick else 3]:
             with wan(Shape(round_trip_s=0.01, rate_bit_s=rate_bit_s)):
-                for size, delays_s in _visited(Path(folder), sizes, calls).items():
+                said = visit(
+                    *("bench.less_to_send", "--drone", folder, ",".join(sizes), str(calls)),
+                    service="detector",
+                    program="upwash.services:Detector",
+                )
+                for size, delays_s in json.loads(said).items():
                     cells = [f"{statistics.median(delays_s[name]):.2f} s" for name in SETTINGS]
                     parts = statistics.median(delays_s["part"])
                     print(f"| {size} | {rate} | {' | '.join(cells)} | {parts:.3f} s |", flush=True)
@@ -161,51 +146,14 @@ def _measure(options: argparse.Namespace) -> int:
     return 0
 
 
-def _visited(folder: Path, sizes: Sequence[str], calls: int) -> dict[str, dict[str, list[float]]]:
-    """The delays of the calls of a drone at the other end, by photo and setting."""
-    environment = os.environ | {"PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"}
-    keys = folder / "keys"
-    if not keys.exists():
-        make_keys(keys, servers=[["s1"]], drones=["drone"], operators=[])
-    Path(folder, "server.toml").write_text(SERVER_TOML.format(address=ADDRESS, keys=keys, most=MOST_BYTES))
-    serve = [sys.executable, "-m", "upwash", "serve", "--config", f"{folder}/server.toml"]
-    with subprocess.Popen(
-        [*inside(SERVER.namespace), *serve],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-        text=True,
-    ) as daemon:
-        try:
-            assert daemon.stdout is not None
-            assert daemon.stdout.readline() == f"s1 ready at {ADDRESS}\n"
-            drone = [sys.executable, "-m", "bench.less_to_send", "--drone", str(folder), ",".join(sizes)]
-            said = subprocess.run(
-                [*inside(DRONE.namespace), *drone, str(calls)],
-                stdout=subprocess.PIPE,
-                env=environment,
-                check=True,
-            ).stdout
-        finally:
-            daemon.terminate()
-    found: dict[str, dict[str, list[float]]] = json.loads(said)
-    return found
-
-
 class _Silence:
     def record(self, event: Event) -> None:
         """Nothing."""
 
 
-async def _call(folder: str, sizes: str, calls: str) -> int:
+async def _call(folder: str, sizes: str, calls: str, keys: str) -> int:
     """The drone's end: calls the server in turns of all settings, and prints the delays as JSON."""
-    keys, now_s = Path(folder, "keys"), asyncio.get_running_loop().time
-    shown = read_credentials(keys / "authority.pem", keys / "drone.pem", keys / "drone.key")
-    session = ServerSession(
-        ServerEndpoint("s1", "", ADDRESS, ("detector",)),
-        network=NoNetwork(),
-        dialer=GrpcDialer("drone", shown, max_message_bytes=MOST_BYTES),
-    )
+    now_s, session = asyncio.get_running_loop().time, session_with(keys, "detector")
     method = spec_of(Detector).methods["process_photo"]
     parts = {name: _part(setting) for name, setting in SETTINGS.items() if setting is not None}
     for part in parts.values():

@@ -6,25 +6,19 @@ Each link has a daemon and a drone of its own, which know nothing of the link.
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
-import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from bench.links.drone import Order, Seen
-from bench.links.wan import DRONE, SERVER, Shape, wan
+from bench.links.visit import ROOT, make_ends, visit
+from bench.links.wan import Shape, wan
 from bench.program import command_line, machine
 
-from upwash.emulation.enclosure import require_root_and_tools, run_enclosed, settle_in
-from upwash.emulation.namespaces import inside, make_namespace
-from upwash.real.trust.authority import make_keys
+from upwash.emulation.enclosure import require_root_and_tools, run_enclosed
 
-ROOT = Path(__file__).parents[2]
-ADDRESS = f"{SERVER.address}:7070"
 ROUND_TRIPS_S = (0.05, 0.2, 0.5, 1.0)
 LINKS: dict[str, dict[str, Any]] = {
     "0.5 Mbit/s": {"rate_bit_s": 0.5e6},
@@ -35,16 +29,6 @@ LINKS: dict[str, dict[str, Any]] = {
 }
 HOLE: dict[str, Any] = {"rate_bit_s": 5e6, "largest_bytes": 1280}  # an MTU without "packet too big" messages
 ORDER = Order(calls=20, photo_bytes=20_000, deadline_s=10.0, checks=3)
-SERVER_TOML = """\
-listen = "{address}"
-runtime = {{ sandbox = "off" }}
-keys = {{ authority = "{keys}/authority.pem", certificate = "{keys}/s1.pem", key = "{keys}/s1.key" }}
-[[service]]
-name = "echo"
-program = "bench.echo:Echo"
-[[server]]
-name = "s1"
-"""
 
 
 def main() -> int:
@@ -66,9 +50,7 @@ def _options() -> argparse.Namespace:
 
 def _measure(options: argparse.Namespace) -> int:
     order = msgspec.structs.replace(ORDER, calls=2 if options.quick else options.calls)
-    settle_in(lambda: os._exit(1))
-    for end in (DRONE, SERVER):
-        make_namespace(end.namespace)
+    make_ends()
     print(f"{order.calls} calls of {order.photo_bytes:,} bytes, {order.deadline_s:g} s each; {machine()}\n")
     links = dict([*LINKS.items()][:1]) if options.quick else LINKS
     print("| round trip |", " | ".join(links), "|")
@@ -93,31 +75,9 @@ def _cell(shape: Shape, order: Order, source: Path) -> str:
 
 def visited(shape: Shape, order: Order, source: Path = ROOT / "src") -> Seen:
     """What a drone sees of a server at the other end of that link, by the upwash of that source folder."""
-    environment = os.environ | {"PYTHONPATH": f"{source}{os.pathsep}{ROOT}"}
-    with tempfile.TemporaryDirectory() as folder, wan(shape):
-        keys = Path(folder, "keys")
-        make_keys(keys, servers=[["s1"]], drones=["drone"], operators=[])
-        Path(folder, "server.toml").write_text(SERVER_TOML.format(address=ADDRESS, keys=keys))
-        serve = [sys.executable, "-m", "upwash", "serve", "--config", f"{folder}/server.toml"]
-        with subprocess.Popen(
-            [*inside(SERVER.namespace), *serve],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            text=True,
-        ) as daemon:
-            try:
-                assert daemon.stdout is not None
-                assert daemon.stdout.readline() == f"s1 ready at {ADDRESS}\n"
-                drone = [sys.executable, "-m", "bench.links.drone", str(keys), ADDRESS]
-                said = subprocess.run(
-                    [*inside(DRONE.namespace), *drone, msgspec.json.encode(order).decode()],
-                    stdout=subprocess.PIPE,
-                    env=environment,
-                    check=True,
-                ).stdout
-            finally:
-                daemon.terminate()
+    told = msgspec.json.encode(order).decode()
+    with wan(shape):
+        said = visit("bench.links.drone", told, service="echo", program="bench.echo:Echo", source=source)
     return msgspec.json.decode(said, type=Seen)
 
 

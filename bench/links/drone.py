@@ -1,4 +1,4 @@
-"""The drone's end: `python -m bench.links.drone KEYS ADDRESS ORDER`, which prints a `Seen` as JSON."""
+"""The drone's end: `python -m bench.links.drone ORDER KEYS`, which prints a `Seen` as JSON."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 from bench.echo import Echo
+from bench.links.wan import ADDRESS
 
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint, ServerSession
@@ -67,16 +68,22 @@ async def visit(session: ServerSession, order: Order) -> Seen:
     return Seen(ready_s=ready_s, delays_s=delays_s, failure=failure)
 
 
-def main(keys: Path, address: str, order: Order) -> None:
-    """Prints what the drone saw."""
-    shown = read_credentials(keys / "authority.pem", keys / "drone.pem", keys / "drone.key")
-    session = ServerSession(
-        ServerEndpoint("s1", "", address, ("echo",)),
+def session_with(keys: str, service: str) -> ServerSession:
+    """A session with the daemon at the other end, which runs the service."""
+    folder = Path(keys)
+    shown = read_credentials(folder / "authority.pem", folder / "drone.pem", folder / "drone.key")
+    return ServerSession(
+        ServerEndpoint("s1", "", ADDRESS, (service,)),
         network=NoNetwork(),
-        dialer=GrpcDialer("drone", shown, max_message_bytes=2**24),
+        dialer=GrpcDialer("drone", shown, max_message_bytes=2**25),
     )
-    print(msgspec.json.encode(asyncio.run(visit(session, order))).decode())
+
+
+def main(order: str, keys: str) -> None:
+    """Prints what the drone saw."""
+    seen = visit(session_with(keys, "echo"), msgspec.json.decode(order, type=Order))
+    print(msgspec.json.encode(asyncio.run(seen)).decode())
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], msgspec.json.decode(sys.argv[3], type=Order))
+    main(*sys.argv[1:])

@@ -20,6 +20,7 @@ from upwash.emulation.vehicles import on_a_loop
 
 DRONE = LinkEnd("drone", "wan", "10.77.0.1")
 SERVER = LinkEnd("server", "wan", "10.77.0.2")
+ADDRESS = f"{SERVER.address}:7070"  # of the daemon
 _TUNSETIFF = 0x400454CA
 _TUN_WITHOUT_HEADER = 0x1001
 _QUEUE_S = 1.0  # what a modem holds; more is dropped

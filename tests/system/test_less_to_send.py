@@ -7,52 +7,37 @@ from pathlib import Path
 import pytest
 import tomli_w
 from tests.events import read
-from tests.programs import running, stand_in, write_drone
+from tests.programs import COUNTER, COUNTING, running, stand_in, write_drone
 
 from upwash.cli.main import main
 
 pytestmark = [pytest.mark.system, pytest.mark.flight]
 
-PROGRAM = """
-import os
-from upwash import service
+PROGRAM = COUNTING.replace(
+    "@service",
+    """import os
 
 @service
 class Halve:
     def count(self, photo: bytes) -> bytes:
-        if photo.startswith(b"crash"):
+        if photo.endswith(b"crash"):
             os._exit(3)
         return photo[: len(photo) // 2]
 
-@service(before_sending=Halve)
-class Counter:
-    def count(self, photo: bytes) -> int:
-        return len(photo)
-
-def fly(drone):
-    counter = drone.service(Counter)
-    drone.autopilot.arm()
-    drone.autopilot.takeoff(drone.altitude_m)
-    drone.autopilot.goto(drone.plan[0])
-    drone.autopilot.hover(6.0)
-    for first in (b"first", b"crash"):
-        drone.user.notify(counter.count(first + bytes(399_995)), at=drone.autopilot.position)
-    drone.end_flight()
-    drone.autopilot.disarm()
-"""
+@service(before_sending=Halve)""",
+).replace("(drone.altitude_m)", "(drone.altitude_m)\n    drone.autopilot.hover(6.0)")
 
 
 def test_requests_are_made_smaller_and_a_crash_of_the_part_costs_no_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    counter = {"name": "counter", "program": "mission.py:Counter"}
     part = {"takes_s": 0.5, "request_bytes": 200_000, "loss": 0.5}
     write_drone(
         tmp_path,
         PROGRAM,
-        mission={"altitude_m": 2.0},
-        service=[{**counter, "request_bytes": 400_000, "local_call_s": 9.0, "before_sending": part}],
+        mission={"altitude_m": 2.0, "waypoints_m": [[0, 0], [0, 1]]},
+        service=[{**COUNTER, "request_bytes": 400_000, "local_call_s": 9.0, "before_sending": part}],
         server=[
             {
                 "name": "s1",
@@ -66,11 +51,13 @@ def test_requests_are_made_smaller_and_a_crash_of_the_part_costs_no_answer(
         ],
         policy={"most_loss": 0.6},
     )
+    for name, end in ("1.jpg", b"whole"), ("2.jpg", b"crash"):
+        (tmp_path / "photos" / name).write_bytes(b"\xff\xd8" + bytes(399_993) + end)
     daemon = {
         "listen": f"unix:{tmp_path}/s1.sock",
         "allow_without_certificates": True,
         "runtime": {"sandbox": "off"},
-        "service": [counter],
+        "service": [COUNTER],
         "server": [{"name": "s1"}],
     }
     (tmp_path / "server.toml").write_text(tomli_w.dumps(daemon))
