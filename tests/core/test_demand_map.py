@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from upwash.core.geo import Position, Waypoint
-from upwash.core.planning.demand_map import MOST_PLACES, DemandMap, DemandPlace, near_m
+from upwash.core.geo import MOST_PLACES, Position, Waypoint
+from upwash.core.planning.demand_map import DemandMap, DemandPlace, near_m
 from upwash.core.planning.stay_or_go import Outlook, RowOutlook, StayRule
 
 HERE = Position(100.0, 50.0, 20.0)

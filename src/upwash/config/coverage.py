@@ -19,8 +19,8 @@ from upwash.config.kept_places import (
     shift,
     write_kept,
 )
-from upwash.core.geo import GeoPosition, Position
-from upwash.core.knowledge.coverage import MOST_PLACES, Coverage, MeasuredPlace
+from upwash.core.geo import MOST_PLACES, GeoPosition, Position
+from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
 from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.operation import Operation
 

@@ -19,8 +19,8 @@ from upwash.config.kept_places import (
     shift,
     write_kept,
 )
-from upwash.core.geo import GeoPosition, Position
-from upwash.core.planning.demand_map import MOST_PLACES, DemandMap, DemandPlace
+from upwash.core.geo import MOST_PLACES, GeoPosition, Position
+from upwash.core.planning.demand_map import DemandMap, DemandPlace
 
 _Answers = Annotated[float, Meta(ge=0, le=1e9)]
 

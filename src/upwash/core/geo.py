@@ -7,12 +7,15 @@ latitude the error stays below 0.1 % of the distance.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, TypeAlias
+from typing import Annotated, Generic, TypeAlias, TypeVar
 
 import msgspec
 
+MOST_PLACES = 5_000  # of a grid; what lies longest in the oldest square makes room
 FARTHEST_M = 1e9  # from home, of any place: what comes from elsewhere is refused beyond it
 Metres: TypeAlias = Annotated[float, msgspec.Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
 _EQUATORIAL_RADIUS_M = 6_378_137.0  # WGS 84
@@ -191,3 +194,47 @@ def distance_m(a: Position, b: Position) -> float:
 def rounded(position: Position) -> Position:
     """The position, each coordinate rounded to the centimetre."""
     return Position(round(position.east_m, 2), round(position.north_m, 2), round(position.altitude_m, 2))
+
+
+@dataclass(slots=True)
+class Placed:
+    """A place of a `Grid`."""
+
+    position: Position
+
+
+_Placed = TypeVar("_Placed", bound=Placed)
+
+
+class Grid(Generic[_Placed]):
+    """Places in squares, so that a search around a position reads few of them."""
+
+    def __init__(self, places: Iterable[_Placed], *, side_m: float) -> None:
+        self._side_m = side_m
+        self._squares: dict[tuple[int, int], list[_Placed]] = {}
+        self._count = 0
+        for place in places:
+            self.add(place)
+
+    def __iter__(self) -> Iterator[_Placed]:
+        return itertools.chain.from_iterable(self._squares.values())
+
+    def add(self, place: _Placed) -> None:
+        """Add a place; above `MOST_PLACES` another one makes room."""
+        if self._count >= MOST_PLACES:
+            oldest = next(iter(self._squares))
+            self._squares[oldest].pop(0)
+            self._count -= 1
+            if not self._squares[oldest]:
+                del self._squares[oldest]
+        self._squares.setdefault(self._square(place.position), []).append(place)
+        self._count += 1
+
+    def around(self, position: Position, *, squares: int = 1) -> Iterator[_Placed]:
+        """The places in the position's square and that many around it: one has all within `side_m`."""
+        easts, norths = (range(at - squares, at + squares + 1) for at in self._square(position))
+        for square in itertools.product(easts, norths):
+            yield from self._squares.get(square, ())
+
+    def _square(self, position: Position) -> tuple[int, int]:
+        return math.floor(position.east_m / self._side_m), math.floor(position.north_m / self._side_m)

@@ -12,28 +12,25 @@ A failed call counts with its cost: the wait for it, and then the drone's own co
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from upwash.core.geo import Position, ground_distance_m
+from upwash.core.geo import Grid, Placed, Position, ground_distance_m
 from upwash.core.operation import Operation
 
 SAME_M = 8.0  # calls within this distance count for one place
 NEAR_M = 12.0  # a measured place says this much of its surroundings
 _LATEST = 3  # calls, whose mean counts
 _LEAST_BYTES = 10_000  # of a call whose delay is, for its most part, that of the transfer
-MOST_PLACES = 5_000  # of each server; the longest unmeasured makes room
 
 
 @dataclass(slots=True)
-class MeasuredPlace:
+class MeasuredPlace(Placed):
     """A place where calls to one server were made: how many, how many were answered, and their delays.
 
     `bits` and `transfer_s` sum the sizes and delays of the answered calls. `flights_ago` is the age of the last one.
     """
 
-    position: Position
     tried: int = 0
     answered: int = 0
     bits: float = 0.0
@@ -71,13 +68,7 @@ class Coverage:
     """The measured places of each server without a range."""
 
     def __init__(self, places: Mapping[str, Collection[MeasuredPlace]]) -> None:
-        self._places: dict[str, dict[tuple[int, int], list[MeasuredPlace]]] = {
-            server: {} for server in places
-        }
-        self._count = dict.fromkeys(places, 0)
-        for server, known in places.items():
-            for place in known:
-                self._keep(server, place)
+        self._places = {server: Grid(known, side_m=NEAR_M) for server, known in places.items()}
 
     @property
     def servers(self) -> Collection[str]:
@@ -86,20 +77,14 @@ class Coverage:
 
     def places(self, server: str) -> Iterator[MeasuredPlace]:
         """Every place where the server was measured."""
-        for here in self._places[server].values():
-            yield from here
+        return iter(self._places[server])
 
     def at(self, server: str, position: Position) -> MeasuredPlace | None:
         """The nearest measured place within 12 m; None if there is none, or for a server with a range."""
-        squares = self._places.get(server)
-        if not squares:
-            return None
-        east, north = _square(position)
         nearest, nearest_m = None, NEAR_M
-        for square in ((east + x, north + y) for x in (-1, 0, 1) for y in (-1, 0, 1)):
-            for place in squares.get(square, ()):
-                if (distance_m := ground_distance_m(place.position, position)) <= nearest_m:
-                    nearest, nearest_m = place, distance_m
+        for place in self._places[server].around(position) if server in self._places else ():
+            if (distance_m := ground_distance_m(place.position, position)) <= nearest_m:
+                nearest, nearest_m = place, distance_m
         return nearest
 
     def asked(self, server: str, position: Position, *, answered: bool) -> MeasuredPlace:
@@ -115,21 +100,5 @@ class Coverage:
         if nearest is not None and ground_distance_m(nearest.position, position) <= SAME_M:
             return nearest
         place = MeasuredPlace(Position(position.east_m, position.north_m))
-        self._keep(server, place)
+        self._places[server].add(place)
         return place
-
-    def _keep(self, server: str, place: MeasuredPlace) -> None:
-        squares = self._places[server]
-        if self._count[server] >= MOST_PLACES:
-            oldest = next(iter(squares))
-            squares[oldest].pop(0)
-            self._count[server] -= 1
-            if not squares[oldest]:
-                del squares[oldest]
-        squares.setdefault(_square(place.position), []).append(place)
-        self._count[server] += 1
-
-
-def _square(position: Position) -> tuple[int, int]:
-    """The position's square in a grid of 12 m: places that count as near lie in it or in the eight around it."""
-    return math.floor(position.east_m / NEAR_M), math.floor(position.north_m / NEAR_M)

@@ -14,9 +14,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-from upwash.core.geo import Position, Waypoint, ground_distance_m
+from upwash.core.geo import Grid, Placed, Position, Waypoint, ground_distance_m
 
-MOST_PLACES = 5_000  # of a map; what lies longest without an answer makes room
 _SAME_M = 2.0  # answers within this distance count for one place
 _LEAST_NEAR_M = 10.0
 _REACH = 3.0  # times `near`, where an answer's weight is 1 %; farther answers do not count
@@ -24,11 +23,10 @@ _EVERYWHERE = 2.0  # answers that the chance everywhere counts for
 _FADES = 0.5  # with each flight
 
 
-@dataclass(frozen=True, slots=True)
-class DemandPlace:
+@dataclass(slots=True)
+class DemandPlace(Placed):
     """Answers to photos of one place, and the demands among them; fractions, as earlier flights count less."""
 
-    position: Position
     answers: float
     demands: float
     flights_ago: int = 0
@@ -48,56 +46,35 @@ class DemandMap:
 
     def __init__(self, known: Iterable[DemandPlace], *, near_m: float) -> None:
         self._near_m = near_m
-        self._squares: dict[tuple[int, int], list[DemandPlace]] = {}
-        self._count = 0
-        for place in known:
-            self._keep(place)
+        self._places = Grid(known, side_m=_REACH * near_m)
         answers = sum(place.answers for place in self.places())
         demands = sum(place.demands for place in self.places())
         self.before = (demands + 1) / (answers + 4)  # the chance everywhere, before the flight
 
     def places(self) -> Iterator[DemandPlace]:
         """Every place with an answer."""
-        for square in self._squares.values():
-            yield from square
+        return iter(self._places)
 
     def note(self, position: Position, *, demanded: bool) -> None:
         """Add an answer to a photo of the position."""
-        square = self._squares.get(self._square(position), [])
-        for number, place in enumerate(square):
+        for place in self._places.around(position, squares=0):
             if ground_distance_m(place.position, position) <= _SAME_M:
-                square[number] = replace(
-                    place, answers=place.answers + 1, demands=place.demands + demanded, flights_ago=0
-                )
+                place.answers += 1
+                place.demands += demanded
+                place.flights_ago = 0
                 return
-        self._keep(DemandPlace(position, 1.0, float(demanded)))
+        self._places.add(DemandPlace(position, 1.0, float(demanded)))
 
     def chance(self, position: Position, everywhere: float) -> float:
         """The chance of a demand at the position, from 0 to 1, where `everywhere` holds for the whole flight."""
         answers, demands = _EVERYWHERE, _EVERYWHERE * everywhere
-        east, north = self._square(position)
-        for square in ((east + x, north + y) for x in (-1, 0, 1) for y in (-1, 0, 1)):
-            for place in self._squares.get(square, ()):
-                away = ground_distance_m(place.position, position) / self._near_m
-                if away <= _REACH:
-                    weight = math.exp(-away * away / 2)
-                    answers += weight * place.answers
-                    demands += weight * place.demands
+        for place in self._places.around(position):
+            away = ground_distance_m(place.position, position) / self._near_m
+            if away <= _REACH:
+                weight = math.exp(-away * away / 2)
+                answers += weight * place.answers
+                demands += weight * place.demands
         return demands / answers
-
-    def _keep(self, place: DemandPlace) -> None:
-        if self._count >= MOST_PLACES:
-            oldest = next(iter(self._squares))
-            self._squares[oldest].pop(0)
-            self._count -= 1
-            if not self._squares[oldest]:
-                del self._squares[oldest]
-        self._squares.setdefault(self._square(place.position), []).append(place)
-        self._count += 1
-
-    def _square(self, position: Position) -> tuple[int, int]:
-        side_m = _REACH * self._near_m
-        return math.floor(position.east_m / side_m), math.floor(position.north_m / side_m)
 
 
 def near_m(plan: Sequence[Waypoint]) -> float:
