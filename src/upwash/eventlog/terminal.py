@@ -78,11 +78,6 @@ class Progress(LiveDisplay):
         self._now_s = self._said_s = 0.0
         super().__init__(console)  # which looks at the picture
 
-    @property
-    def started(self) -> bool:
-        """Whether the mission has begun."""
-        return self._narrator.started
-
     def follow(self, event: Event) -> None:
         """Takes in one event."""
         if isinstance(event, schema.ServerStep):

@@ -41,7 +41,6 @@ from upwash.support.background import beside
 from upwash.support.loading import extra
 from upwash.support.text import command
 
-_START_S = 120.0
 _OTHER_PORTS = (
     "the daemon answers, and the port of this service does not: calls go to the ports of instance_ports in the "
     "daemon's file, which have to lead to that computer under the same numbers, or under those of outside_ports"

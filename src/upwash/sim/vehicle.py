@@ -43,9 +43,6 @@ class Manner(Protocol):
     def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
         """The phases of a leg, from rest to rest."""
 
-    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-        """The phases of braking, from the velocity to rest."""
-
     def hold(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
         """The phases of a hold by the program, from the velocity to rest."""
 
@@ -380,13 +377,9 @@ class Plain:
         """The phases of a leg, from rest to rest, with one acceleration."""
         return leg(start, end, cruise_m_s=ground_speed_m_s, acceleration_m_s2=self.acceleration_m_s2)
 
-    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+    def hold(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
         """The phases of braking straight ahead, with the same acceleration."""
         return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
-
-    def hold(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
-        """The same."""
-        return self.brake(start, velocity)
 
     def arrival_s(self, phases: tuple[Phase, ...]) -> float:
         """Seconds until the vehicle rests."""
