@@ -138,7 +138,8 @@ def _nested(times: object, services: dict[str, dict[str, Any]]) -> object:
     nested: dict[str, Any] = {}
     for name, value in times.items():
         if name not in services and _is_number(value):
-            for owner in _having(name, services):
+            having = [owner for owner, service in services.items() if name in _keys(service)]
+            for owner in having or [next(iter(services))]:  # which is then said not to have it
                 nested.setdefault(owner, {})[name] = value
     for name, value in times.items():  # what names its service says more than a key does
         if name in services:
@@ -147,11 +148,6 @@ def _nested(times: object, services: dict[str, dict[str, Any]]) -> object:
         elif not _is_number(value):
             nested[name] = value
     return nested
-
-
-def _having(key: str, services: dict[str, dict[str, Any]]) -> list[str]:
-    """The services that have the profile key, or the first, which is then said not to have it."""
-    return [name for name, service in services.items() if key in _keys(service)] or [next(iter(services))]
 
 
 def _keys(service: dict[str, Any]) -> list[str]:

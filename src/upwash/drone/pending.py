@@ -264,7 +264,8 @@ class Calls:
 
             def note_end(call: asyncio.Task[Any]) -> None:
                 started.took_s = asyncio.get_running_loop().time() - begun_s
-                _take_note(call)
+                if not call.cancelled():
+                    call.exception()  # retrieved: asyncio reports no failure that the mission never asks for
 
             started._hearing = Hearing(partial(self.note_first, waypoint))
             started._task = begin(
@@ -328,12 +329,6 @@ class Calls:
         if not self._several:
             return await self._invoke(operation, method, request, hearing=hearing)
         return await self._invoke(operation, method, request, waypoint, urgent=urgent, hearing=hearing)
-
-
-def _take_note(call: asyncio.Task[Any]) -> None:
-    """Retrieve the exception, so that asyncio reports no failure that the mission never asks for."""
-    if not call.cancelled():
-        call.exception()
 
 
 Place = Waypoint | Position

@@ -189,7 +189,8 @@ class Rows:
         if self._end is None:
             self.fly_around(position_of(place))
             end = None if self._stays else self._end_of_leg(place)
-            self._set_off(end or position_of(place), _speed_of(place))
+            speed_m_s = place.ground_speed_m_s if isinstance(place, Waypoint) else None
+            self._set_off(end or position_of(place), speed_m_s)
         notes = self._vehicle.turn if flown else self._vehicle.head_for
         self._thread.post(partial(notes, place))
         self._reach(
@@ -539,7 +540,3 @@ async def _timed(wait: Coroutine[Any, Any, None]) -> float:
     begun_s = asyncio.get_running_loop().time()
     await wait
     return asyncio.get_running_loop().time() - begun_s
-
-
-def _speed_of(place: Place) -> float | None:
-    return place.ground_speed_m_s if isinstance(place, Waypoint) else None

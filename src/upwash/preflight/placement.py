@@ -76,7 +76,8 @@ def place(
         )
     servers = _more_servers(document, config, more) if more else _movable(document["server"])
     document = {**document, "server": document["server"] if more else []}
-    silent = _silent(document)
+    silent = changed(document)
+    silent.pop("noise", None)  # which would favour a lucky place
     failures: list[str] = []
 
     def times_s(trials: Sequence[Places]) -> list[float]:
@@ -264,13 +265,6 @@ def _with_servers(document: Document, servers: Sequence[Document], places: Place
         for server, at in zip(servers, places, strict=False)
         if at is not None
     ]
-    return other
-
-
-def _silent(document: Document) -> Document:
-    """Without noise, which would favour a lucky place."""
-    other = changed(document)
-    other.pop("noise", None)
     return other
 
 

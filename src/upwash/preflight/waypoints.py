@@ -98,7 +98,7 @@ class Farthest(Struct, frozen=True, kw_only=True):
 
 def farthest(config: DroneConfig) -> Farthest:
     """Of all waypoints of the plan."""
-    way = believed_way_home(config)
+    way = ARDUCOPTER if config.vehicle.profile == "arducopter" else UNKNOWN
     _, found = max(
         ((_down_s(waypoint.position, config, way), waypoint) for waypoint in waypoints(config.mission)),
         key=lambda pair: pair[0],
@@ -113,11 +113,6 @@ def farthest(config: DroneConfig) -> Farthest:
         home_s=home_s,
         needed_percent=100 * home_s / endurance_s if endurance_s else None,
     )
-
-
-def believed_way_home(config: DroneConfig) -> WayHome:
-    """How the vehicle returns, by the profile of the simulated vehicle."""
-    return ARDUCOPTER if config.vehicle.profile == "arducopter" else UNKNOWN
 
 
 def _down_s(place: Position, config: DroneConfig, way: WayHome) -> float:

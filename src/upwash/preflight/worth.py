@@ -54,7 +54,8 @@ def is_asked(config: DroneConfig) -> bool:
 def manners(document: Document, config: DroneConfig, file: Path) -> Iterator[tuple[str, Document]]:
     """The file in each manner of flying that it allows, first as it is."""
     yield AS_CONFIGURED, changed(document)
-    learns = _going_on(document)
+    learns = changed(document)
+    learns.setdefault("policy", {})["stay_or_go"] = "learn"
     if config.policy.stay_or_go != "learn":
         yield 'policy.stay_or_go = "learn"', learns
     grid = config.mission.grid
@@ -135,12 +136,6 @@ def told_worth(worth: Worth, config: DroneConfig) -> Iterator[str]:
 def _minutes(prediction: Prediction) -> str:
     manner = AS_CONFIGURED if prediction.case == LOCAL_ONLY else prediction.case
     return f"{(prediction.mission_time_s or 0.0) / 60:.2f} min ({manner})"
-
-
-def _going_on(document: Document) -> Document:
-    other = changed(document)
-    other.setdefault("policy", {})["stay_or_go"] = "learn"
-    return other
 
 
 def _left_at_home(document: Document, server: str) -> Document:

@@ -361,7 +361,8 @@ async def _check_stopped_s(session: ServerSession, *, start_timeout_s: float) ->
 
 def _photo_parameter(method: Method) -> str | None:
     """The only parameter of bytes, if all others have values."""
-    needed = [field for field in _fields(method) if _is_required(method, field)]
+    parameters, nothing = method.signature.parameters, inspect.Parameter.empty
+    needed = [field for field in _fields(method) if parameters[field.name].default is nothing]
     photos = [field for field in needed if isinstance(field.type, types.BytesType)]
     if len(photos) != 1 or any(field.name not in (photos[0].name, method.profile_by) for field in needed):
         return None
@@ -387,10 +388,6 @@ def _keys(method: Method) -> Iterator[tuple[str, dict[str, object]]]:
             )
     for argument in arguments:
         yield str(getattr(argument, "value", argument)), {method.profile_by: argument}
-
-
-def _is_required(method: Method, field: types.Field) -> bool:
-    return method.signature.parameters[field.name].default is inspect.Parameter.empty
 
 
 def _fields(method: Method) -> tuple[types.Field, ...]:

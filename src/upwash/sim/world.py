@@ -86,7 +86,8 @@ class ModelRadio(Wire):
             data_bytes = service.before_sending.request_bytes
         goodput = self._goodputs[server, service.name]
         if goodput is None:
-            self._meter_end_to_end(server, data_bytes)
+            if self._energy is not None and server in self._bandwidths:  # the delay is given as a whole
+                self._energy.transfer(self._bandwidths[server].transfer_s(data_bytes, _NOWHERE))
             return
         here, begun_s = self._position(), asyncio.get_running_loop().time()
         spot = Spot(ground_distance_m(here, self._places[server]), here, begun_s)
@@ -95,11 +96,6 @@ class ModelRadio(Wire):
         finally:  # a cancelled transfer has been on the air too
             if self._energy is not None:
                 self._energy.transfer(asyncio.get_running_loop().time() - begun_s)
-
-    def _meter_end_to_end(self, server: str, data_bytes: int) -> None:
-        """Meter the transfer of a call whose delay is given as a whole, if a bandwidth is given."""
-        if self._energy is not None and server in self._bandwidths:
-            self._energy.transfer(self._bandwidths[server].transfer_s(data_bytes, _NOWHERE))
 
 
 class DroneComputer:

@@ -131,7 +131,7 @@ class Story:
     def _whereabouts(self, event: Event) -> Iterator[Fact]:
         here = place_of(event, self._place)
         if here is None and (self._place is None or self._now_s - self._placed_s > _STALE_S):
-            here = self._inferred(event)
+            here = self._place if isinstance(event, schema.SetOff) else None  # simulated logs do not say
         if here is not None and self._is_news(here):
             yield self._fix(here, event if isinstance(event, schema.PositionReport) else None)
         if isinstance(event, schema.LimitsRead) and event.home is not None:
@@ -162,10 +162,6 @@ class Story:
             round_trip_s=report.round_trip_s,
             down_s=report.down_s,
         )
-
-    def _inferred(self, event: Event) -> Position | None:
-        """Where the drone is as it sets off: where it was; simulated logs do not say."""
-        return self._place if isinstance(event, schema.SetOff) else None
 
     def _progress(self, event: Event) -> Iterator[Fact]:
         match event:

@@ -112,7 +112,7 @@ class PhotoGeometry(msgspec.Struct, frozen=True, omit_defaults=True):
         None if they are unknown, or one of them does not lie on the ground.
         """
         sight = self.sight
-        if isinstance(sight, Unplaced) or sight.assumes_north:
+        if isinstance(sight, Unplaced) or sight.heading_deg >= _UNKNOWN_HEADING_DEG:
             return None
         width, height = self.size_px
         corners = [sight.line_to(*corner) for corner in ((0, 0), (width, 0), (width, height), (0, height))]
@@ -135,11 +135,6 @@ class Sight:
     tilt_deg: float
     heading_deg: float
     assumes: str
-
-    @property
-    def assumes_north(self) -> bool:
-        """Whether up in the photo is only taken for north."""
-        return self.heading_deg >= _UNKNOWN_HEADING_DEG
 
     @property
     def angles_deg(self) -> tuple[float, float, float]:

@@ -33,7 +33,10 @@ def admission(history: History) -> Iterator[Breach]:
         facts = [fact for fact in history.seen if fact.server == server.name]
         yield from _instances(facts)
         if server.truth.slots != "auto":
-            yield from _slots(facts, server.truth.slots)
+            for fact in facts:
+                if fact.event == "admitted" and len(fact.drones) > server.truth.slots:
+                    slots = counted(server.truth.slots, "slot")
+                    yield fact, f"{fact.server} serves {', '.join(fact.drones)}, and has {slots}"
         yield from _leases(facts, end_s=history.seen[-1].t if history.seen else 0.0)
 
 
@@ -46,12 +49,6 @@ def _instances(facts: Sequence[Observation]) -> Iterator[Breach]:
             running.add(fact.service)
         elif fact.event == "instance_ended":
             running.discard(fact.service)
-
-
-def _slots(facts: Sequence[Observation], slots: int) -> Iterator[Breach]:
-    for fact in facts:
-        if fact.event == "admitted" and len(fact.drones) > slots:
-            yield fact, f"{fact.server} serves {', '.join(fact.drones)}, and has {counted(slots, 'slot')}"
 
 
 def _holds(history: History) -> Iterator[Breach]:
@@ -120,15 +117,11 @@ def _waits(history: History, server: str) -> Iterator[tuple[schema.NoSlot, float
     for event in history.run.events:
         if isinstance(event, schema.NoSlot) and event.server == server:
             refusal = event
-        elif refusal is not None and _ends_wait(event, server):
+        elif refusal and isinstance(event, (schema.ServerStep, schema.Joined)) and event.server == server:
             yield refusal, event.t
             refusal = None
     if refusal is not None and history.run.events:
         yield refusal, history.run.events[-1].t
-
-
-def _ends_wait(event: Event, server: str) -> bool:
-    return isinstance(event, (schema.ServerStep, schema.Joined)) and event.server == server
 
 
 def _too_long(

@@ -62,7 +62,9 @@ def show_reproduction(
     print_comparison(comparisons, console)
     if moved:
         print_sensitivity(moved, console)
-    print_notes(console)
+    console.print("The thesis contradicts itself:")
+    for note in contradictions():
+        say(Text(note), console, indent=2)
     if results is not None:
         write_file(results, encoded(Results(comparisons, moved)))
         console.print(f"written: {results}", soft_wrap=True)
@@ -103,13 +105,6 @@ def print_sensitivity(moved: Sequence[Moved], console: Console) -> None:
         for variation in moved:
             table.add_row(variation.label, *(f"{percent:+.1f}" for percent in variation.percent[setup]))
         show_table(table, console)
-
-
-def print_notes(console: Console) -> None:
-    """Prints where the thesis's own figures disagree."""
-    console.print("The thesis contradicts itself:")
-    for note in contradictions():
-        say(Text(note), console, indent=2)
 
 
 def cell_names(setup: str) -> list[str]:

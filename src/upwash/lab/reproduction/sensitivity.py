@@ -50,14 +50,11 @@ def _flights(seeds: int) -> list[tuple[str, CellFlight]]:
         for label, changes in {"": {}, **VARIATIONS}.items()
         for setup in SETUPS
         for cell in timed_cells(setup)
-        if not label or cell.policy != "local-only" or _concerns_the_drone(changes)
+        if not label
+        or cell.policy != "local-only"
+        or not all(key.startswith(("server.", "noise.")) for key in changes)  # no effect without offloading
         for seed in range(1, seeds + 1)
     ]
-
-
-def _concerns_the_drone(changes: Changes) -> bool:
-    """Whether they can change a mission without offloading, where servers have no effect."""
-    return not all(key.startswith(("server.", "noise.")) for key in changes)
 
 
 def _servers(**changes: float | By) -> Changes:

@@ -42,18 +42,13 @@ def read_calibration(file: Path) -> Lens:
     if not text.lstrip().startswith(("%YAML", "<?xml", "{")):
         text = _HEADER + text
     try:
-        _require_flat(text)
+        if sum(1 for _ in _OPENING.finditer(text)) > _MOST_OPENED:  # OpenCV crashes where it nests deeply
+            raise ValueError(f"it has more than {_MOST_OPENED:,} brackets, braces or elements")
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         return _lens(storage)
     except (cv2.error, SystemError, ValueError) as error:
         why = str(error) if type(error) is ValueError else "it is no YAML, XML or JSON as OpenCV reads them"
         raise UsageError(f"camera.calibration: {file} is no calibration: {why}") from error
-
-
-def _require_flat(text: str) -> None:
-    """Raise ValueError for text that may nest deeply: OpenCV crashes there."""
-    if sum(1 for _ in _OPENING.finditer(text)) > _MOST_OPENED:
-        raise ValueError(f"it has more than {_MOST_OPENED:,} brackets, braces or elements")
 
 
 def _lens(storage: cv2.FileStorage) -> Lens:

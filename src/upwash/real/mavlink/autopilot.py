@@ -120,7 +120,9 @@ class MavlinkAutopilot(ReportingAutopilot):
             while True:
                 begun_s = vehicle.now_s
                 try:
-                    await self._arm_once()
+                    await self._change_mode("arm", vehicle.firmware.own_mode)
+                    await vehicle.arm("arm", armed=True)
+                    vehicle.beat()  # from here on a dead man counts what it hears
                     break
                 except AutopilotRefused:
                     vehicle.require_control("arm")
@@ -129,11 +131,6 @@ class MavlinkAutopilot(ReportingAutopilot):
                     self._tell_delay(self._reasons_since(begun_s))
                 await asyncio.sleep(settings.arm_again_s)
             await self._while_ours("arm", lambda: self._telemetry.position is not None)
-
-    async def _arm_once(self) -> None:
-        await self._change_mode("arm", self.vehicle.firmware.own_mode)
-        await self.vehicle.arm("arm", armed=True)
-        self.vehicle.beat()  # from here on a dead man counts what it hears
 
     async def takeoff(self, altitude_m: float) -> None:
         """Takes off straight up to the altitude above home; returns when it is reached."""

@@ -47,17 +47,14 @@ class Numbering:
     def is_news(self, message: Message, now_s: float, *, linked: bool) -> bool:
         """Whether the message is no copy and did not arrive late; after a silence every message is news."""
         if not linked:
-            self._forget()
+            self._newest = self._leapt_to = None
+            self._distinct = self._counted = 0
+            self._boot_ms.clear()
         is_copy = self._is_copy(message, now_s)
         is_ahead = self._is_ahead(message.get_seq(), now_s)
         if not is_copy:
             self._judge()
         return is_ahead if self.counts_up else self._is_latest_of_its_kind(message, is_copy=is_copy)
-
-    def _forget(self) -> None:
-        self._newest = self._leapt_to = None
-        self._distinct = self._counted = 0
-        self._boot_ms.clear()
 
     def _is_copy(self, message: Message, now_s: float) -> bool:
         key = message.get_seq(), message.get_msgId(), message.get_crc()

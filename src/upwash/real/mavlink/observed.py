@@ -330,7 +330,9 @@ class ObservedVehicle:
             return
         if not self._numbering.is_news(message, now_s, linked=linked):
             return
-        self._suspect_dead_man(now_s)
+        if self.silent_s >= self.missed_after_s:  # the dead man's own text is lost in a long silence
+            why = f"its dead man, after {self.silent_s:.0f} s without a link"
+            self.telemetry.suspect_dead_man(why, now_s)
         is_report = admits(message, self.firmware.ranges, self.news) and self._take_in(message, now_s)
         if all(now_s - missed_s > _BLIND_S for missed_s in self._missed_s.values()):
             self._count_as_heard(message, now_s, is_report=is_report, linked=linked)
@@ -365,12 +367,6 @@ class ObservedVehicle:
         if self._asks and not linked:
             self.ask_for(_HEARTBEAT)
             self._streams.begin(self.firmware, now_s)
-
-    def _suspect_dead_man(self, now_s: float) -> None:
-        """Suspect the dead man's switch after a long silence, in which its own text is lost."""
-        if self.silent_s >= self.missed_after_s:
-            why = f"its dead man, after {self.silent_s:.0f} s without a link"
-            self.telemetry.suspect_dead_man(why, now_s)
 
     def _look_for_restart(self, message: Message, now_s: float) -> None:
         """Report a restart to the latch; forget the landed state from before it."""

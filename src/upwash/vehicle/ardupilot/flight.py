@@ -270,11 +270,12 @@ class CopterFlight(Multicopter):
         self._doing = _Doing.LANDING
         stretches: tuple[MotionPart, ...]
         if mode is CopterMode.RTL:
+            told_cm_s = self.parameters["RTL_SPEED"] or self.parameters["WPNAV_SPEED"]
             stretches = self._airframe.way_home(
                 here,
                 velocity,
                 self.home.at_altitude(0.0),
-                ground_speed_m_s=self._return_speed_m_s(),
+                ground_speed_m_s=_within_reason(told_cm_s / 100),
                 altitude_m=self._return_altitude_m() + self.home.altitude_m,
             )
             here = self.home.at_altitude((stretches[-1].end if stretches else here).altitude_m)
@@ -317,9 +318,6 @@ class CopterFlight(Multicopter):
         if told_cm_s == self._default_speed_cm_s:
             return self.settings.ground_speed_m_s
         return _within_reason(told_cm_s / 100)
-
-    def _return_speed_m_s(self) -> float:
-        return _within_reason((self.parameters["RTL_SPEED"] or self.parameters["WPNAV_SPEED"]) / 100)
 
 
 def _parameters_at_boot(settings: VehicleSettings) -> ParameterTable:

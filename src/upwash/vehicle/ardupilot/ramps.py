@@ -38,7 +38,7 @@ class Ramp:
         """The motion from rest to the speed or, with negative accelerations, from the speed to rest."""
         slowness = self._slowness(speed_m_s)
         strength = speed_m_s / self.full_m_s / slowness
-        now_m_s = speed_m_s if self._brakes else 0.0
+        now_m_s = speed_m_s if self.knots[0][1] < 0 else 0.0  # it brakes
         phases: list[Phase] = []
         for part in self._parts(slowness, strength):
             phases.append(
@@ -46,10 +46,6 @@ class Ramp:
             )
             start, now_m_s = phases[-1].end, now_m_s + part.gained_m_s
         return tuple(phases)
-
-    @property
-    def _brakes(self) -> bool:
-        return self.knots[0][1] < 0
 
     @cached_property
     def _share(self) -> float:
