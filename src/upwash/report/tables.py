@@ -62,9 +62,9 @@ def _head(head: str) -> Markup:
     return element("th", head, scope="col") if head else element("td", "")
 
 
-def scrolled(content: Markup, name: str, *, style: str = "scroll") -> Markup:
+def scrolled(content: Markup, name: str) -> Markup:
     """A region that scrolls by itself on narrow screens, by keyboard too."""
-    return element("div", content, class_=style, tabindex="0", role="group", aria_label=name)
+    return element("div", content, class_="scroll", tabindex="0", role="group", aria_label=name)
 
 
 def folded(summary: str, *content: Markup) -> Markup:

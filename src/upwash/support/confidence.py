@@ -42,11 +42,11 @@ def mean_saving(before: Mapping[int, float], after: Mapping[int, float]) -> Mean
 
 
 @cache
-def student_quantile(freedom: int, *, within: float = 0.95) -> float:
-    """The t within which a Student-distributed number of that many degrees of freedom lies, on either side of 0."""
+def student_quantile(freedom: int) -> float:
+    """The t within which 95 % of a Student distribution of that many degrees of freedom lie, on either side of 0."""
     low, high = 0.0, math.pi / 2
     while (middle := (low + high) / 2) not in (low, high):
-        low, high = (middle, high) if _probability(middle, freedom) < within else (low, middle)
+        low, high = (middle, high) if _probability(middle, freedom) < 0.95 else (low, middle)
     return math.sqrt(freedom) * math.tan(low)
 
 

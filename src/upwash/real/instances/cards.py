@@ -20,12 +20,12 @@ _KERNEL = (
     "/sys/devices/system/memory",
     "/sys/devices/system/node",
 )
-_CARDS = Path("proc/driver/nvidia/gpus")  # a folder for each, named by its place on the PCI bus
+_CARDS = Path("/proc/driver/nvidia/gpus")  # a folder for each, named by its place on the PCI bus
 
 
-def device_files(devices: Iterable[str], *, root: Path = Path("/")) -> tuple[str, ...]:
+def device_files(devices: Iterable[str]) -> tuple[str, ...]:
     """The paths of devices; a name of the Container Device Interface stands for an NVIDIA card, or for all."""
-    files = [file for device in devices for file in _files_of(device, root)]
+    files = [file for device in devices for file in _files_of(device)]
     return tuple(dict.fromkeys(files))
 
 
@@ -34,22 +34,22 @@ def has_card(devices: Iterable[str]) -> bool:
     return any(device.startswith(_DEVICES) for device in devices)
 
 
-def read_by_cuda(*, root: Path = Path("/")) -> list[str]:
+def read_by_cuda() -> list[str]:
     """The files and folders of the kernel that CUDA reads; a machine may lack some."""
-    places = sorted(path.name for path in (root / _CARDS).glob("*"))
+    places = sorted(path.name for path in _CARDS.glob("*"))
     return [*_KERNEL, *(f"/sys/bus/pci/devices/{place}" for place in places)]
 
 
-def _files_of(device: str, root: Path) -> Iterator[str]:
+def _files_of(device: str) -> Iterator[str]:
     named = NVIDIA_CARD.fullmatch(device)
     if named is None:
         yield device
         return
     if named[1] == "all":
-        cards = sorted(path.name for path in (root / "dev").glob("nvidia[0-9]*"))
+        cards = sorted(path.name for path in Path("/dev").glob("nvidia[0-9]*"))
         yield from (f"/dev/{name}" for name in cards or ["nvidia0"])
     else:
         yield f"{_DEVICES}{named[1]}"
     yield from _NEEDED
-    if (root / _OPTIONAL.lstrip("/")).exists():
+    if Path(_OPTIONAL).exists():
         yield _OPTIONAL

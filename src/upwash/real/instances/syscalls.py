@@ -82,7 +82,7 @@ def call_filter(machine: str = "", *, pins: bool = False, shares: bool = False) 
 
 def _instructions(architecture: int, column: int, *, pins: bool, shares: bool) -> Iterable[bytes]:
     yield _step(_LOAD, _ARCHITECTURE)
-    yield from _unless(_EQUAL, architecture, [_answer(_KILL)])
+    yield from _unless(architecture, [_answer(_KILL)])
     yield _step(_LOAD, _NUMBER)
     yield from _where(_AT_LEAST, _FIRST_OF_OTHERS, [_refuse(errno.ENOSYS)])
     for error, calls in _REFUSED.items():
@@ -103,7 +103,7 @@ def _instructions(architecture: int, column: int, *, pins: bool, shares: bool) -
 
 
 def _rules_of_clone() -> list[bytes]:
-    return [_argument(0), _step(_AND, _NEW_NAMESPACES), *_unless(_EQUAL, 0, [_refuse(errno.EPERM)])]
+    return [_argument(0), _step(_AND, _NEW_NAMESPACES), *_unless(0, [_refuse(errno.EPERM)])]
 
 
 def _rules_of_mmap(*, shares: bool) -> list[bytes]:
@@ -117,7 +117,7 @@ def _rules_of_mmap(*, shares: bool) -> list[bytes]:
         *(() if shares else shared),
         _argument(3),
         _step(_AND, _GROWS_DOWN),
-        *_unless(_EQUAL, 0, [_refuse(errno.ENOMEM)]),
+        *_unless(0, [_refuse(errno.ENOMEM)]),
     ]
 
 
@@ -126,9 +126,9 @@ def _rules_of_sockets() -> list[bytes]:
     return [
         _argument(0),
         *(step for family in _FAMILIES for step in _where(_EQUAL, family, [_answer(_ALLOW)])),
-        *_unless(_EQUAL, socket.AF_NETLINK, [_refuse(errno.EAFNOSUPPORT)]),
+        *_unless(socket.AF_NETLINK, [_refuse(errno.EAFNOSUPPORT)]),
         _argument(2),
-        *_unless(_EQUAL, _ROUTES, [_refuse(errno.EAFNOSUPPORT)]),
+        *_unless(_ROUTES, [_refuse(errno.EAFNOSUPPORT)]),
     ]
 
 
@@ -136,8 +136,8 @@ def _where(test: int, value: int, then: list[bytes]) -> list[bytes]:
     return [_step(test, value, 0, len(then)), *then]
 
 
-def _unless(test: int, value: int, then: list[bytes]) -> list[bytes]:
-    return [_step(test, value, len(then), 0), *then]
+def _unless(value: int, then: list[bytes]) -> list[bytes]:
+    return [_step(_EQUAL, value, len(then), 0), *then]
 
 
 def _argument(index: int) -> bytes:

@@ -25,9 +25,9 @@ from upwash.vehicle.body.kinematics import (
     direction_of,
     duration_s,
     heading_of,
+    last_true,
     leg,
     pause,
-    settled_s,
     steadily,
 )
 
@@ -143,7 +143,19 @@ def hold(start: Position, velocity: Velocity) -> tuple[Phase, ...]:
 
 def arrival_s(phases: tuple[Phase, ...]) -> float:
     """The second of the arrival: within 1 m of the end and below 0.5 m/s."""
-    return settled_s(phases, within_m=_ARRIVED_M, below_m_s=_ARRIVED_M_S)
+    begun_s = 0.0
+    for phase in phases:
+
+        def is_unsettled(elapsed_s: float, phase: Phase = phase) -> bool:
+            left_m = distance_m(phase.position(elapsed_s), phases[-1].end)
+            return left_m > _ARRIVED_M or phase.velocity(elapsed_s).speed_m_s > _ARRIVED_M_S
+
+        if not is_unsettled(0.0):
+            return begun_s
+        if not is_unsettled(phase.duration_s):
+            return begun_s + last_true(is_unsettled, phase.duration_s)
+        begun_s += phase.duration_s
+    return begun_s
 
 
 def takeoff(ground: Position, altitude_m: float) -> tuple[Phase, ...]:

@@ -325,23 +325,6 @@ def elapsed_s(phase: Phase, travelled_m: float) -> float | None:
     return 2 * travelled_m / divisor if divisor > 0 else None
 
 
-def settled_s(phases: Sequence[Phase], *, within_m: float, below_m_s: float) -> float:
-    """The time when a vehicle is first that near the phases' end, and that slow."""
-    begun_s = 0.0
-    for phase in phases:
-
-        def is_unsettled(elapsed_s: float, phase: Phase = phase) -> bool:
-            left_m = distance_m(phase.position(elapsed_s), phases[-1].end)
-            return left_m > within_m or phase.velocity(elapsed_s).speed_m_s > below_m_s
-
-        if not is_unsettled(0.0):
-            return begun_s
-        if not is_unsettled(phase.duration_s):
-            return begun_s + last_true(is_unsettled, phase.duration_s)
-        begun_s += phase.duration_s
-    return begun_s
-
-
 def last_true(true: Callable[[float], bool], end: float) -> float:
     """The last place between 0 and the end where it is true, which it is from 0 on until it no longer is."""
     begin = 0.0

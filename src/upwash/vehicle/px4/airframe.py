@@ -96,7 +96,7 @@ def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
         leg = _along(
             above_start,
             heading_of(above_start, above_home),
-            _leg_samples(length_m, _RETURN_M_S, within_m=LANDS_WITHIN_M),
+            _return_samples(length_m),
         )
     here = leg[-1].end if leg else above_home
     return *up, *leg, pause(here, 0.0), *landing(here)
@@ -117,21 +117,20 @@ _Sample: TypeAlias = tuple[float, float, float]  # a time, the way until then, a
 
 
 @lru_cache(maxsize=512)
-def _leg_samples(length_m: float, cap_m_s: float, *, within_m: float = 0.0) -> tuple[_Sample, ...]:
-    """A leg from rest to rest, or to the place `within_m` before its end, from where it brakes evenly."""
-    steering = Steering(place=Position(length_m, 0.0), cap_m_s=cap_m_s)
+def _return_samples(length_m: float) -> tuple[_Sample, ...]:
+    """A way home from rest: from where the landing begins it brakes evenly."""
+    steering = Steering(place=Position(length_m, 0.0), cap_m_s=_RETURN_M_S)
 
     def is_over(body: Body) -> bool:
         left_m, speed_m_s = length_m - body.place_m.real, body.ground_m_s.real
-        return 0 < left_m <= within_m or (abs(left_m) <= _STILL_M and abs(speed_m_s) <= _STILL_M_S)
+        return 0 < left_m <= LANDS_WITHIN_M or (abs(left_m) <= _STILL_M and abs(speed_m_s) <= _STILL_M_S)
 
     flown = _flown(
         Body(), lambda _: steering, is_over, lambda body: (body.place_m.real, body.ground_m_s.real)
     )
     samples = [(REACTION_S + time_s, way_m, speed_m_s) for time_s, way_m, speed_m_s in (_AT_REST, *flown)]
     ends_s, ends_m, speed_m_s = samples[-1]
-    last_s = 2 * (length_m - ends_m) / speed_m_s if within_m else STEP_S
-    return (_AT_REST, *samples, (ends_s + last_s, length_m, 0.0))
+    return (_AT_REST, *samples, (ends_s + 2 * (length_m - ends_m) / speed_m_s, length_m, 0.0))
 
 
 @lru_cache(maxsize=512)

@@ -135,7 +135,7 @@ class Engine:
             done_already=_DONE_ALREADY.get(action, ()),
         )
 
-    async def delete(self, name: str, *, wait_s: float = 30.0) -> None:
+    async def delete(self, name: str) -> None:
         """Delete a stopped container."""
 
         def delete(api: Any) -> Any:
@@ -145,7 +145,7 @@ class Engine:
                 address, params={"project": self._config.project}, timeout=_ANSWER_S
             ).json()
 
-        await self._work(delete, wait_s=wait_s)
+        await self._work(delete, wait_s=30.0)
 
     async def close(self) -> None:
         """Hang up, without waiting for replies."""
