@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from upwash.report.axes import RIGHT, TOP, WIDTH, Axis, figure, label
 from upwash.report.groups import Difference, Group, in_seconds
 from upwash.report.markup import Markup, element, joined
 from upwash.support.confidence import Mean
 from upwash.support.text import counted
 
-_LEFT, _SPARE = 24.0, 0.06  # of the plot's breadth, either side of the dots
+_WIDTH, _LEFT, _RIGHT, _TOP = 760.0, 24.0, 16.0, 16.0  # of a figure, and of its margins
+_SPARE = 0.06  # of the plot's breadth, either side of the dots
+_MOST_TICKS = 7
 _ROW, _NAME = 62.0, 16.0
 _RADIUS = 4.0
 _LANES = (0.0, -5.0, 5.0, -10.0, 10.0)  # in which dots lie, so that equal ones are seen side by side
@@ -21,7 +22,7 @@ def draw_times(groups: Sequence[Group]) -> Markup:
     """The mission time of each flight, a row a group, all in one scale."""
     times_s = [record.result.mission_time_s for group in groups for record in group.flights]
     x = _axis(times_s, [group.time_s for group in groups])
-    bottom = TOP + _ROW * len(groups)
+    bottom = _TOP + _ROW * len(groups)
     rows = [
         _row(
             f"{group.name}: {in_seconds(group.time_s)}, {counted(len(group.flights), 'flight')}",
@@ -29,19 +30,18 @@ def draw_times(groups: Sequence[Group]) -> Markup:
              for record in group.flights],
             group.time_s,
             x,
-            TOP + _ROW * number,
+            _TOP + _ROW * number,
         )
         for number, group in enumerate(groups)
     ]  # fmt: skip
     told = "; ".join(f"{group.name}: {in_seconds(group.time_s)}" for group in groups)
-    return figure(
+    return _figure(
         "Mission time of each flight",
         f"On average, with 95 % confidence: {told}.",
-        WIDTH,
         bottom + 40,
-        *_scale(x, TOP, bottom),
+        *_scale(x, _TOP, bottom),
         *rows,
-        label("mission time (s)", WIDTH / 2, bottom + 34, style="axis"),
+        _label("mission time (s)", _WIDTH / 2, bottom + 34, style="axis"),
     )
 
 
@@ -50,7 +50,7 @@ def draw_differences(differences: Sequence[Difference]) -> Markup:
     high = _ROW + 30
     rows = []
     for number, difference in enumerate(differences):
-        top = TOP + high * number
+        top = _TOP + high * number
         longer_s = [pair.longer_s for pair in difference.pairs]
         x = _axis([0.0, *longer_s], [difference.longer_s])
         name = (
@@ -66,40 +66,39 @@ def draw_differences(differences: Sequence[Difference]) -> Markup:
     told = "; ".join(
         f"{each.policy} minus {each.reference}: {in_seconds(each.longer_s)}" for each in differences
     )
-    return figure(
+    return _figure(
         "Differences within the same scenario and seed",
         f"On average, with 95 % confidence: {told}.",
-        WIDTH,
-        TOP + high * len(differences) + 10,
+        _TOP + high * len(differences) + 10,
         *rows,
-        label(
+        _label(
             "difference of the mission times (s)",
-            WIDTH / 2,
-            TOP + high * len(differences) + 2,
+            _WIDTH / 2,
+            _TOP + high * len(differences) + 2,
             style="axis",
         ),
     )
 
 
-def _axis(values: Sequence[float], means: Sequence[Mean]) -> Axis:
+def _axis(values: Sequence[float], means: Sequence[Mean]) -> _Axis:
     """All values and what is sure of their means, from left to right."""
     ends = [
         mean.value + sign * mean.margin for mean in means if math.isfinite(mean.margin) for sign in (-1, 1)
     ]
     least, most = min([*values, *ends]), max([*values, *ends])
     spare = _SPARE * (most - least) or 1.0
-    return Axis(least - spare, most + spare, _LEFT, WIDTH - RIGHT)
+    return _Axis(least - spare, most + spare)
 
 
-def _scale(x: Axis, top: float, bottom: float) -> Iterator[Markup]:
-    for value in x.ticks(7):
+def _scale(x: _Axis, top: float, bottom: float) -> Iterator[Markup]:
+    for value in x.ticks():
         yield joined(
             element("line", x1=x(value), x2=x(value), y1=top, y2=bottom, class_="grid"),
-            label(f"{value:g}", x(value), bottom + 16),
+            _label(f"{value:g}", x(value), bottom + 16),
         )
 
 
-def _row(name: str, dots: Sequence[tuple[str, float]], mean: Mean, x: Axis, top: float) -> Markup:
+def _row(name: str, dots: Sequence[tuple[str, float]], mean: Mean, x: _Axis, top: float) -> Markup:
     middle = top + _NAME + (_ROW - _NAME) / 2
     drawn = [
         element(
@@ -119,4 +118,45 @@ def _row(name: str, dots: Sequence[tuple[str, float]], mean: Mean, x: Axis, top:
         "line", element("title", f"mean: {in_seconds(mean)}"),
         x1=at, x2=at, y1=middle - 16, y2=middle + 16, class_="average",
     )  # fmt: skip
-    return element("g", label(name, _LEFT, top + 11, anchor="start", style="row halo"), *drawn, sure, line)
+    return element("g", _label(name, _LEFT, top + 11, anchor="start", style="row halo"), *drawn, sure, line)
+
+
+class _Axis:
+    """Maps values from `first` to `last` onto the plot's breadth."""
+
+    def __init__(self, first: float, last: float) -> None:
+        self._first, self._last = first, last if last > first else first + 1
+
+    def __call__(self, value: float) -> float:
+        """Where the value is drawn."""
+        return _LEFT + (value - self._first) / (self._last - self._first) * (_WIDTH - _RIGHT - _LEFT)
+
+    def ticks(self) -> Iterator[float]:
+        """Round values along it."""
+        step = _round_step((self._last - self._first) / _MOST_TICKS)
+        for number in range(math.ceil(self._first / step), math.floor(self._last / step) + 1):
+            yield number * step
+
+
+def _round_step(least: float) -> float:
+    """The smallest of 1, 2, 5, 10, ... (and their tenths, hundredths, ...) that is not below `least`."""
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(power * factor for factor in (1, 2, 5, 10, 20) if power * factor >= least * 0.999)
+
+
+def _figure(title: str, description: str, height: float, *content: Markup) -> Markup:
+    """An SVG that says what it shows to those who do not see it."""
+    return element(
+        "svg",
+        element("title", title),
+        element("desc", description),
+        *content,
+        xmlns="http://www.w3.org/2000/svg",
+        viewBox=f"0 0 {_WIDTH:.0f} {height:.0f}",
+        role="img",
+    )
+
+
+def _label(text: str, x: float, y: float, *, anchor: str = "middle", style: str = "tick") -> Markup:
+    """Text at x, y."""
+    return element("text", text, x=x, y=y, text_anchor=anchor, class_=style)

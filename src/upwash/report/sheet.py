@@ -6,14 +6,15 @@ from collections.abc import Callable, Sequence
 
 from upwash.eventlog.progress import clock
 from upwash.report import tables
+from upwash.report.dots import draw_differences, draw_times
 from upwash.report.endings import draw_endings, draw_urgent
 from upwash.report.gallery import draw_findings
+from upwash.report.groups import differences, groups_of, in_words, verdict, what_groups
 from upwash.report.markup import Markup, element, joined
 from upwash.report.numbering import are_a_fleet
 from upwash.report.outcome import lasting, what_it_came_to
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, WorstCall, findings_of
-from upwash.report.summary import draw_summary
 
 _SIDE_BY_SIDE = 3  # flights; more are summed up first, and folded each
 _PICTURES = 60
@@ -34,9 +35,46 @@ def draw_sheet(records: Sequence[Record], shelf: PhotoShelf) -> Markup:
         for record in records
     ]
     each = element("section", element("h2", "Each flight"), *folded, class_="folded")
-    summary = [*draw_urgent(records), *draw_summary(records)]
+    summary = [*draw_urgent(records), *_summary(records)]
     together = element("section", *summary, class_="sheet together", aria_label="All flights together")
     return _whole(together, *found.of_fleet(), each)
+
+
+def _summary(records: Sequence[Record]) -> list[Markup]:
+    """Of many flights: the verdict, the times and their differences as figures, and a table with a row a flight."""
+    drawn = [element("p", verdict(records), class_="lead")]
+    groups, differing = groups_of(records), differences(records)
+    if groups:
+        drawn.append(
+            _figure(
+                f"Mission time by {what_groups(records)}",
+                "A dot is a completed flight. The upright line is the mean, and the bar across it where the true "
+                "mean lies with a probability of 95 %.",
+                draw_times(groups),
+            )
+        )
+    if differing:
+        drawn.append(
+            _figure(
+                "Differences within the same scenario and seed",
+                "A dot is a pair of flights; left of 0 the first policy was the faster. Each row has a scale of its "
+                "own.",
+                draw_differences(differing),
+                element("ul", *(element("li", in_words(each)) for each in differing)),
+            )
+        )
+    drawn.append(element("section", element("h2", "All flights"), tables.flights(records)))
+    return drawn
+
+
+def _figure(heading: str, note: str, drawing: Markup, *after: Markup) -> Markup:
+    return element(
+        "section",
+        element("h2", heading),
+        element("p", note, class_="note"),
+        tables.scrolled(drawing, heading),
+        *after,
+    )
 
 
 def _whole(*parts: Markup) -> Markup:
