@@ -87,12 +87,7 @@ def _spots(start: Position, end: Position, every_m: float) -> Iterator[Position]
     length_m = ground_distance_m(start, end)
     yield start
     for number in range(1, math.floor(length_m / every_m + _LAST_SPOT) + 1):
-        share = min(1.0, number * every_m / length_m)
-        yield Position(
-            start.east_m + share * (end.east_m - start.east_m),
-            start.north_m + share * (end.north_m - start.north_m),
-            start.altitude_m,
-        )
+        yield start.towards(end, min(1.0, number * every_m / length_m))
 
 
 def stands(mission: MissionConfig) -> Position:

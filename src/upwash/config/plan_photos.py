@@ -290,7 +290,7 @@ class _Course:
         above_sea_m = None
         if start.above_sea_m is not None and end.above_sea_m is not None:
             above_sea_m = start.above_sea_m + share * (end.above_sea_m - start.above_sea_m)
-        return Waypoint(0, _between(start.position, end.position, share), above_sea_m=above_sea_m)
+        return Waypoint(0, start.position.towards(end.position, share), above_sea_m=above_sea_m)
 
     def _rows(self) -> Iterator[tuple[int, int]]:
         """The straight ways: the corners where each begins and ends."""
@@ -317,7 +317,7 @@ class _Course:
                 return False
             along_m = from_m
             share = from_m / length_m
-            if distance_m(corner.position, _between(first, last, share)) > _STRAIGHT_M:
+            if distance_m(corner.position, first.towards(last, share)) > _STRAIGHT_M:
                 return False
         return True
 
@@ -334,11 +334,3 @@ def _without_repeats(corners: Iterator[_Corner]) -> Sequence[_Corner]:
         else:
             found.append(corner)
     return found
-
-
-def _between(start: Position, end: Position, share: float) -> Position:
-    return Position(
-        start.east_m + share * (end.east_m - start.east_m),
-        start.north_m + share * (end.north_m - start.north_m),
-        start.altitude_m + share * (end.altitude_m - start.altitude_m),
-    )

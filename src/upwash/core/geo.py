@@ -33,6 +33,14 @@ class Position(msgspec.Struct, frozen=True, gc=False):
         """The same place over the ground, at that altitude above home."""
         return Position(self.east_m, self.north_m, altitude_m)
 
+    def towards(self, end: Position, share: float) -> Position:
+        """The place on the straight way to the end, after that share of it."""
+        return Position(
+            self.east_m + share * (end.east_m - self.east_m),
+            self.north_m + share * (end.north_m - self.north_m),
+            self.altitude_m + share * (end.altitude_m - self.altitude_m),
+        )
+
 
 class Velocity(msgspec.Struct, frozen=True, gc=False):
     """A velocity in metres per second: eastwards, northwards and upwards."""

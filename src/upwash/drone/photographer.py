@@ -219,12 +219,8 @@ def _at(captured_s: float, before: _Moment, after: _Moment) -> _Moment:
     here, there = before.position, after.position
     if here == there:
         return nearer
-    position = Position(
-        here.east_m + share * (there.east_m - here.east_m),
-        here.north_m + share * (there.north_m - here.north_m),
-        here.altitude_m + share * (there.altitude_m - here.altitude_m),
-    )
-    return _Moment(captured_s, position, _earth_between(before.earth, after.earth, share), nearer.told)
+    earth = _earth_between(before.earth, after.earth, share)
+    return _Moment(captured_s, here.towards(there, share), earth, nearer.told)
 
 
 def _earth_between(

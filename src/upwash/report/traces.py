@@ -79,17 +79,9 @@ def _track(events: Iterable[Event], since_s: float) -> Iterator[Sequence[object]
             steps = int((now_s - at_s) / _APART_S)
             for step in range(1, steps + 1):
                 share = step / (steps + 1)
-                yield _row(at_s + share * (now_s - at_s), _between(here, place, share))
+                yield _row(at_s + share * (now_s - at_s), here.towards(place, share))
         yield _row(now_s, place)
         here, at_s = place, now_s
-
-
-def _between(here: Position, there: Position, share: float) -> Position:
-    return Position(
-        here.east_m + share * (there.east_m - here.east_m),
-        here.north_m + share * (there.north_m - here.north_m),
-        here.altitude_m + share * (there.altitude_m - here.altitude_m),
-    )
 
 
 def _row(at_s: float, place: Position) -> Sequence[object]:

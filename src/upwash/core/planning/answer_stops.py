@@ -63,14 +63,6 @@ def _inside(start: Position, end: Position, area: Circle) -> Position:
     nearest, radius_m = _nearest(start, end, area.centre), _WELL_INSIDE * area.radius_m
     away_m, way_m = ground_distance_m(nearest, area.centre), ground_distance_m(start, nearest)
     if away_m > radius_m:
-        return _towards(area.centre, nearest, radius_m / away_m)
+        return area.centre.towards(nearest, radius_m / away_m).at_altitude(nearest.altitude_m)
     within_m = math.sqrt(radius_m**2 - away_m**2)
-    return start if way_m <= within_m else _towards(nearest, start, within_m / way_m)
-
-
-def _towards(start: Position, end: Position, share: float) -> Position:
-    return Position(
-        start.east_m + share * (end.east_m - start.east_m),
-        start.north_m + share * (end.north_m - start.north_m),
-        end.altitude_m,
-    )
+    return start if way_m <= within_m else nearest.towards(start, within_m / way_m)

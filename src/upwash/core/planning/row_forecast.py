@@ -112,7 +112,7 @@ class _Motion(NamedTuple):
     def place(self, now_s: float) -> Position:
         length_m = self.leg.length_m
         share = min(1.0, self.leg.travelled_m(now_s - self.begun_s) / length_m) if length_m else 1.0
-        return _between(self.start, self.end, share)
+        return self.start.towards(self.end, share)
 
     def passes_s(self, spot: Position) -> float | None:
         """When it passes the spot, or arrives there; None if the spot is not on its way."""
@@ -326,7 +326,7 @@ class _Flight:
             self._rest(motion.end)
             return
         self._finish(self._now_s + speed_m_s / acceleration_m_s2 + motion.leg.settling_s)
-        self._rest(_between(motion.start, motion.end, way_m / motion.leg.length_m))
+        self._rest(motion.start.towards(motion.end, way_m / motion.leg.length_m))
 
     def _fly(self, end: Position) -> None:
         """Fly to a place, from rest to rest."""
@@ -363,14 +363,6 @@ def _rows(plan: Sequence[Waypoint]) -> Iterator[list[int]]:
     )
     for _, row in rows:
         yield list(row)
-
-
-def _between(start: Position, end: Position, share: float) -> Position:
-    return Position(
-        start.east_m + share * (end.east_m - start.east_m),
-        start.north_m + share * (end.north_m - start.north_m),
-        start.altitude_m + share * (end.altitude_m - start.altitude_m),
-    )
 
 
 def _passes(start: Position, end: Position, spot: Position) -> bool:

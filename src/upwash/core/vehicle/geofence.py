@@ -52,7 +52,7 @@ class Polygon(Struct, frozen=True):
             if _clearly_apart(start, end, corner, following):
                 continue
             share = _nearest_share(corner, start, end)
-            if ground_distance_m(corner, _along(start, end, share)) <= _ON_THE_BORDER_M:
+            if ground_distance_m(corner, start.towards(end, share)) <= _ON_THE_BORDER_M:
                 yield share
             crossing = _crossing_share(start, end, corner, following)
             if crossing is not None:
@@ -139,7 +139,7 @@ def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Positi
     """Whether the areas together contain the leg: between two crossings of borders one place stands for all."""
     shares = sorted({0.0, 1.0, *(share for area in areas for share in _met_at(area, start, end))})
     halfway = ((before + after) / 2 for before, after in itertools.pairwise(shares))
-    places = (_along(start, end, share) for share in (0.0, *halfway, 1.0))
+    places = (start.towards(end, share) for share in (0.0, *halfway, 1.0))
     return all(any(area.contains(place) for area in areas) for place in places)
 
 
@@ -166,13 +166,6 @@ def _clearly_apart(start: Position, end: Position, corner: Position, following: 
         or max(corner.east_m, following.east_m) + _ON_THE_BORDER_M < min(start.east_m, end.east_m)
         or max(start.north_m, end.north_m) + _ON_THE_BORDER_M < min(corner.north_m, following.north_m)
         or max(corner.north_m, following.north_m) + _ON_THE_BORDER_M < min(start.north_m, end.north_m)
-    )
-
-
-def _along(start: Position, end: Position, share: float) -> Position:
-    return Position(
-        start.east_m + share * (end.east_m - start.east_m),
-        start.north_m + share * (end.north_m - start.north_m),
     )
 
 
@@ -205,7 +198,7 @@ def _circle_met_at(circle: Circle, start: Position, end: Position) -> Iterator[f
 
 
 def _distance_to_line_m(position: Position, start: Position, end: Position) -> float:
-    return ground_distance_m(position, _along(start, end, _nearest_share(position, start, end)))
+    return ground_distance_m(position, start.towards(end, _nearest_share(position, start, end)))
 
 
 def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
