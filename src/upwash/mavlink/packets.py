@@ -48,3 +48,9 @@ def packed(message: Message, codec: Any, signing: Signing | None) -> bytes:
 def sender_of(message: Message) -> tuple[int, int]:
     """The system and component of a message's sender."""
     return message.get_srcSystem(), message.get_srcComponent()
+
+
+def name_of(enum: str, number: int | None) -> str:
+    """MAVLink's name for the number in that enumeration."""
+    entry = mavlink.enums[enum].get(number)
+    return entry.name if entry else f"number {number}"

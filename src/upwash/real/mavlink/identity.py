@@ -19,8 +19,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotError, AutopilotNotHeard
-from upwash.mavlink.names import name_of
-from upwash.mavlink.packets import Message, sender_of
+from upwash.mavlink.packets import Message, name_of, sender_of
 from upwash.mavlink.signing import SignatureRefusal
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.news import VehicleNewsFeed

@@ -11,8 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused, AutopilotTimeout
-from upwash.mavlink.names import name_of
-from upwash.mavlink.packets import Message
+from upwash.mavlink.packets import Message, name_of
 from upwash.mavlink.version import Version
 from upwash.real.mavlink.observed import ObservedVehicle
 from upwash.support.text import counted
