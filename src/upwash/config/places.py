@@ -25,6 +25,7 @@ from upwash.core.geo import (
     Via,
     Waypoint,
     ground_distance_m,
+    part_way,
 )
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap, near_m
@@ -87,7 +88,7 @@ def _spots(start: Position, end: Position, every_m: float) -> Iterator[Position]
     length_m = ground_distance_m(start, end)
     yield start
     for number in range(1, math.floor(length_m / every_m + _LAST_SPOT) + 1):
-        yield start.towards(end, min(1.0, number * every_m / length_m))
+        yield part_way(start, end, min(1.0, number * every_m / length_m))
 
 
 def stands(mission: MissionConfig) -> Position:

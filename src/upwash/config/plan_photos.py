@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from upwash.config.drone import DroneConfig, MissionConfig, PhotosConfig
 from upwash.config.problems import Problem
-from upwash.core.geo import LocalFrame, Position, Via, Waypoint, distance_m, ground_distance_m
+from upwash.core.geo import LocalFrame, Position, Via, Waypoint, distance_m, ground_distance_m, part_way
 from upwash.plans import FlightPlan, PhotoTrigger
 
 MOST_SPOTS = 100_000
@@ -290,7 +290,7 @@ class _Course:
         above_sea_m = None
         if start.above_sea_m is not None and end.above_sea_m is not None:
             above_sea_m = start.above_sea_m + share * (end.above_sea_m - start.above_sea_m)
-        return Waypoint(0, start.position.towards(end.position, share), above_sea_m=above_sea_m)
+        return Waypoint(0, part_way(start.position, end.position, share), above_sea_m=above_sea_m)
 
     def _rows(self) -> Iterator[tuple[int, int]]:
         """The straight ways: the corners where each begins and ends."""
@@ -317,7 +317,7 @@ class _Course:
                 return False
             along_m = from_m
             share = from_m / length_m
-            if distance_m(corner.position, first.towards(last, share)) > _STRAIGHT_M:
+            if distance_m(corner.position, part_way(first, last, share)) > _STRAIGHT_M:
                 return False
         return True
 

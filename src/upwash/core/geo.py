@@ -33,14 +33,6 @@ class Position(msgspec.Struct, frozen=True, gc=False):
         """The same place over the ground, at that altitude above home."""
         return Position(self.east_m, self.north_m, altitude_m)
 
-    def towards(self, end: Position, share: float) -> Position:
-        """The place on the straight way to the end, after that share of it."""
-        return Position(
-            self.east_m + share * (end.east_m - self.east_m),
-            self.north_m + share * (end.north_m - self.north_m),
-            self.altitude_m + share * (end.altitude_m - self.altitude_m),
-        )
-
 
 class Velocity(msgspec.Struct, frozen=True, gc=False):
     """A velocity in metres per second: eastwards, northwards and upwards."""
@@ -197,6 +189,15 @@ def ahead(place: Position, velocity: Velocity, time_s: float) -> Position:
 def distance_m(a: Position, b: Position) -> float:
     """Straight distance, altitude included."""
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m, a.altitude_m - b.altitude_m)
+
+
+def part_way(start: Position, end: Position, share: float) -> Position:
+    """The place on the straight way after that share of it."""
+    return Position(
+        start.east_m + share * (end.east_m - start.east_m),
+        start.north_m + share * (end.north_m - start.north_m),
+        start.altitude_m + share * (end.altitude_m - start.altitude_m),
+    )
 
 
 def rounded(position: Position) -> Position:

@@ -19,7 +19,7 @@ from upwash.core.camera.georeference import (
     level_ground,
 )
 from upwash.core.camera.lens import Lens
-from upwash.core.geo import EarthPosition, Position, rounded
+from upwash.core.geo import EarthPosition, Position, part_way, rounded
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
@@ -220,7 +220,7 @@ def _at(captured_s: float, before: _Moment, after: _Moment) -> _Moment:
     if here == there:
         return nearer
     earth = _earth_between(before.earth, after.earth, share)
-    return _Moment(captured_s, here.towards(there, share), earth, nearer.told)
+    return _Moment(captured_s, part_way(here, there, share), earth, nearer.told)
 
 
 def _earth_between(

@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from upwash.core.geo import Position
+from upwash.core.geo import Position, part_way
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.report.record import Record, place_of
@@ -79,7 +79,7 @@ def _track(events: Iterable[Event], since_s: float) -> Iterator[Sequence[object]
             steps = int((now_s - at_s) / _APART_S)
             for step in range(1, steps + 1):
                 share = step / (steps + 1)
-                yield _row(at_s + share * (now_s - at_s), here.towards(place, share))
+                yield _row(at_s + share * (now_s - at_s), part_way(here, place, share))
         yield _row(now_s, place)
         here, at_s = place, now_s
 

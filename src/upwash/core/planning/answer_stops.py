@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.geo import Circle, Position, ground_distance_m, part_way
 
 _WELL_INSIDE = 0.9  # of a range: there a drone stops
 
@@ -63,6 +63,6 @@ def _inside(start: Position, end: Position, area: Circle) -> Position:
     nearest, radius_m = _nearest(start, end, area.centre), _WELL_INSIDE * area.radius_m
     away_m, way_m = ground_distance_m(nearest, area.centre), ground_distance_m(start, nearest)
     if away_m > radius_m:
-        return area.centre.towards(nearest, radius_m / away_m).at_altitude(nearest.altitude_m)
+        return part_way(area.centre, nearest, radius_m / away_m).at_altitude(nearest.altitude_m)
     within_m = math.sqrt(radius_m**2 - away_m**2)
-    return start if way_m <= within_m else nearest.towards(start, within_m / way_m)
+    return start if way_m <= within_m else part_way(nearest, start, within_m / way_m)

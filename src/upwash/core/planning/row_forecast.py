@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, Reach, Via, Waypoint, distance_m
+from upwash.core.geo import Circle, Position, Reach, Via, Waypoint, distance_m, part_way
 from upwash.core.planning.answering import Answering, ServerBelief, Stay
 from upwash.core.planning.legs import Leg, Pace
 
@@ -112,7 +112,7 @@ class _Motion(NamedTuple):
     def place(self, now_s: float) -> Position:
         length_m = self.leg.length_m
         share = min(1.0, self.leg.travelled_m(now_s - self.begun_s) / length_m) if length_m else 1.0
-        return self.start.towards(self.end, share)
+        return part_way(self.start, self.end, share)
 
     def passes_s(self, spot: Position) -> float | None:
         """When it passes the spot, or arrives there; None if the spot is not on its way."""
@@ -326,7 +326,7 @@ class _Flight:
             self._rest(motion.end)
             return
         self._finish(self._now_s + speed_m_s / acceleration_m_s2 + motion.leg.settling_s)
-        self._rest(motion.start.towards(motion.end, way_m / motion.leg.length_m))
+        self._rest(part_way(motion.start, motion.end, way_m / motion.leg.length_m))
 
     def _fly(self, end: Position) -> None:
         """Fly to a place, from rest to rest."""

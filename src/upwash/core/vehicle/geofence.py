@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.geo import Circle, Position, ground_distance_m, part_way
 
 _ON_THE_BORDER_M = 1e-3  # a tenth of the step of coordinates in plans
 
@@ -52,7 +52,7 @@ class Polygon(Struct, frozen=True):
             if _clearly_apart(start, end, corner, following):
                 continue
             share = _nearest_share(corner, start, end)
-            if ground_distance_m(corner, start.towards(end, share)) <= _ON_THE_BORDER_M:
+            if ground_distance_m(corner, part_way(start, end, share)) <= _ON_THE_BORDER_M:
                 yield share
             crossing = _crossing_share(start, end, corner, following)
             if crossing is not None:
@@ -139,7 +139,7 @@ def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Positi
     """Whether the areas together contain the leg: between two crossings of borders one place stands for all."""
     shares = sorted({0.0, 1.0, *(share for area in areas for share in _met_at(area, start, end))})
     halfway = ((before + after) / 2 for before, after in itertools.pairwise(shares))
-    places = (start.towards(end, share) for share in (0.0, *halfway, 1.0))
+    places = (part_way(start, end, share) for share in (0.0, *halfway, 1.0))
     return all(any(area.contains(place) for area in areas) for place in places)
 
 
@@ -198,7 +198,7 @@ def _circle_met_at(circle: Circle, start: Position, end: Position) -> Iterator[f
 
 
 def _distance_to_line_m(position: Position, start: Position, end: Position) -> float:
-    return ground_distance_m(position, start.towards(end, _nearest_share(position, start, end)))
+    return ground_distance_m(position, part_way(start, end, _nearest_share(position, start, end)))
 
 
 def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
