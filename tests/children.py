@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,6 +64,16 @@ def is_alive(process_id: int) -> bool:
         return _stat(process_id)[0] not in "ZX"
     except OSError:
         return False
+
+
+def gone(*process_ids: int) -> bool:
+    """Whether all of these end within a few seconds."""
+    give_up_s = time.monotonic() + 5.0
+    while any(map(is_alive, process_ids)):
+        if time.monotonic() > give_up_s:
+            return False
+        time.sleep(0.01)
+    return True
 
 
 def _stat(process_id: int) -> list[str]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.children import expect_no_child, is_alive
+from tests.children import expect_no_child, gone, is_alive
 from tests.doors import certified_processes, reached
 from tests.waiting import wait_for
 
@@ -98,16 +98,6 @@ async def running(
         await link.close()
         await instance.stop()
     expect_no_child()
-
-
-def gone(*process_ids: int) -> bool:
-    """Whether all of these end within a few seconds."""
-    give_up_s = time.monotonic() + 5.0
-    while any(map(is_alive, process_ids)):
-        if time.monotonic() > give_up_s:
-            return False
-        time.sleep(0.01)
-    return True
 
 
 # --- starting -----------------------------------------------------------------------------------------------

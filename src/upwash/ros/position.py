@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -53,7 +54,8 @@ class TopicPosition:
         self._moved = asyncio.Event()
         self._failed = ""
         self.position = Position(0.0, 0.0)
-        node.create_subscription(kind, topic, guarded(take, self._fail), qos_profile_sensor_data)
+        came = functools.partial(self._hand_over, guarded(take, self._fail))
+        node.create_subscription(kind, topic, came, qos_profile_sensor_data)
 
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
         """Returns when a place inside a circle follows one outside, or the other way; AutopilotLost in silence."""
@@ -76,6 +78,11 @@ class TopicPosition:
         if self._failed:
             yield self._failed
 
+    def _hand_over(self, take: Callable[[Any], None], message: Any) -> None:
+        """In the thread of ROS: all else is done in the loop, in the order of the messages."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            self._loop.call_soon_threadsafe(take, message)
+
     def _fail(self, why: str) -> None:
         self._failed = f"{self._topic}: {why}"
 
@@ -88,14 +95,10 @@ class TopicPosition:
             self._take(place.lat, place.lon, place.alt)
 
     def _take(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
-        """In the thread of ROS: a place, which is out of bounds while a receiver starts."""
+        """Takes a place, which is out of bounds while a receiver starts."""
         if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):  # false for NaN too
             self._fail(f"{latitude_deg} and {longitude_deg} degrees are no place on the Earth")
             return
-        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-            self._loop.call_soon_threadsafe(self._move, GeoPosition(latitude_deg, longitude_deg), altitude_m)
-
-    def _move(self, place: GeoPosition, altitude_m: float) -> None:
         if math.isfinite(altitude_m) and self._ground_m is None:
             self._ground_m = altitude_m
         above_m = (
@@ -103,5 +106,6 @@ class TopicPosition:
         )
         self._failed = ""
         self._heard_s = self._loop.time()
+        place = GeoPosition(latitude_deg, longitude_deg)
         self.position = self._frame.position(place).at_altitude(above_m)
         self._moved.set()

@@ -19,6 +19,8 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+_PATIENCE_S = 60.0  # another node has started on a busy machine
+
 
 def _type(name: str) -> Any:
     package, group, kind = name.split("/")
@@ -62,7 +64,7 @@ class Peer:
         if topic not in self.publishers:
             best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
             self.publishers[topic] = self.node.create_publisher(_type(kind), topic, best_effort)
-            until_s = time.monotonic() + 10 * bool(times)
+            until_s = time.monotonic() + _PATIENCE_S * bool(times)
             while not self.publishers[topic].get_subscription_count() and time.monotonic() < until_s:
                 time.sleep(0.02)
         for _ in range(times):
@@ -83,7 +85,7 @@ class Peer:
             _type(kind), topic, lambda message: self.came[topic].append(_plain(message)), qos
         )
 
-    def wait(self, topic: str, text: str = "", count: int = 1, within_s: float = 20.0) -> list[Any]:
+    def wait(self, topic: str, text: str = "", count: int = 1, within_s: float = _PATIENCE_S) -> list[Any]:
         """The messages with that text, once there are `count`, or after `within_s`."""
         until_s = time.monotonic() + within_s
         while True:
@@ -99,12 +101,12 @@ class Peer:
     def call(self, service: str, kind: str, fields: dict[str, Any] | None = None) -> Any:
         """The reply of a service; None if it is not there, or does not answer."""
         client = self.node.create_client(_type(kind), service)
-        if not client.wait_for_service(30.0):
+        if not client.wait_for_service(_PATIENCE_S):
             return None
         request = _type(kind).Request()
         _set(request, fields or {})
         reply = client.call_async(request)
-        until_s = time.monotonic() + 30
+        until_s = time.monotonic() + _PATIENCE_S
         while not reply.done() and time.monotonic() < until_s:
             time.sleep(0.02)
         return _plain(reply.result()) if reply.done() else None
