@@ -20,7 +20,7 @@ from upwash.config.drone import (
     ServiceConfig,
 )
 from upwash.config.flight_times import finish_by_s
-from upwash.config.measured import flight_problems, truth_problems
+from upwash.config.measured import flight_problems, times_problems, truth_problems
 from upwash.config.places import (
     corners,
     geofence,
@@ -56,6 +56,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _autopilot_problems(config.autopilot)
     yield from _lighter_problems(config)
     yield from _two_answers_problems(config)
+    yield from _deadline_problems(config)
     yield from _battery_problems(config)
     yield from flight_problems(config)
     yield from _camera_problems(config.camera)
@@ -275,6 +276,22 @@ def _two_answers_problems(config: DroneConfig) -> Iterator[Problem]:
             )
 
 
+def _deadline_problems(config: DroneConfig) -> Iterator[Problem]:
+    for service in config.services:
+        key = f"service.{service.name}.deadline"
+        if service.deadline is None:
+            continue
+        if service.two_answers is not None:
+            yield key, "two_answers has a deadline of its own: leave one of the two out"
+        if only_on_servers(service):
+            yield (
+                key,
+                "calls that only servers run wait for a server: leave it out, and see answered within_s",
+            )
+        if config.mission.photos is not None:
+            yield key, "photos in flight wait for earlier ones: a deadline goes with calls made one at a time"
+
+
 def _battery_problems(config: DroneConfig) -> Iterator[Problem]:
     reserve_s, endurance_s = config.mission.reserve_s, config.vehicle.endurance_s
     if reserve_s is not None and endurance_s is not None and reserve_s >= endurance_s:
@@ -395,6 +412,8 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
         yield "check_s", f"{problem}: a check that starts the service takes at least as long"
     yield from _times_problems("processing_s", server.processing_s, config.services)
     yield from _times_problems("remote_call_s", server.remote_call_s, config.services)
+    if server.times_csv is not None:
+        yield from times_problems("times_csv", server.times_csv, config.services)
     yield from below("truth", _truth_problems(server.truth, config.services))
     turn_s, join_s = server.truth.turn_s, server_truth(server, config.services).join_s
     if turn_s is not None and turn_s < join_s:

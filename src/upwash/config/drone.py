@@ -374,6 +374,17 @@ class TwoAnswersConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """How long after the call the better answer counts, in seconds."""
 
 
+class DeadlineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """By when a call is answered, and how surely: [deadlines](deadlines.md)."""
+
+    s: values.Positive
+    """The time from the call to its answer, in seconds."""
+    p: values.Probability
+    """The least probability of an answer in that time, such as 0.99; without it the flight is refused."""
+    extra: values.Share = 0.1
+    """The largest share of the calls that a second server may compute too."""
+
+
 class BeforeSendingConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the part of a service that makes requests smaller costs and loses; `upwash profile` measures it."""
 
@@ -415,6 +426,8 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The least time of a call on the drone, in seconds: stands in for a slower computer."""
     local_joining_slowdown: values.SharesByKey = {}
     """Simulation: the share by which calls on the drone take longer while a network is joined."""
+    deadline: DeadlineConfig | None = None
+    """Its calls are answered in time with a probability, with a second server's help: [deadlines](deadlines.md)."""
     two_answers: TwoAnswersConfig | None = None
     """Its calls have a first answer of the drone, and a better one of a server: [two answers](two-answers.md)."""
     settings: values.Settings | None = None
@@ -454,6 +467,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Computing a call there, in seconds."""
     remote_call_s: values.SecondsByService = {}
     """A call there from request to reply, in seconds: one number, by service, by profile key or both."""
+    times_csv: values.FilePath | None = None
+    """Measured times of calls there, which [deadlines](deadlines.md) need: `operation,seconds`."""
     truth: TruthConfig = TruthConfig()
     """Simulation: how the server truly behaves."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from upwash.config.drone import DroneConfig, MissionConfig, ServiceConfig, VehicleConfig
 from upwash.config.places import frame_of, waypoints
@@ -77,15 +78,20 @@ def _track_problems(track: Track, config: DroneConfig) -> Iterator[Problem]:
         passed_s = at_s
 
 
+def times_problems(key: str, file: Path, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
+    """What the names in a file of measured times do not fit."""
+    for operation in read_service_times(file):
+        if not any(keys_of(operation, services)):
+            known = listed(
+                sorted({key or service.name for service in services for key in service.local_call_s})
+            )
+            yield key, f"{operation} is no operation with a local_call_s: name one of {known}"
+
+
 def truth_problems(truth: TruthConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
     """What the files of a measured server do not fit."""
     if truth.service_csv is not None:
-        for operation in read_service_times(truth.service_csv):
-            if not any(keys_of(operation, services)):
-                known = listed(
-                    sorted({key or service.name for service in services for key in service.local_call_s})
-                )
-                yield "service_csv", f"{operation} is no operation with a local_call_s: name one of {known}"
+        yield from times_problems("service_csv", truth.service_csv, services)
     if truth.goodput_csv is not None:
         read_goodput_trace(truth.goodput_csv)
         if truth.radio != "fixed":

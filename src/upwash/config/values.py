@@ -84,6 +84,7 @@ Fraction = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")
 Tilt = Annotated[float, Meta(ge=-90, le=90, description="a number from -90 to 90, in degrees")]
 Turn = Annotated[float, Meta(ge=-180, le=180, description="a number from -180 to 180, in degrees")]
 Share = Annotated[float, Meta(gt=0, le=1, description="a number above 0, up to 1")]
+Probability = Annotated[float, Meta(gt=0, lt=1, description="a number above 0 and below 1, such as 0.99")]
 Quantile = Annotated[
     str, Meta(pattern=r"^p[1-9][0-9]?\Z", description='a quantile from "p1" to "p99", such as "p95"')
 ]

@@ -2,6 +2,7 @@
 
     sent to a server alone    the drone's own service starts if the server fails
     hedged                    ... or is late (core/selection/hedging.py); the first answer counts
+    with a deadline           another server gets it too if the first one is late (core/selection/deadlines.py)
     raced                     both start at once, as the server is on trial
     on the drone              a server that becomes READY before the drone is done gets the call too
     with two answers          the drone computes the first, at once or where the server is late; a server's answer
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections import defaultdict
 from collections.abc import Coroutine
 from dataclasses import dataclass, field, replace
@@ -26,6 +28,7 @@ from upwash.core.geo import Position
 from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.policies.policy import NO_INPUTS, Decision, Inputs, Lightened, Remote
 from upwash.core.selection import events
+from upwash.core.selection.deadlines import Deadlines
 from upwash.core.selection.hedging import Hedge, Hedging
 from upwash.drone.before_sending import BeforeSending, NotReduced
 from upwash.drone.decisions import Decisions, now_s
@@ -86,7 +89,7 @@ class Twice:
     gives_up: bool = False  # the mission needs no better answer
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Attempt:
     """A call to a server, READY since `check`, and the drone's own computation of it, if any."""
 
@@ -107,7 +110,27 @@ class Attempt:
     delay_s: float = 0.0  # until that report
     verdict: RemoteFault = ""  # on the report
     twice: Twice | None = None  # its answer is the better one
+    of: Attempt | None = None  # which is made at two servers, of which this is one
+    winner: Attempt | None = None  # of the two, if it is made at two
+    second_s: float | None = None  # from its begin until the second server was asked
     answer: Any = None  # which is decoded
+
+    def became(self, winner: Attempt) -> None:
+        """Note which of its two servers has answered, or has the last word if none has."""
+        self.winner = winner
+        self.server, self.worker, self.session, self.check = (
+            winner.server,
+            winner.worker,
+            winner.session,
+            winner.check,
+        )
+        self.inputs, self.sends_less, self.part_s, self.sent_bytes = (
+            winner.inputs,
+            winner.sends_less,
+            winner.part_s,
+            winner.sent_bytes,
+        )
+        self.raised, self.delay_s, self.verdict = winner.raised, winner.delay_s, winner.verdict
 
     @property
     def facts_of_sending(self) -> dict[str, Any]:
@@ -133,9 +156,11 @@ class Attempt:
 
     @property
     def late(self) -> bool:
-        """Whether the mission had an answer of the drone's own service before."""
+        """Whether the mission had another answer before."""
         if self.twice is not None:
             return self.twice.gives_up or self.twice.hearing.first.done()
+        if self.of is not None:
+            return self.of.winner not in (None, self) or self.of.late
         return self.rival is not None and self.rival.done() and not _has_failed(self.rival)
 
 
@@ -182,6 +207,7 @@ class Calling:
         journal: Journal,
         hedging: Hedging,
         *,
+        deadlines: Deadlines | None = None,
         before_sending: BeforeSending | None = None,
     ) -> None:
         self._decisions = decisions
@@ -191,6 +217,7 @@ class Calling:
         self._onboard = onboard
         self._journal = journal
         self._hedging = hedging
+        self._deadlines = deadlines or Deadlines()
         # The rest of answered calls, each with the drone's own service that is busy with it, if any.
         self._losers: dict[asyncio.Task[Any], str | None] = {}
         self._turns = defaultdict[str, asyncio.Lock](asyncio.Lock)  # of the calls of each of its services
@@ -198,16 +225,19 @@ class Calling:
     async def answer(self, decision: Decision, call: Invocation) -> CallAnswer:
         """The answer to a call that runs where the decision says, or on the drone if the server fails."""
         self._hedging.called(call.operation)
+        self._deadlines.called(call.operation)
         if not isinstance(decision, Remote):
             return await self._race(self._begin_onboard(call), None)
         if decision.raced:
             attempt = self._begin_at_server(call, decision)
             return await self._race(self._begin_onboard(call), attempt)
         is_busy = any(not loser.done() for loser in self._losers)
-        if (hedge := self._hedging.plan(decision, call.operation, is_busy=is_busy)) is not None:
+        within_s = self._deadlines.within_s(call.operation)
+        hedge = self._hedging.plan(decision, call.operation, is_busy=is_busy, within_s=within_s)
+        if hedge is not None:
             return await self._answer_hedged(decision, hedge, call)
         attempt = self.attempt(call, decision)
-        reply = await self.at_server(attempt)
+        reply = await self.at_servers(attempt)
         return await self._fall_back(call, attempt) if reply is None else CallAnswer(reply, call, attempt)
 
     async def by_server(self, decision: Remote, call: Invocation, *, raised_before: bool) -> CallAnswer | str:
@@ -252,6 +282,66 @@ class Calling:
 
     # --- one place ------------------------------------------------------------------------------------------
 
+    async def at_servers(self, attempt: Attempt) -> Any | None:
+        """The decoded reply of the server, or of a second one that a deadline needs; None if none has one.
+
+        The exception that a server reports ends both tries, as the drone tests it.
+        """
+        operation, began_s = attempt.call.operation, now_s()
+        if self._deadlines.within_s(operation) is None:
+            return await self.at_server(attempt)
+        second = self._decisions.second(operation, beside=attempt.server)
+        plan = self._deadlines.prospect(operation, attempt.server, second)
+        if plan is None or plan.after_s is None:
+            return await self.at_server(attempt)
+        tries = [replace(attempt, of=attempt)]
+        replies = [begin(self.at_server(tries[0]))]
+        try:
+            await asyncio.wait(replies, timeout=plan.after_s)
+            if not _settles(tries[0], replies[0]) and (other := self._ask_second(attempt, began_s)):
+                tries.append(other)
+                replies.append(begin(self.at_server(other)))
+            while not any(map(_settles, tries, replies)) and (
+                left := [one for one in replies if not one.done()]
+            ):
+                await asyncio.wait(left, return_when=asyncio.FIRST_COMPLETED)
+        except BaseException:
+            await end(*replies)
+            raise
+        for one, reply in zip(tries, replies, strict=True):
+            if _settles(one, reply):
+                attempt.became(one)
+                for loser in replies:
+                    if not loser.done():
+                        self._keep(loser, None)
+                return reply.result()
+        return None
+
+    def _ask_second(self, attempt: Attempt, began_s: float) -> Attempt | None:
+        """The same call at another READY server, in the time that is left; None if it may not be asked."""
+        call, after_s = attempt.call, now_s() - began_s
+        left_s = attempt.deadline_s - after_s
+        if attempt.late or left_s <= 0 or not self._deadlines.may_ask(call.operation):
+            return None
+        server = self._decisions.second(call.operation, beside=attempt.server, begins=True)
+        if server is None:
+            return None
+        self._deadlines.asked(call.operation)
+        attempt.second_s = after_s
+        other = self.attempt(call, Remote(server, left_s, f"{attempt.server} is late"))
+        other.of = attempt
+        self._journal.record(
+            schema.Seconded(
+                waypoint=call.waypoint,
+                server=attempt.server,
+                second=server,
+                check=other.check,
+                after_s=after_s,
+                deadline_s=left_s,
+            )
+        )
+        return other
+
     async def at_server(self, attempt: Attempt) -> Any | None:
         """The server's decoded reply if it carries a value; None after any failure, which is reported to the core."""
         call, server, began_s = attempt.call, attempt.server, now_s()
@@ -278,6 +368,7 @@ class Calling:
                 waited_s, less = now_s() - began_s, attempt.sends_less
                 attempt.worker.cut = events.RemoteCallCut(server, operation, waited_s, less)
             self._decisions.tell(events.RemoteCallFailed(server, attempt.check, str(error), attempt.late))
+            self._deadlines.answered(server, operation, math.inf)
             if isinstance(error, UNREACHED):
                 self._reached(attempt, now_s() - began_s, None)
             return None
@@ -290,6 +381,7 @@ class Calling:
         if attempt.late and (attempt.twice is None or attempt.twice.gives_up):
             self._journal.record(schema.Dropped(operation=str(operation), place=server))
         less = attempt.sends_less
+        self._deadlines.answered(server, operation, delay_s)
         self._hedging.answered(server, operation, delay_s, less=less)
         self._decisions.tell(events.RemoteCallEnded(server, operation, delay_s, attempt.late, less))
         self._reached(attempt, delay_s, len(answer))
@@ -366,8 +458,8 @@ class Calling:
                 self._decisions.part_failed(attempt.call.operation, why)
             else:
                 self._decisions.tell(events.RemoteCallFailed(server, attempt.check, why, attempt.late))
-        elif attempt.rival is not None and attempt.late:
-            self.test(attempt, attempt.rival.result())
+        elif (rival := (attempt.of or attempt).rival) is not None and attempt.late:
+            self.test(attempt, rival.result())
         else:
             self._decisions.tell(events.RemoteCallRaised(server, why))
 
@@ -565,7 +657,7 @@ class Calling:
 
     def _begin_at_server(self, call: Invocation, decision: Remote) -> Attempt:
         attempt = self.attempt(call, decision)
-        attempt.reply = begin(self.at_server(attempt))
+        attempt.reply = begin(self.at_servers(attempt))
         return attempt
 
     def _begin_onboard(self, call: Invocation) -> _Computing:
@@ -641,6 +733,11 @@ class Calling:
                 earlier.result()  # which raises a defect, and so ends offloading
         kept = (self._losers | {loser: busy}).items()
         self._losers = {task: service for task, service in kept if not task.done()}
+
+
+def _settles(attempt: Attempt, reply: asyncio.Task[Any]) -> bool:
+    """Whether the server has answered, with an exception perhaps."""
+    return reply.done() and (reply.result() is not None or bool(attempt.raised))
 
 
 def _has_failed(call: asyncio.Task[Any]) -> bool:

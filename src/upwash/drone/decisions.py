@@ -167,6 +167,13 @@ class Decisions:
             self._decided(operation, decision, (), position, waypoint)
         return decision, may_come
 
+    def second(self, operation: Operation, *, beside: str, begins: bool = False) -> str | None:
+        """The other READY server, for calls that the one `beside` it answers late; None without one."""
+        server = self.selection.second(
+            operation, beside=beside, begins=begins, now_s=now_s(), position=self._autopilot.position
+        )
+        return None if server is None else server.name
+
     async def until_told(self, unless: asyncio.Task[object], *, until_s: float) -> None:
         """Return after the next event of the core, at `until_s`, or when the task `unless` is done."""
         left_s = until_s - now_s() if until_s < math.inf else None

@@ -30,6 +30,7 @@ from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
 from upwash.drone.api import Drone, Mission, User
 from upwash.drone.coming_down import ComingDown, Descent, end_safely, follow
+from upwash.drone.deadlines import require_deadlines
 from upwash.drone.home import planned_home
 from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.payload import Payload
@@ -140,6 +141,7 @@ class Flight:
         self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(maxlen=_WORDS_KEPT)
         self._onboard = onboard_services(config, specs, programs, ports)
         selection = make_selection(config, specs, self._plan)
+        self._promised = require_deadlines(config, specs, selection.estimates, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self.demand_map = demand_map_of(config, self._plan)
         self._stay_rule = StayRule(config.policy.stay_or_go, self.demand_map)
@@ -191,6 +193,8 @@ class Flight:
                 journal.record(schema.SpeedChosen(ground_speed_m_s=speed_m_s, why=self._speed_why))
             for why in self._unkept:
                 journal.record(schema.NoBetterAnswer(why=why))
+            for promised in self._promised:
+                journal.record(promised.event)
             journal.record(
                 schema.MissionStarted(
                     drone=config.name,

@@ -18,6 +18,7 @@ from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Remote, Wait
+from upwash.core.selection.deadlines import Deadlines
 from upwash.core.selection.events import NoMoreCalls, SelectionEvent
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.selection import Selection
@@ -58,6 +59,7 @@ class Offloading:
         onboard: OnboardServices,
         journal: Journal,
         hedging: Hedging,
+        deadlines: Deadlines,
         before_sending: BeforeSending,
         first: Literal["oldest", "newest"] | None = None,
         waiting_bytes: Mapping[str, int] = MappingProxyType({}),
@@ -86,7 +88,13 @@ class Offloading:
             journal=journal,
         )
         self._calling = Calling(
-            self._decisions, self._radios, onboard, journal, hedging, before_sending=before_sending
+            self._decisions,
+            self._radios,
+            onboard,
+            journal,
+            hedging,
+            deadlines=deadlines,
+            before_sending=before_sending,
         )
         self._line = CallLine(self._decisions, self._calling.is_computing, first=first) if first else None
         self.server_calls = (
@@ -247,6 +255,7 @@ class Offloading:
                 wait=wait,
                 fell_back=answer.fell_back,
                 hedged_s=answer.hedged_s,
+                second_s=answer.attempt.second_s if answer.attempt is not None else None,
                 queued_s=began_s - asked_s + answer.queued_s or None,
                 remote_fault=answer.remote_fault,
                 first_s=answer.first_s,

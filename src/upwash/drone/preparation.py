@@ -39,6 +39,7 @@ from upwash.core.selection.settings import LighterSettings, SelectionSettings, T
 from upwash.core.vehicle.geofence import breached_by_way
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
 from upwash.drone.before_sending import BeforeSending, RunningPart
+from upwash.drone.deadlines import make_deadlines
 from upwash.drone.offloading import Offloading
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.own_policy import policy_of
@@ -68,6 +69,7 @@ def make_selection(
             probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
             lighter=_lighter(config, specs, estimates),
             two_answers=two_answers(config, specs, estimates),
+            with_second=any(service.deadline for service in config.services),
             takeoff_m=config.mission.altitude_m,
             lands=ending(config.mission) == "land",
         ),
@@ -173,6 +175,7 @@ def make_offloading(
         onboard=onboard,
         journal=ports.journal,
         hedging=make_hedging(config, selection.estimates),
+        deadlines=make_deadlines(config, specs, selection.estimates),
         before_sending=before_sending,
         first=first or (photos.order if photos else "oldest" if waiting_bytes else None),
         waiting_bytes=waiting_bytes,

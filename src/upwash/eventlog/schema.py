@@ -237,6 +237,19 @@ class NoBetterAnswer(_Explained, frozen=True, kw_only=True):
     """Before take-off: no server is expected to give the second of two answers by its deadline."""
 
 
+class DeadlinePromised(Event, frozen=True, kw_only=True):
+    """Before take-off: calls of the operation are answered `within_s` with the probability `expected` at least.
+
+    `asked` is the probability that was asked for, and `extra` the share of calls that a second server should get too.
+    """
+
+    operation: Text
+    within_s: Number
+    asked: Number
+    expected: Number
+    extra: Number
+
+
 class MissionStarted(Event, frozen=True, kw_only=True):
     """The drone, the policy, the number of planned waypoints, and in a resumed flight the indices already `done`."""
 
@@ -943,6 +956,7 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
 
     `place` is a server's name, or `local` for the drone; `check` is the number of the server's selection, absent for
     the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service joined the call,
+    `second_s` when a second server did, one of which answered,
     and `queued_s` how long earlier calls kept its place busy. `waypoint` is where the mission began the call, if
     several may be open at the same time. `remote_fault` is `confirmed` or `denied` if the
     server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not
@@ -967,6 +981,7 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     wait: Literal["", "paid off", "failed"]
     fell_back: bool
     hedged_s: Number | None = None
+    second_s: Number | None = None
     queued_s: Number | None = None
     first_s: Number | None = None
     remote_fault: Literal["", "confirmed", "denied"] = ""
@@ -993,8 +1008,23 @@ class Hedged(Event, frozen=True, kw_only=True, omit_defaults=True):
     deadline_s: Number
 
 
+class Seconded(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """A call that the server has not answered `after_s` after its begin is sent to the `second` server too.
+
+    The second one, READY since `check`, may answer for `deadline_s`. `waypoint` is that of the call, if several calls
+    may be open at the same time.
+    """
+
+    waypoint: Index | None = None
+    server: Text
+    second: Text
+    check: Count = 0
+    after_s: Number
+    deadline_s: Number
+
+
 class Dropped(Event, frozen=True, kw_only=True):
-    """The second answer of a call that drone and server both computed was dropped; `place` is its origin."""
+    """The second answer of a call that was computed at two places was dropped; `place` is its origin."""
 
     operation: Text
     place: Text

@@ -120,6 +120,24 @@ class CallPlacement:
             decision = replace(decision, raced=False)
         return replace(decision, inputs=inputs)
 
+    def second(self, operation: Operation, beside: str, now_s: float, *, begins: bool) -> Server | None:
+        """The other READY server in range that offers the operation; a server in doubt when its next trial is due.
+
+        If the call `begins` there, it is that trial.
+        """
+        for server in self._radios.selected:
+            if server.name == beside or not server.in_range or server.state is not State.READY:
+                continue
+            if self._estimates.remote_s(server.name, operation) is None:
+                continue
+            if self._recovery is not None and self._recovery.in_doubt(server.name, operation):
+                if self._recovery.trial_due_s(server.name, operation) > now_s:
+                    continue
+                if begins:
+                    self._recovery.trial_begun(server.name)
+            return server
+        return None
+
     def may_send(self, server: str, check: int) -> bool:
         """Whether a call that was decided for the server, READY since that check, may still go there."""
         selected = self._radios.selected_by(check, (State.READY,))

@@ -70,13 +70,21 @@ class Hedging:
         """Note that a call begins: the budget grows by a share of its time on the drone."""
         self._calls_s += self._estimates.local_s(operation) or 0.0
 
-    def plan(self, decision: Remote, operation: Operation, *, is_busy: bool) -> Hedge | None:
+    def plan(
+        self, decision: Remote, operation: Operation, *, is_busy: bool, within_s: float | None = None
+    ) -> Hedge | None:
         """The hedge of a remote call; None if an earlier loser keeps the drone busy, or the budget is used up.
 
-        The server may take as long as the drone is expected to: after that its answer is of no use.
+        The server may take as long as the drone is expected to: after that its answer is of no use. A call that the
+        drone can answer `within_s` is hedged in time for that, whatever the budget.
         """
         local_s = self._estimates.local_s(operation)
-        if is_busy or local_s is None or self._extra_s >= self._budget * self._calls_s:
+        if local_s is None or is_busy:
+            return None
+        if within_s is not None and local_s <= within_s:
+            after_s = min(within_s - local_s, decision.deadline_s)
+            return Hedge(after_s, max(decision.deadline_s, after_s + local_s))
+        if self._extra_s >= self._budget * self._calls_s:
             return None
         server, deadline_s = decision.server, decision.deadline_s
         delays_s, offline_s = self._delays_s[server, operation], self._offline_s[server][operation]

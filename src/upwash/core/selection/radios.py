@@ -97,6 +97,11 @@ class Radios:
         effects = self._replace(self.selected[1:], server, why, now_s)
         return effects + self._check(server, why, now_s)
 
+    def put_first(self, server: Server) -> None:
+        """Use a server that is READY in preparation, and keep the former one as the one in preparation."""
+        if server in self.selected[1:] and server.state is State.READY:
+            self.selected.reverse()
+
     def ask_again(self, server: Server, why: str, now_s: float) -> list[Effect]:
         """Ask a READY server for a new slot, as the drone's turn there is over; the radio stays."""
         server.check = self._next_number()

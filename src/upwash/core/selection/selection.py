@@ -228,6 +228,16 @@ class Selection:
         self._locate(position, now_s)
         return self._placement.better(operation, by_s, now_s, is_next=is_next)
 
+    def second(
+        self, operation: Operation, *, beside: str, begins: bool, now_s: float, position: Position
+    ) -> Server | None:
+        """The other READY server, for calls that the one `beside` it answers late; None without one.
+
+        The call may be a trial of the server, if it `begins` there.
+        """
+        self._locate(position, now_s)
+        return self._placement.second(operation, beside, now_s, begins=begins)
+
     def may_send(self, server: str, check: int, *, now_s: float, position: Position) -> bool:
         """Whether a call that was decided for the server, READY since that check, may still go there."""
         self._locate(position, now_s)
@@ -300,6 +310,8 @@ class Selection:
                 self.estimates.part_failed(service)
             case events.RemoteCallEnded(name, operation, delay_s, late, less):
                 self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
+                if not late:
+                    self._radios.put_first(self.servers[name])
                 if not late and not self.estimates.needs_server(operation):
                     self._planning.answered(now_s)
             case events.RemoteCallCut(name, operation, waited_s, less):
@@ -489,15 +501,21 @@ class Selection:
         if choice.server is None:
             for server in list(radios.selected):
                 effects += radios.leave(server, choice.why, now_s)
-        elif radios.in_use is None or choice.server != radios.in_use.name:
-            effects += radios.use(
-                self.servers[choice.server],
-                choice.why,
-                now_s,
-                keep=self._is_worth_keeping(radios.in_use, now_s),
-            )
+            return effects + planning.announce(choice.coming, now_s)
+        chosen = self.servers[choice.server]
+        if self._settings.with_second:
+            radios.put_first(chosen)
+        if chosen is not radios.in_use:
+            keep = self._is_worth_keeping(radios.in_use, now_s)
+            effects += radios.use(chosen, choice.why, now_s, keep=keep)
         elif choice.coming is not None and self.servers[choice.coming.server].in_range:
             effects += radios.prepare(self.servers[choice.coming.server], "comes next", now_s)
+        elif (
+            self._settings.with_second
+            and len(radios.selected) == 1
+            and (beside := planning.beside(chosen, now_s)) is not None
+        ):
+            effects += radios.prepare(beside, f"for calls that {chosen.name} answers late", now_s)
         effects += planning.announce(choice.coming, now_s)
         return effects
 

@@ -217,6 +217,14 @@ class ServerPlanning:
             return Choice(current.name, "slow lately, and no other is faster")
         return choice
 
+    def beside(self, first: Server, now_s: float) -> Server | None:
+        """The fastest other server in range that has a slot; None without one."""
+        options = (
+            option for option in self._options(now_s) if option.server != first.name and not option.full
+        )
+        fastest = min(options, key=lambda option: option.mean_call_s, default=None)
+        return None if fastest is None else self._table.servers[fastest.server]
+
     def announce(self, coming: Coming | None, now_s: float) -> list[Prepare]:
         """The announcement of the drone to the coming server, once and in time; empty if none is due."""
         if coming is not None and self._table.servers[coming.server] in self._radios.selected:

@@ -29,7 +29,8 @@ class SelectionSettings(Struct, frozen=True):
 
     With `probing`, `blacklist_s` has no effect. A server that others wait for is used only if it saves more than
     the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at its last waypoint
-    or else returns home. Calls of the operations in `two_answers` have a first answer of the drone.
+    or else returns home. Calls of the operations in `two_answers` have a first answer of the drone. Where radios are
+    free, `with_second` keeps another server READY for calls that the one in use answers late.
     """
 
     blacklist_s: float = 60.0
@@ -40,5 +41,6 @@ class SelectionSettings(Struct, frozen=True):
     gain_slot: float = 0.25
     lighter: LighterSettings | None = None
     two_answers: Mapping[Operation, TwoAnswers] = {}
+    with_second: bool = False
     takeoff_m: float = 0.0
     lands: bool = False

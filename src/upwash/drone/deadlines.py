@@ -1,0 +1,155 @@
+"""The configured deadlines of calls, and what can be had of them at each waypoint: too little is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from msgspec import Struct
+
+from upwash.config import DroneConfig, ServiceConfig, server_areas
+from upwash.config.traces import read_service_times
+from upwash.config.truth import keys_of
+from upwash.core.geo import Waypoint
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.operation import Operation
+from upwash.core.selection.deadlines import Deadline, Deadlines, Delays, Prospect, prospect
+from upwash.errors import UsageError
+from upwash.eventlog import schema
+from upwash.rpc.service import ServiceSpec
+
+
+class DeadlineProspect(Struct, frozen=True):
+    """What can be had of an operation's deadline at the waypoint where that is least, and where it is too little."""
+
+    service: str
+    operation: Operation
+    deadline: Deadline
+    least: Prospect
+    where: str  # which servers are in range there, and what keeps them from more
+    short_of: tuple[int, ...] = ()  # the waypoints
+
+    @property
+    def event(self) -> schema.DeadlinePromised:
+        """The promise, as the log has it."""
+        return schema.DeadlinePromised(
+            operation=str(self.operation),
+            within_s=self.deadline.within_s,
+            asked=self.deadline.probability,
+            expected=self.least.probability,
+            extra=self.least.extra,
+        )
+
+
+def make_deadlines(config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates) -> Deadlines:
+    """The deadlines of the drone's operations, with the measured times of its servers."""
+    deadlines = dict(_deadlines(config, specs, estimates))
+    return Deadlines(deadlines, _known_s(config, deadlines))
+
+
+def require_deadlines(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
+) -> list[DeadlineProspect]:
+    """What can be had of each deadline over these waypoints; raises UsageError if that is less than was asked for.
+
+    Nothing is promised of flights without servers, with which others are compared.
+    """
+    if config.policy.name == "local-only":
+        return []
+    found = list(_prospects(config, dict(_deadlines(config, specs, estimates)), estimates, plan))
+    for one in found:
+        if one.short_of:
+            raise UsageError(_refusal(one, len(plan)))
+    return found
+
+
+def _deadlines(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
+) -> Iterator[tuple[Operation, Deadline]]:
+    for service in config.services:
+        if (asked := service.deadline) is None:
+            continue
+        for operation in estimates.operations:
+            if operation.service == service.name and not specs[service.name].methods[operation.method].once:
+                yield operation, Deadline(asked.s, asked.p, asked.extra)
+
+
+def _known_s(
+    config: DroneConfig, operations: Mapping[Operation, Deadline]
+) -> dict[tuple[str, Operation], list[float]]:
+    known: dict[tuple[str, Operation], list[float]] = {}
+    for server in config.servers:
+        times = read_service_times(server.times_csv) if server.times_csv is not None else {}
+        for operation in operations:
+            for name, seconds in times.items():
+                if _names(name, operation, config.services):
+                    known.setdefault((server.name, operation), []).extend(seconds)
+    return known
+
+
+def _names(name: str, operation: Operation, services: Sequence[ServiceConfig]) -> bool:
+    """Whether a name of a file of times is that of the operation."""
+    keys = set(keys_of(name, services))
+    return name == str(operation) or bool(
+        keys & {(operation.service, key) for key in (operation.key, operation.method, "")}
+    )
+
+
+def _prospects(
+    config: DroneConfig,
+    deadlines: Mapping[Operation, Deadline],
+    estimates: Estimates,
+    plan: Sequence[Waypoint],
+) -> Iterator[DeadlineProspect]:
+    areas, known_s = server_areas(config), _known_s(config, deadlines)
+    called = [operation for operation in deadlines if operation.key in ("", config.mission.mode)]
+    for operation in called or deadlines:
+        deadline, local_s = deadlines[operation], estimates.local_s(operation)
+        delays = {
+            server.name: Delays(known_s.get((server.name, operation), ()))
+            for server in config.servers
+            if estimates.remote_s(server.name, operation) is not None
+        }
+        found: list[tuple[Prospect, str, int]] = []
+        for waypoint in plan:
+            near = sorted(
+                (name for name in delays if areas[name].contains(waypoint.position)),
+                key=lambda name: estimates.remote_s(name, operation) or 0.0,
+            )
+            if local_s is not None and local_s <= deadline.within_s:
+                found.append((Prospect(1.0), "the drone computes it itself in that time", waypoint.index))
+                continue
+            second = delays[near[1]] if len(near) > 1 and config.network.radios > 1 else None
+            best = prospect(deadline, delays[near[0]], second) if near else Prospect(0.0)
+            found.append((best, _why(near, delays, config.network.radios, best, deadline), waypoint.index))
+        if found:
+            least, where, _ = min(found, key=lambda one: one[0].probability)
+            short = tuple(index for had, _, index in found if had.probability < deadline.probability)
+            yield DeadlineProspect(operation.service, operation, deadline, least, where, short)
+
+
+def _why(
+    near: Sequence[str], delays: Mapping[str, Delays], radios: int, best: Prospect, deadline: Deadline
+) -> str:
+    if not near:
+        return "no server is in range there"
+    if unknown := [name for name in near[:radios] if not delays[name].known]:
+        return f"nothing is measured of {unknown[0]}: give its times_csv"
+    if len(near) == 1:
+        return f"only {near[0]} is in range there"
+    if radios == 1:
+        return f"{near[0]} alone, as network.radios is 1: with 2, {near[1]} could get late calls too"
+    if best.after_s is not None and best.extra > deadline.extra - 1e-9:
+        return f"{near[1]} may get a share of {deadline.extra:g} of the calls too: allow more as extra"
+    return f"{near[0]} with {near[1]}"
+
+
+def _refusal(one: DeadlineProspect, waypoints: int) -> str:
+    asked, had = one.deadline, one.least.probability
+    where = f"waypoint {one.short_of[0]}"
+    if len(one.short_of) > 1:
+        where = f"{len(one.short_of)} of {waypoints} waypoints, such as {one.short_of[0]}"
+    return (
+        f"service.{one.service}.deadline: {one.operation} is answered within {asked.within_s:g} s with a probability "
+        f"of {had:.4g} at least, and {asked.probability:g} is asked for: it is less at {where}: {one.where}; or ask "
+        "for a lower p, or a longer s"
+    )
