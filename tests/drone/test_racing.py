@@ -13,6 +13,7 @@ from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import Local, Remote
 from upwash.core.selection import events
+from upwash.core.selection.deadlines import Deadline, Deadlines
 from upwash.core.selection.hedging import Hedge
 from upwash.drone.calling import Attempt, CallAnswer, Calling, Invocation
 from upwash.errors import InstanceError
@@ -107,7 +108,9 @@ class Field(Calling):
     def called(self, operation: Operation) -> None:
         pass
 
-    def plan(self, decision: Remote, operation: Operation, *, is_busy: bool) -> Hedge | None:
+    def plan(
+        self, decision: Remote, operation: Operation, *, is_busy: bool, within_s: float | None
+    ) -> Hedge | None:
         self.busy.append(is_busy)
         return None if is_busy else self.hedge
 
@@ -268,3 +271,85 @@ def test_losers_end_with_the_flight(server_s: float, loser: str) -> None:
         assert field.ran[-1] == f"{loser} cancelled at {now_s() - 0.5:g}"
 
     run(lambda: Field(server_s=server_s), story)
+
+
+@dataclass
+class TwoServers(Field):
+    """A field with a second server, for calls that the first has not answered after 1.5 s."""
+
+    second_s: float = 1.0
+    second_answer: str = "s2's"
+    raises: str = ""  # the server whose answer is an exception
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        known_s = {("s1", CALL.operation): [0.5] * 9, ("s2", CALL.operation): [0.5] * 9}
+        self._deadlines = Deadlines({CALL.operation: Deadline(2.01, 0.95, 1.0)}, known_s)
+
+    def second(self, operation: Operation, *, beside: str, begins: bool = False) -> str | None:
+        return "s2"
+
+    async def at_server(self, attempt: Attempt) -> str | None:
+        if attempt.server == "s2":
+            answer = await self._computed("s2", self.second_s, self.second_answer)
+        else:
+            answer = await super().at_server(attempt) or ""
+        if attempt.server == self.raises:
+            attempt.raised, answer = "an exception", ""
+        if answer and attempt.late:
+            self.told.append(f"dropped {answer}")
+        return answer or None
+
+
+def asked_twice(**facts: Any) -> tuple[TwoServers, CallAnswer, float]:
+    """The field after all of its calls, the answer, and after how many seconds it came."""
+
+    async def story(field: Field) -> tuple[Field, CallAnswer, float]:
+        answer = await field.answer(ELSEWHERE, CALL)
+        took_s = now_s()
+        await asyncio.sleep(100.0)
+        return field, answer, took_s
+
+    found: tuple[TwoServers, CallAnswer, float] = run(lambda: TwoServers(**facts), story)
+    return found
+
+
+def test_a_late_server_is_joined_by_a_second_one_whose_answer_may_come_first() -> None:
+    field, answer, took_s = asked_twice(server_s=9.0)
+    assert (answer.reply, answer.server, took_s) == ("s2's", "s2", 2.5)
+    assert answer.attempt is not None and answer.attempt.second_s == pytest.approx(1.5)
+    (seconded,) = (event for event in field.told if isinstance(event, schema.Seconded))
+    assert (seconded.server, seconded.second) == ("s1", "s2")
+    assert seconded.after_s == pytest.approx(1.5) and seconded.deadline_s == pytest.approx(0.5)
+    assert field.ran == ["s1 from 0", "s2 from 1.5"] and field.told[-1] == "dropped s1's"
+
+
+def test_the_first_server_may_still_answer_first() -> None:
+    field, answer, took_s = asked_twice(server_s=1.8, second_s=0.4)
+    assert (answer.reply, answer.server, took_s) == ("s1's", "s1", 1.8)
+    assert field.told[-1] == "dropped s2's"
+    field, answer, took_s = asked_twice(server_s=1.0)
+    assert (answer.server, took_s, field.ran) == ("s1", 1.0, ["s1 from 0"])
+
+
+def test_a_server_that_fails_at_once_is_followed_by_the_second_one_at_once() -> None:
+    _, answer, took_s = asked_twice(server="", server_s=0.2)
+    assert (answer.reply, answer.server, took_s) == ("s2's", "s2", 1.2)
+
+
+def test_where_both_servers_fail_the_drone_computes() -> None:
+    _, answer, took_s = asked_twice(server="", second_answer="")
+    assert (answer.reply, answer.server, answer.fell_back, took_s) == ("own", None, True, 12.0)
+
+
+@pytest.mark.parametrize(("raises", "began_s"), [("s1", 1.0), ("s2", 2.5)])
+def test_an_exception_of_either_server_is_tested_on_the_drone(raises: str, began_s: float) -> None:
+    field, answer, took_s = asked_twice(raises=raises, server_s=1.0 if raises == "s1" else 9.0)
+    assert (answer.reply, answer.server, took_s) == ("own", None, began_s + 10.0)
+    assert field.tested == ["own"]
+
+
+def test_the_drone_joins_in_time_for_a_deadline_that_it_can_keep() -> None:
+    field, answer, took_s = asked_twice(hedge=Hedge(0.5, 20.0), server_s=9.0, second_s=9.0, drone_s=0.7)
+    assert (answer.reply, answer.server, took_s) == ("own", None, 1.2)
+    assert field.ran == ["s1 from 0", "drone from 0.5"]  # and no second server once it has answered

@@ -333,6 +333,7 @@ class Calling:
         self._journal.record(
             schema.Seconded(
                 waypoint=call.waypoint,
+                operation=str(call.operation),
                 server=attempt.server,
                 second=server,
                 check=other.check,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from upwash.config import DroneConfig, ServiceConfig, server_areas
 from upwash.config.traces import read_service_times
@@ -16,6 +16,8 @@ from upwash.core.selection.deadlines import Deadline, Deadlines, Delays, Prospec
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.rpc.service import ServiceSpec
+
+_CERTAIN = 1000  # calls that all take as long: those of the drone's own service
 
 
 class DeadlineProspect(Struct, frozen=True):
@@ -100,7 +102,7 @@ def _prospects(
     estimates: Estimates,
     plan: Sequence[Waypoint],
 ) -> Iterator[DeadlineProspect]:
-    areas, known_s = server_areas(config), _known_s(config, deadlines)
+    areas, known_s, hedging = server_areas(config), _known_s(config, deadlines), config.policy.hedging
     called = [operation for operation in deadlines if operation.key in ("", config.mission.mode)]
     for operation in called or deadlines:
         deadline, local_s = deadlines[operation], estimates.local_s(operation)
@@ -115,11 +117,16 @@ def _prospects(
                 (name for name in delays if areas[name].contains(waypoint.position)),
                 key=lambda name: estimates.remote_s(name, operation) or 0.0,
             )
-            if local_s is not None and local_s <= deadline.within_s:
-                found.append((Prospect(1.0), "the drone computes it itself in that time", waypoint.index))
+            if not near:
+                in_time = local_s is not None and local_s <= deadline.within_s
+                found.append((Prospect(float(in_time)), "no server is in range there", waypoint.index))
                 continue
             second = delays[near[1]] if len(near) > 1 and config.network.radios > 1 else None
-            best = prospect(deadline, delays[near[0]], second) if near else Prospect(0.0)
+            best = prospect(deadline, delays[near[0]], second)
+            if hedging is not None and local_s is not None:
+                by_drone = structs.replace(deadline, extra=hedging.budget)
+                joined = prospect(by_drone, delays[near[0]], Delays([local_s] * _CERTAIN))
+                best = max(best, joined, key=lambda had: had.probability)
             found.append((best, _why(near, delays, config.network.radios, best, deadline), waypoint.index))
         if found:
             least, where, _ = min(found, key=lambda one: one[0].probability)
@@ -130,8 +137,6 @@ def _prospects(
 def _why(
     near: Sequence[str], delays: Mapping[str, Delays], radios: int, best: Prospect, deadline: Deadline
 ) -> str:
-    if not near:
-        return "no server is in range there"
     if unknown := [name for name in near[:radios] if not delays[name].known]:
         return f"nothing is measured of {unknown[0]}: give its times_csv"
     if len(near) == 1:

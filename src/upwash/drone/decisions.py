@@ -20,7 +20,15 @@ from upwash.core.operation import Operation
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Decision, Lightened, Local, Remote, Wait
 from upwash.core.selection.call_placement import Place
-from upwash.core.selection.commands import Command, Effect, ExpectedTimes, Full, Mapped, ServerPaused
+from upwash.core.selection.commands import (
+    Command,
+    Effect,
+    ExpectedTimes,
+    Full,
+    Mapped,
+    Preferred,
+    ServerPaused,
+)
 from upwash.core.selection.events import PartFailed, SelectionEvent, Tick
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import TwoAnswers
@@ -215,6 +223,8 @@ class Decisions:
                     self._record_change(effect)
                 case Full():
                     self._journal.record(schema.NoSlot(**asdict(effect)))
+                case Preferred():
+                    self._journal.record(schema.Preferred(**asdict(effect)))
                 case ServerPaused():
                     self._journal.record(schema.LeftOut(**asdict(effect)))
                 case Mapped(server, place):

@@ -228,6 +228,7 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
         schema.UnsignedPort: "{event.why}",
         schema.SiteDoubt: "{event.why}",
         schema.NoBetterAnswer: "{event.why}",
+        schema.Preferred: "calls go to {event.server} now: {event.why}",
         schema.Seconded: "{event.server} has not answered after {event.after_s:.2f} s; asking {event.second} too",
         schema.LinkTrouble: "{event.why}",
         schema.WaitingForVehicle: "{now.doing} for {event.waited_s:.0f} of {event.within_s:g} s: {event.why}",

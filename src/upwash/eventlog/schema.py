@@ -1008,6 +1008,14 @@ class Hedged(Event, frozen=True, kw_only=True, omit_defaults=True):
     deadline_s: Number
 
 
+class Preferred(Event, frozen=True, kw_only=True):
+    """Of two READY servers, calls go to this one from now on, and the other one is kept for late calls."""
+
+    server: Text
+    check: Count = 0
+    why: Text
+
+
 class Seconded(Event, frozen=True, kw_only=True, omit_defaults=True):
     """A call that the server has not answered `after_s` after its begin is sent to the `second` server too.
 
@@ -1016,6 +1024,7 @@ class Seconded(Event, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     waypoint: Index | None = None
+    operation: Text
     server: Text
     second: Text
     check: Count = 0

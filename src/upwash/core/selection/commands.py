@@ -80,6 +80,14 @@ class ServerPaused(Struct, frozen=True):
     why: str
 
 
+class Preferred(Struct, frozen=True):
+    """For the log: of two READY servers, calls go to this one from now on, and the other one is kept."""
+
+    server: str
+    check: int
+    why: str
+
+
 class ExpectedTimes(Struct, frozen=True):
     """For the log: the expected times (s after arming) at each waypoint and of the mission's end, calls as asked for.
 
@@ -100,4 +108,4 @@ class Mapped(Struct, frozen=True):
 
 
 Command = Check | Probe | Start | Prepare | Leave
-Effect = Change | Full | ServerPaused | ExpectedTimes | Mapped | Command
+Effect = Change | Full | ServerPaused | Preferred | ExpectedTimes | Mapped | Command

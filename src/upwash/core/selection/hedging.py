@@ -76,15 +76,10 @@ class Hedging:
         """The hedge of a remote call; None if an earlier loser keeps the drone busy, or the budget is used up.
 
         The server may take as long as the drone is expected to: after that its answer is of no use. A call that the
-        drone can answer `within_s` is hedged in time for that, whatever the budget.
+        drone can answer `within_s` is hedged in time for that.
         """
         local_s = self._estimates.local_s(operation)
-        if local_s is None or is_busy:
-            return None
-        if within_s is not None and local_s <= within_s:
-            after_s = min(within_s - local_s, decision.deadline_s)
-            return Hedge(after_s, max(decision.deadline_s, after_s + local_s))
-        if self._extra_s >= self._budget * self._calls_s:
+        if is_busy or local_s is None or self._extra_s >= self._budget * self._calls_s:
             return None
         server, deadline_s = decision.server, decision.deadline_s
         delays_s, offline_s = self._delays_s[server, operation], self._offline_s[server][operation]
@@ -92,6 +87,8 @@ class Hedging:
         if decision.inputs.sends_less:
             late_s = self._estimates.as_less_s(server, operation, late_s)
         after_s = min(late_s + _EXCEEDS_BY_S, deadline_s)
+        if within_s is not None and local_s <= within_s:
+            after_s = min(after_s, within_s - local_s)
         return Hedge(after_s, max(deadline_s, after_s + local_s))
 
     def answered(self, server: str, operation: Operation, delay_s: float, *, less: bool = False) -> None:

@@ -31,7 +31,7 @@ from dataclasses import dataclass, field
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import SELECTED, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
-from upwash.core.selection.commands import Check, Effect, Leave, Probe
+from upwash.core.selection.commands import Check, Effect, Leave, Preferred, Probe
 from upwash.core.selection.recovery import REST_S, Recovery
 from upwash.core.selection.settings import SelectionSettings
 
@@ -97,10 +97,12 @@ class Radios:
         effects = self._replace(self.selected[1:], server, why, now_s)
         return effects + self._check(server, why, now_s)
 
-    def put_first(self, server: Server) -> None:
-        """Use a server that is READY in preparation, and keep the former one as the one in preparation."""
-        if server in self.selected[1:] and server.state is State.READY:
-            self.selected.reverse()
+    def prefer(self, server: Server, why: str) -> list[Effect]:
+        """Use a server that is READY in preparation, and keep the one in use as the one in preparation."""
+        if server not in self.selected[1:] or server.state is not State.READY:
+            return []
+        self.selected.reverse()
+        return [Preferred(server.name, server.check, why)]
 
     def ask_again(self, server: Server, why: str, now_s: float) -> list[Effect]:
         """Ask a READY server for a new slot, as the drone's turn there is over; the radio stays."""

@@ -310,10 +310,10 @@ class Selection:
                 self.estimates.part_failed(service)
             case events.RemoteCallEnded(name, operation, delay_s, late, less):
                 self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
-                if not late:
-                    self._radios.put_first(self.servers[name])
                 if not late and not self.estimates.needs_server(operation):
                     self._planning.answered(now_s)
+                self._planning.changed = True
+                return [] if late else self._radios.prefer(self.servers[name], "it answered first")
             case events.RemoteCallCut(name, operation, waited_s, less):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s, less=less)
             case events.RemoteCallFailed(name, check, why, late):
@@ -504,7 +504,7 @@ class Selection:
             return effects + planning.announce(choice.coming, now_s)
         chosen = self.servers[choice.server]
         if self._settings.with_second:
-            radios.put_first(chosen)
+            effects += radios.prefer(chosen, choice.why)
         if chosen is not radios.in_use:
             keep = self._is_worth_keeping(radios.in_use, now_s)
             effects += radios.use(chosen, choice.why, now_s, keep=keep)

@@ -147,6 +147,8 @@ def _is_overcome(fault: FaultConfig, history: History) -> bool:
     return False
 
 
-def service_of(fact: schema.Call | schema.Decided | schema.Dropped | schema.SentWhole | Observation) -> str:
+def service_of(
+    fact: schema.Call | schema.Decided | schema.Dropped | schema.Seconded | schema.SentWhole | Observation,
+) -> str:
     """The service that the event's call is of."""
     return fact.operation.partition(".")[0]

@@ -14,6 +14,7 @@ from enum import IntEnum
 import msgspec
 
 from upwash.lab.faults.call_promises import answers, bounded_calls, one_answer, truthful_errors
+from upwash.lab.faults.deadline_promises import two_servers
 from upwash.lab.faults.flight_promises import (
     arrived_truly,
     autonomy,
@@ -57,6 +58,7 @@ class Promise(IntEnum):
     ON_THE_MOVE = 23
     ONLY_SERVERS = 24
     LESS_TO_SEND = 25
+    TWO_SERVERS = 26
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -97,6 +99,7 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.ON_THE_MOVE: on_the_move,
     Promise.ONLY_SERVERS: only_servers,
     Promise.LESS_TO_SEND: less_to_send,
+    Promise.TWO_SERVERS: two_servers,
 }
 _OF_CALLS_ON_THE_DRONE = {  # what calls of services that only servers run need not keep
     Promise.BOUNDED_CALLS,

@@ -47,7 +47,7 @@ def one_selection(history: History) -> Iterator[Breach]:
 
 
 def _used_out_of_turn(history: History) -> Iterator[Breach]:
-    """Calls go to the selected server with the earliest selection."""
+    """Calls go to the selected server with the earliest selection, or the one preferred since."""
     selected: list[str] = []
     for event in history.run.events:
         if isinstance(event, schema.ServerStep):
@@ -55,6 +55,9 @@ def _used_out_of_turn(history: History) -> Iterator[Breach]:
                 selected.remove(event.server)
             elif event.server not in selected and event.after in SELECTED:
                 selected.append(event.server)
+        elif isinstance(event, schema.Preferred):
+            selected.remove(event.server)
+            selected.insert(0, event.server)
         elif (
             isinstance(event, schema.Decided) and event.decision != "local" and [event.server] != selected[:1]
         ):

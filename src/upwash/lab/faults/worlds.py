@@ -23,6 +23,7 @@ from upwash.lab.observer import Observation
 from upwash.lab.worlds import LONGEST_FAULT_S, MOVING_KINDS, SERVER_KINDS, between, spell, stream
 
 _NOT_AIMED_AT = ("reached",)  # seen since worlds were first drawn: each seed keeps its faults
+_TIMES = Path(__file__).parent / "believed_times.csv"
 _USELESS_KINDS = ("hung", "poisoned", "unstartable")
 _LIES = get_args(Lie)
 _NO_MAP = "no such folder/demands.json"  # of demands: as before the first flight
@@ -399,6 +400,22 @@ def _with_less_to_send(document: Document, chance: random.Random) -> Document:
     }
 
 
+def _with_deadlines(document: Document, chance: random.Random) -> Document:
+    """Calls have a deadline that the drone can keep, and a second server for those that the first answers late."""
+    spotter, *others = document["service"]
+    if spotter["name"] != "spotter" or "two_answers" in spotter or "photos" in document["mission"]:
+        return document
+    longer, probability = between(chance, 1.0, 3.0), chance.choice((0.5, 0.9))
+    within_s = longer * max(2.0, *spotter["local_call_s"].values())
+    deadline = {"s": within_s, "p": probability, "extra": chance.choice((0.1, 0.5, 1.0))}
+    return {
+        **document,
+        "service": [{**spotter, "deadline": deadline}, *others],
+        "server": [{**server, "times_csv": str(_TIMES)} for server in document["server"]],
+        "network": {"radios": 2},
+    }
+
+
 _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Document]], ...] = (
     # the stream of a feature, the share of worlds without it unless it draws that itself, and what it changes
     ("peers", 0.5, _with_peers),
@@ -412,6 +429,7 @@ _FEATURES: tuple[tuple[str, float | None, Callable[[Document, random.Random], Do
     ("two answers", 0.75, _with_two_answers),
     ("only servers", 0.88, _with_only_servers),
     ("less to send", 0.7, _with_less_to_send),
+    ("deadlines", 0.8, _with_deadlines),
 )
 
 

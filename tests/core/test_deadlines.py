@@ -1,0 +1,94 @@
+"""What servers promise of a deadline, and when the second one is asked."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from upwash.core.operation import Operation
+from upwash.core.selection.deadlines import Deadline, Deadlines, Delays, Prospect, prospect
+
+LOOK = Operation("detector", "look")
+OFTEN = [0.4] * 950 + [math.inf] * 49  # as told of a server that stalls in 5 % of its calls
+
+
+def test_two_servers_promise_what_one_alone_does_not() -> None:
+    alone = prospect(Deadline(1.5, 0.99, 0.1), Delays(OFTEN), None)
+    assert alone.probability == pytest.approx(0.95) and alone.after_s is None
+    both = prospect(Deadline(1.5, 0.99, 0.1), Delays(OFTEN), Delays(OFTEN))
+    assert both.probability == pytest.approx(1 - 0.05**2)
+    assert both.extra == pytest.approx(0.05)
+    assert both.after_s == pytest.approx(1.09)  # as late as the second server allows
+
+
+def test_one_server_that_keeps_the_deadline_is_asked_alone() -> None:
+    assert prospect(Deadline(1.5, 0.9, 0.1), Delays(OFTEN), Delays(OFTEN)).after_s is None
+
+
+def test_the_second_server_is_asked_later_than_the_probability_needs_if_its_share_is_bounded() -> None:
+    times = [0.1 * number for number in range(1, 100)]
+    free = prospect(Deadline(5.0, 0.7, 1.0), Delays(times), Delays(times))
+    assert free.probability == pytest.approx(0.7, abs=0.01) and free.extra > 0.75
+    bound = prospect(Deadline(5.0, 0.7, 0.6), Delays(times), Delays(times))
+    assert bound.extra <= 0.6 and 0.5 < bound.probability < 0.6
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_promised_is_what_happens(seed: int) -> None:
+    chance = random.Random(seed)
+
+    def times() -> list[float]:
+        stalls = chance.choice((0.01, 0.05, 0.2))
+        return [
+            chance.uniform(0.2, 1.0) if chance.random() > stalls else chance.uniform(2.0, 9.0)
+            for _ in range(1000)
+        ]
+
+    first, second = times(), times()
+    deadline = Deadline(
+        chance.uniform(1.2, 2.5), chance.choice((0.9, 0.99, 0.999)), chance.choice((0.1, 1.0))
+    )
+    plan = prospect(deadline, Delays(first), Delays(second))
+    after_s = math.inf if plan.after_s is None else plan.after_s
+    in_time = asked = 0
+    for calls in range(20_000):
+        one_s, other_s = chance.choice(first), chance.choice(second)
+        asks = one_s > after_s and asked < deadline.extra * calls
+        asked += asks
+        in_time += min(one_s, after_s + other_s if asks else math.inf) <= deadline.within_s
+    assert in_time / 20_000 == pytest.approx(plan.probability, abs=0.006)
+    assert asked / 20_000 == pytest.approx(plan.extra, abs=0.01)
+    assert plan.extra <= deadline.extra + 0.001
+
+
+def test_few_delays_promise_little_and_the_oldest_are_forgotten() -> None:
+    delays = Delays([0.5] * 9)
+    assert delays.share_by(1.0) == 0.9
+    for _ in range(1000):
+        delays.add(2.0)
+    assert (delays.known, delays.share_by(1.0)) == (1000, 0.0)
+
+
+def test_a_second_server_gets_one_call_and_the_allowed_share() -> None:
+    deadlines = Deadlines({LOOK: Deadline(1.5, 0.99, 0.1)})
+    asked = 0
+    for _ in range(100):
+        deadlines.called(LOOK)
+        if deadlines.may_ask(LOOK):
+            deadlines.asked(LOOK)
+            asked += 1
+    assert asked == 11
+
+
+def test_delays_of_the_flight_count_and_calls_without_an_answer_too() -> None:
+    deadlines = Deadlines({LOOK: Deadline(1.5, 0.5, 1.0)}, {("s1", LOOK): [0.4] * 3})
+    told = deadlines.prospect(LOOK, "s1", "s2")
+    assert told == Prospect(0.75)
+    for _ in range(6):
+        deadlines.answered("s1", LOOK, math.inf)
+        deadlines.answered("s2", LOOK, 1.0)
+    told = deadlines.prospect(LOOK, "s1", "s2")
+    assert told is not None and told.after_s == pytest.approx(0.49)
+    assert deadlines.prospect(Operation("other", "look"), "s1", "s2") is None
