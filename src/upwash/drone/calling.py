@@ -459,7 +459,11 @@ class Calling:
                 self._decisions.part_failed(attempt.call.operation, why)
             else:
                 self._decisions.tell(events.RemoteCallFailed(server, attempt.check, why, attempt.late))
-        elif (rival := (attempt.of or attempt).rival) is not None and attempt.late:
+        elif (
+            attempt.late and attempt.of is not None and attempt.of.winner is not None
+        ):  # another server answered
+            self._decisions.tell(events.RemoteCallFailed(server, attempt.check, why, late=True))
+        elif attempt.late and (rival := (attempt.of or attempt).rival) is not None:
             self.test(attempt, rival.result())
         else:
             self._decisions.tell(events.RemoteCallRaised(server, why))

@@ -30,6 +30,14 @@ class DeadlineProspect(Struct, frozen=True):
     where: str  # which servers are in range there, and what keeps them from more
     short_of: tuple[int, ...] = ()  # the waypoints
 
+    def __str__(self) -> str:
+        asked, had = self.deadline, self.least
+        second = f"; a second server gets {had.extra:.0%} of the calls too" if had.extra else ""
+        return (
+            f"{self.operation}: answered within {asked.within_s:g} s with a probability of {had.probability:.4g} at "
+            f"least ({asked.probability:g} asked for){second}"
+        )
+
     @property
     def event(self) -> schema.DeadlinePromised:
         """The promise, as the log has it."""

@@ -203,6 +203,9 @@ def course_after(event: Event, decision: Considered, before: Course | None) -> C
         case schema.Hedged(server=before.server as name, after_s=after_s):
             words = f"Runs on {name} and on the drone, as {name} had not answered after {after_s:.2f} s"
             return replace(before, sentence=words, at_most_s=event.deadline_s, alone_from_s=now_s)
+        case schema.Seconded(server=before.server as name, second=second, after_s=after_s):
+            words = f"Runs on {name} and {second}, as {name} had not answered after {after_s:.2f} s"
+            return replace(before, sentence=words)
         case schema.RemoteFailed(server=before.server) | schema.RemoteRaised(server=before.server):
             return _left(before, event, f"{before.server} failed, {_ALONE}")
         case schema.TurnOver(server=before.server):

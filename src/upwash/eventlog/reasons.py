@@ -271,6 +271,8 @@ def call_lines(call: ExplainedCall) -> Iterator[str]:
         if not outcome.asked:
             better = f"the better one of {outcome.place} was there after {outcome.delay_s:.2f} s"
         yield f"the drone's first answer was there after {outcome.first_s:.2f} s; {better}"
+    if outcome.second_s is not None:
+        yield f"    no answer had come after {outcome.second_s:.2f} s, so a second server got it too"
     if outcome.hedged_s is not None:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
     if outcome.waypoint is None and outcome.queued_s and outcome.queued_s >= SHORTEST_S:

@@ -24,7 +24,9 @@ _COUNTED = (
     | {
         schema.StayOrGo,
         schema.TurnedBack,
+        schema.DeadlinePromised,
         schema.Decided,
+        schema.Seconded,
         schema.MissionCompleted,
         schema.Arrived,
         schema.EnergyUsed,
@@ -35,6 +37,7 @@ _COUNTED = (
     }
 )
 _RARE = (
+    "in_time", "late", "second_servers",
     "hidden_s", "first_s", "first_answers", "first_alone", "went_on", "turns_back", "never_ready", "not_acted_on",
     "not_looked_at", "failed_calls", "offloading_failed", "unanswered",
 )  # fmt: skip
@@ -82,7 +85,8 @@ class Totals:
     asked for. `went_on` counts the answers that the drone did not wait for, and `turns_back` its ways back for
     answers. `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
     `first_answers` counts the calls with two answers whose first one was there before a better one, and
-    `first_alone` those of them that got no better one by the deadline.
+    `first_alone` those of them that got no better one by the deadline. Of calls with a deadline `in_time` counts
+    those that kept it, and `late` the others; `second_servers` counts the calls that a second server got too.
     """
 
     calls: int
@@ -99,6 +103,9 @@ class Totals:
     hidden_s: float = 0.0
     first_answers: int = 0
     first_alone: int = 0
+    in_time: int = 0
+    late: int = 0
+    second_servers: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +212,8 @@ class Tally:
         self._switches = self._fallbacks = self._went_on = self._turned_back = 0
         self._offloading_failed = ""
         self._unanswered: dict[str, list[int | None]] = {}
+        self._deadlines_s: dict[str, float] = {}  # of operations
+        self._second_servers = 0
         self._energy: EnergyTotals | None = None
         self._open = OpenDemands()
         self._calling: set[int | None] = set()  # where the call was made that is not over
@@ -236,6 +245,10 @@ class Tally:
             case schema.EnergyUsed():
                 parts = {part.name: getattr(event, part.name) for part in fields(EnergyTotals)}
                 self._energy = EnergyTotals(**parts)
+            case schema.DeadlinePromised():
+                self._deadlines_s[event.operation] = event.within_s
+            case schema.Seconded():
+                self._second_servers += 1
             case schema.Decided():
                 self._calling = {self._whereabouts.of_call_under_way}
             case schema.Unanswered(why=why):
@@ -269,6 +282,8 @@ class Tally:
 
     def result(self) -> RunResult:
         """The result of the events taken until now."""
+        with_deadline = [call for call in self._calls if call.operation in self._deadlines_s]
+        late = sum(call.delay_s > self._deadlines_s[call.operation] for call in with_deadline)
         remote = Counter(call.server for call in self._calls if call.server is not None)
         return RunResult(
             policy=self._policy,
@@ -290,6 +305,9 @@ class Tally:
                 hidden_s=sum((call.hidden_s for call in self._calls), 0.0),
                 first_answers=sum(call.first_s is not None for call in self._calls),
                 first_alone=sum(bool(call.asked) and call.first_s is not None for call in self._calls),
+                in_time=len(with_deadline) - late,
+                late=late,
+                second_servers=self._second_servers,
             ),
             waypoints=self._waypoints,
             undone=[index for index in range(self._waypoints) if index not in self._reached],

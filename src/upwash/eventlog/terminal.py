@@ -144,6 +144,8 @@ def print_result(
         say(_calls_line(totals, servers=servers), console)
     if totals.first_answers:
         say(first_answers_line(totals), console)
+    if totals.in_time or totals.late:
+        say(deadlines_line(totals), console)
     if totals.lighter:
         say(_lighter_line(result), console)
     if going := _going_line(totals):
@@ -197,6 +199,13 @@ def first_answers_line(totals: Totals) -> str:
     return (
         f"two answers: {better} better ones after {counted(totals.first_answers, 'first one')}, {alone} alone"
     )
+
+
+def deadlines_line(totals: Totals) -> str:
+    """How many calls kept their deadline, and how many a second server got too."""
+    second = totals.second_servers or "none"
+    calls = counted(totals.in_time + totals.late, "call")
+    return f"deadlines: {totals.in_time} of {calls} answered in time; {second} went to a second server too"
 
 
 def _lighter_line(result: RunResult) -> str:

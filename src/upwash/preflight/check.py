@@ -21,6 +21,7 @@ from upwash.config import (
     waypoints,
 )
 from upwash.core.planning.order import Order
+from upwash.drone.deadlines import require_deadlines
 from upwash.drone.preparation import make_estimates, order_of, unkept_deadlines
 from upwash.drone.speed import with_speed
 from upwash.errors import UpwashError
@@ -53,8 +54,10 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     the order of the waypoints with its reason, "" for the given order. `notices` say how the flight differs from a
     plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
     them. `speed` is the check of the ground speed, if photos are taken in flight. `worth` is what the servers save a
-    drone that is flown well; UNSET without a server, with lighter calls, and with services that only servers run.
-    `placement` has places of servers, if asked for. `answers` tells when servers answer the calls of such services.
+    drone that is flown well; UNSET without a server, with lighter calls, with deadlines, and with services
+    that only servers run.
+    `placement` has places of servers, if asked for. `answers` tells when servers answer the calls of such services,
+    and `deadlines` how surely calls with a deadline keep it.
     """
 
     config: str
@@ -73,6 +76,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     speed: SpeedCheck | UnsetType = UNSET
     worth: Worth | UnsetType = UNSET
     answers: ServerAnswers | UnsetType = UNSET
+    deadlines: tuple[str, ...] | UnsetType = UNSET
 
 
 def read_plan(file: Path) -> CheckInput:
@@ -98,6 +102,7 @@ def check(
     specs = load_specs(plan.config.services)
     order = order_of(plan.config, specs)
     config, speed_why = with_speed(plan.config, specs)
+    deadlines = require_deadlines(plan.config, specs, make_estimates(plan.config, specs), order.waypoints)
     alone = _flown_alone(plan, order)
     covered = coverage(
         places,
@@ -132,6 +137,7 @@ def check(
         worth=judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
         or UNSET,
         answers=answers or UNSET,
+        deadlines=tuple(map(str, deadlines)) or UNSET,
     )
 
 

@@ -122,6 +122,8 @@ def _told(found: MissionCheck, config: DroneConfig) -> Iterator[Iterable[str]]:
     """The lines of each part that was checked."""
     if found.worth is not UNSET:
         yield told_worth(found.worth, config)
+    if found.deadlines is not UNSET:
+        yield found.deadlines
     if found.answers is not UNSET:
         yield told_answers(found.answers)
     if found.speed is not UNSET:

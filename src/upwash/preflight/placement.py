@@ -78,6 +78,8 @@ def place(
     document = {**document, "server": document["server"] if more else []}
     silent = changed(document)
     silent.pop("noise", None)  # which would favour a lucky place
+    for service in silent["service"]:
+        service.pop("deadline", None)  # which refuses most places
     failures: list[str] = []
 
     def times_s(trials: Sequence[Places]) -> list[float]:

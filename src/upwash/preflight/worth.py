@@ -46,7 +46,7 @@ class Worth(Struct, frozen=True, kw_only=True):
 
 def is_asked(config: DroneConfig) -> bool:
     """Whether there is a choice: servers that may be left at home, and missions that take the time they need."""
-    if any(map(only_on_servers, config.services)):
+    if any(only_on_servers(service) or service.deadline is not None for service in config.services):
         return False
     return bool(config.servers) and config.policy.name != LOCAL_ONLY and not config.mission.lighter
 

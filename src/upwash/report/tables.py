@@ -97,6 +97,15 @@ def totals(records: Sequence[Record]) -> Markup:
             ["first answers of the drone", *(str(record.result.totals.first_answers) for record in records)],
             ["without a better one in time", *(str(record.result.totals.first_alone) for record in records)],
         ]
+    if any(record.result.totals.in_time or record.result.totals.late for record in records):
+        rows += [
+            ["answered by the deadline", *(str(record.result.totals.in_time) for record in records)],
+            ["later than the deadline", *(str(record.result.totals.late) for record in records)],
+            [
+                "also sent to a second server",
+                *(str(record.result.totals.second_servers) for record in records),
+            ],
+        ]
     if any(record.answers for record in records):
         rows += [
             ["went on before the answer", *(str(record.result.totals.went_on) for record in records)],

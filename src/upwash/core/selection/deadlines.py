@@ -127,8 +127,8 @@ class Deadlines:
         return prospect(deadline, self._delays.get((first, operation), Delays()), beside)
 
     def may_ask(self, operation: Operation) -> bool:
-        """Whether a second server may get a call: beside one call, it gets the allowed share of those made."""
-        return self._second[operation] < 1 + self._deadlines[operation].extra * self._calls[operation]
+        """Whether a second server may get a call: one, and then the allowed share of those made."""
+        return self._second[operation] <= self._deadlines[operation].extra * self._calls[operation]
 
     def asked(self, operation: Operation) -> None:
         """Note that a second server gets a call."""

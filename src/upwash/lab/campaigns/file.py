@@ -57,6 +57,9 @@ class CampaignRow(msgspec.Struct, frozen=True):
     lighter: int | None = None  # calls, with mission.lighter
     first_answers: int | None = None  # with two answers
     first_alone: int | None = None
+    in_time: int | None = None  # with deadlines
+    late: int | None = None
+    second_servers: int | None = None
 
 
 ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
@@ -64,7 +67,8 @@ _FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
 _LIGHTER = ("lighter",)
 _GOING = ("went_on", "turns_back", "hidden_s")
 _TWO_ANSWERS = ("first_answers", "first_alone")
-_SOME = frozenset((*ENERGY, *_FLEET, *_LIGHTER, *_GOING, *_TWO_ANSWERS))
+_DEADLINES = ("in_time", "late", "second_servers")
+_SOME = frozenset((*ENERGY, *_FLEET, *_LIGHTER, *_GOING, *_TWO_ANSWERS, *_DEADLINES))
 _COLUMNS = tuple(name for name in CampaignRow.__struct_fields__[1:] if name not in _SOME)
 
 
@@ -96,7 +100,8 @@ class CampaignFile:
         goes = _GOING if any(_may_go(document) for document in documents) else ()
         services = [service for document in documents for service in document.get("service", ())]
         twice = _TWO_ANSWERS if any("two_answers" in service for service in services) else ()
-        self._columns = (*_COLUMNS, *metered, *together, *timed, *goes, *twice)
+        surely = _DEADLINES if any("deadline" in service for service in services) else ()
+        self._columns = (*_COLUMNS, *metered, *together, *timed, *goes, *twice, *surely)
 
     @classmethod
     def open(cls, out: Path, sweep: ParameterSweep) -> CampaignFile:

@@ -202,19 +202,23 @@ def _unbelievable(call: FlownCall) -> Iterator[Breach]:
         yield alone[-1], "a second server was tried for one call, and the drone's own service was not at it"
     if ended.server is None:
         return
+    if (second := call.seconded) is not None and ended.server == second.second:
+        if (late_s := ended.t - second.t - second.deadline_s) > SLACK_S:
+            yield ended, f"was answered {late_s:.3f} s after the deadline of the second server"
+        return
     answering = [decision for decision in call.tried if decision.server == ended.server]
     if not answering:
         yield ended, f"was answered by {ended.server}, where it was not sent"
         return
     hedged = call.hedged
-    late_s = [
+    lates_s = [
         ended.t
         - decision.t
         - (hedged.deadline_s if hedged and decision is call.sent else deadline_of(decision))
         for decision in answering
     ]
-    if min(late_s) > SLACK_S:
-        yield ended, f"was answered {min(late_s):.3f} s after the deadline"
+    if min(lates_s) > SLACK_S:
+        yield ended, f"was answered {min(lates_s):.3f} s after the deadline"
 
 
 def truthful_errors(history: History) -> Iterator[Breach]:

@@ -30,7 +30,7 @@ def two_servers(history: History) -> Iterator[Breach]:
                     yield event, f"{second} is {states.get(second)}, and {server} has the call"
                 asked[service] += 1
                 calls = ended[service] + 1
-                if asked[service] >= 2 + extra[service] * calls:
+                if asked[service] > 1 + extra[service] * calls:
                     yield (
                         event,
                         f"it is number {asked[service]} of {calls} calls, {extra[service]:g} is allowed",

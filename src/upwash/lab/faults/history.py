@@ -40,11 +40,15 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class FlownCall:
-    """One call of the mission, its decisions, and its hedge or None; a better answer counts `within_s`."""
+    """One call of the mission, its decisions, and its hedge and second server, or None.
+
+    A better answer counts `within_s`.
+    """
 
     decisions: tuple[schema.Decided, ...]
     ended: schema.Call
     hedged: schema.Hedged | None = None
+    seconded: schema.Seconded | None = None
     within_s: float = 0.0
 
     @property
@@ -95,14 +99,18 @@ def calls_of(events: Sequence[Event], *, within_s: float = 0.0) -> Iterator[Flow
     """The calls of an event log, in order; their better answers count `within_s`."""
     decisions: dict[int | None, list[schema.Decided]] = {}  # by waypoint, of several open calls
     hedged: dict[int | None, schema.Hedged] = {}
+    seconded: dict[int | None, schema.Seconded] = {}
     for event in events:
         if isinstance(event, schema.Decided):
             decisions.setdefault(event.waypoint, []).append(event)
         elif isinstance(event, schema.Hedged):
             hedged[event.waypoint] = event
+        elif isinstance(event, schema.Seconded):
+            seconded[event.waypoint] = event
         elif isinstance(event, schema.Call):
             call = event.waypoint
-            yield FlownCall(tuple(decisions.pop(call, ())), event, hedged.pop(call, None), within_s)
+            decided = tuple(decisions.pop(call, ()))
+            yield FlownCall(decided, event, hedged.pop(call, None), seconded.pop(call, None), within_s)
 
 
 def may_be_cut_short(history: History) -> bool:

@@ -405,13 +405,13 @@ def _with_deadlines(document: Document, chance: random.Random) -> Document:
     spotter, *others = document["service"]
     if spotter["name"] != "spotter" or "two_answers" in spotter or "photos" in document["mission"]:
         return document
-    longer, probability = between(chance, 1.0, 3.0), chance.choice((0.5, 0.9))
-    within_s = longer * max(2.0, *spotter["local_call_s"].values())
-    deadline = {"s": within_s, "p": probability, "extra": chance.choice((0.1, 0.5, 1.0))}
+    within_s = between(chance, 1.0, 3.0) * max(spotter["local_call_s"].values())
+    deadline = {"s": within_s, "p": 0.99, "extra": chance.choice((0.1, 0.5, 1.0))}
     return {
         **document,
         "service": [{**spotter, "deadline": deadline}, *others],
         "server": [{**server, "times_csv": str(_TIMES)} for server in document["server"]],
+        "policy": {**document["policy"], "hedge": {"budget": 1.0}},
         "network": {"radios": 2},
     }
 
