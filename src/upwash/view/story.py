@@ -29,7 +29,14 @@ from upwash.view import facts
 from upwash.view.facts import Fact
 from upwash.view.state import Control
 
-_ON_CALLS = (schema.Decided, schema.Hedged, schema.RemoteFailed, schema.RemoteRaised, schema.TurnOver)
+_ON_CALLS = (
+    schema.Decided,
+    schema.Hedged,
+    schema.Seconded,
+    schema.RemoteFailed,
+    schema.RemoteRaised,
+    schema.TurnOver,
+)
 _STALE_S = 1.5  # a flown log has a position each second, a simulated log with each event
 
 
