@@ -405,7 +405,7 @@ def _with_deadlines(document: Document, chance: random.Random) -> Document:
     spotter, *others = document["service"]
     if spotter["name"] != "spotter" or "two_answers" in spotter or "photos" in document["mission"]:
         return document
-    within_s = between(chance, 1.0, 3.0) * max(spotter["local_call_s"].values())
+    within_s = chance.choice((1.0, 1.2, 3.0)) * max(spotter["local_call_s"].values())
     deadline = {"s": within_s, "p": 0.99, "extra": chance.choice((0.1, 0.5, 1.0))}
     return {
         **document,
