@@ -38,20 +38,21 @@ class Shape(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @contextlib.contextmanager
-def wan(shape: Shape) -> Iterator[None]:
+def wan(shape: Shape, drone: LinkEnd = DRONE, server: LinkEnd = SERVER) -> Iterator[None]:
     """Joins both namespaces, which are there already, until the end of the block."""
+    ends = (drone, server)
     outside = os.open("/proc/self/ns/net", os.O_RDONLY)
     devices: list[int] = []
 
     def open_devices() -> None:
-        for end in (DRONE, SERVER):
+        for end in ends:
             enter(end.namespace)
             devices.append(_device(end.device))
         enter_handle(outside)
 
     @contextlib.asynccontextmanager
     async def carrying() -> AsyncIterator[None]:
-        for end in (DRONE, SERVER):
+        for end in ends:
             give_address(end, prefix_bits=24)
             command(*inside(end.namespace), "ip", "link", "set", end.device, "mtu", str(shape.mtu))
         there, back = devices

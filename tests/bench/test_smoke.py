@@ -42,7 +42,7 @@ QUICK = {  # what each prints, among others
 }
 BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}
 # In test_smoke_as_root.py and tests/system/test_peers_bench.py.
-AS_ROOT = {"containers", "less_to_send", "links", "peers", "ros", "validate"}
+AS_ROOT = {"containers", "deadlines", "less_to_send", "links", "peers", "ros", "validate"}
 ENDS = {"client", "servers"}  # which `call` and `load` start
 
 

@@ -46,6 +46,15 @@ def test_a_server_a_second_away_is_used_and_one_behind_a_small_mtu_is_explained(
 
 @needs_root
 @needs_ip
+def test_answers_by_a_deadline_are_counted_in_simulation_and_over_links() -> None:
+    said = printed("bench.deadlines", "--quick")
+    for calls, number in ("simulated", "80"), ("flown", "5"):
+        row = rf"\n\| {calls} \| two servers, with the deadline \| {number} \| [\d.]+.* \| [\d.]+ s .* \| [\d.]+.* \|"
+        assert re.search(row, said), said
+
+
+@needs_root
+@needs_ip
 def test_smaller_photos_are_scored_called_with_and_flown_with() -> None:
     said = printed("bench.less_to_send", "--quick")
     assert re.search(r"\n\| 0\.4 MB \| 2 \| 720 px, 85 \| \d+ kB \| [\d.]+ \|", said)
