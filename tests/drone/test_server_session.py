@@ -10,6 +10,7 @@ import msgspec
 import pytest
 from tests.scenarios import scenario, server
 
+from upwash.config.drone import DeadlineConfig
 from upwash.drone.preparation import endpoints, make_estimates
 from upwash.drone.server_session import MOST_MOVES, ServerEndpoint, ServerSession
 from upwash.errors import (
@@ -47,9 +48,8 @@ Reply = msgspec.Struct | Exception
 class Link:
     """A connection of the field; every request is noted."""
 
-    is_far = True
-
     def __init__(self, field: Field, address: str) -> None:
+        self.is_far = field.is_far
         self._field = field
         self._address = address
 
@@ -70,7 +70,8 @@ class Link:
 class Field:
     """A network with a server, as dialer and as network."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_far: bool = True, connects: bool = False) -> None:
+        self.is_far = is_far
         self.replies: dict[str, Reply] = {
             AVAILABILITY: READY,
             HEALTH_CHECK: Refused("no such method"),
@@ -86,7 +87,7 @@ class Field:
         self.timeouts_s: list[float] = []
         self.network: list[str] = []
         self.ends: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        endpoint = ServerEndpoint("s1", "field", DAEMON, ("counter", "detector"))
+        endpoint = ServerEndpoint("s1", "field", DAEMON, ("counter", "detector"), connects=connects)
         self.session = ServerSession(endpoint, network=self, dialer=self)
 
     def dial(self, address: str, *, server: str) -> Link:
@@ -115,6 +116,17 @@ def tell(story: Callable[[Field], Awaitable[Any]]) -> Any:
 
 def now_s() -> float:
     return asyncio.get_running_loop().time()
+
+
+@pytest.mark.parametrize("connects", [True, False])
+def test_services_nearby_are_connected_before_the_first_call_if_calls_have_deadlines(connects: bool) -> None:
+    async def story() -> list[tuple[str, str]]:
+        field = Field(is_far=False, connects=connects)
+        await field.session.ask()
+        return field.said[1:]
+
+    connected = [("s1:2", HEALTH_CHECK), ("s1:1", HEALTH_CHECK)]
+    assert run_virtually(story()) == (connected if connects else [])
 
 
 def test_a_network_is_joined_once_and_again_after_it_was_lost() -> None:
@@ -415,3 +427,12 @@ def test_only_a_server_without_an_address_of_its_own_is_looked_up(address: str) 
     endpoint = endpoints(config, make_estimates(config, {"detector": spec_of(Detector)}), find)["s1"]
     assert (endpoint.finder is find) is (address == "mdns")
     assert endpoint.services == ("detector",)
+
+
+@pytest.mark.parametrize("deadline", [DeadlineConfig(s=1.5, p=0.99), None])
+def test_deadlines_have_services_connected_before_the_first_call(deadline: DeadlineConfig | None) -> None:
+    config = scenario(server("s1", 0.0, 0.0))
+    services = [msgspec.structs.replace(each, deadline=deadline) for each in config.services]
+    config = msgspec.structs.replace(config, services=services)
+    endpoint = endpoints(config, make_estimates(config, {"detector": spec_of(Detector)}))["s1"]
+    assert endpoint.connects == (deadline is not None)

@@ -286,6 +286,7 @@ def endpoints(
             network=server.network,
             address=server.address or "",
             finder=finder if server.address == MDNS else None,
+            connects=any(service.deadline for service in config.services),
             services=tuple(
                 service.name
                 for service in config.services

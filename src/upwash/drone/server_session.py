@@ -53,7 +53,8 @@ MOST_MOVES = 16
 class ServerEndpoint(Struct, frozen=True):
     """The network and address of a server, and the drone's services that are used there.
 
-    With a `finder`, the address is looked up in the joined network.
+    With a `finder`, the address is looked up in the joined network. With `connects`, services are connected before
+    the server is READY, so that the first call takes no longer than others.
     """
 
     name: str
@@ -61,6 +62,7 @@ class ServerEndpoint(Struct, frozen=True):
     address: str
     services: tuple[str, ...]
     finder: Finder | None = None
+    connects: bool = False
 
 
 class ServerSession:
@@ -334,7 +336,7 @@ class ServerSession:
             await self._instances[service].close()
         link = self._instances[service] = self._dialer.dial(address, server=self._server.name)
         self._addresses[service] = address
-        if link.is_far:
+        if link.is_far or self._server.connects:
             await _connected(link)
 
 
