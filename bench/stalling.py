@@ -20,7 +20,7 @@ PHOTO = bytes(10_000)  # which TCP sends at once
 
 
 def drawn_s(number: int, seed: int) -> float:
-    """The time of the call of that number: one call of each twenty stalls, whichever the seed draws."""
+    """The time of the call with that number: of each twenty calls the seed draws one that stalls."""
     turn, place = divmod(number, STALLS_ONE_IN)
     is_stalled = random.Random(f"{seed}/{turn}").randrange(STALLS_ONE_IN) == place
     return STALL_S if is_stalled else random.Random(f"{seed}/{turn}/{place}").uniform(*CALL_S)
