@@ -20,7 +20,7 @@ def test_two_servers_promise_what_one_alone_does_not() -> None:
     both = prospect(Deadline(1.5, 0.99, 0.1), Delays(OFTEN), Delays(OFTEN))
     assert both.probability == pytest.approx(1 - 0.05**2)
     assert both.extra == pytest.approx(0.05)
-    assert both.after_s == pytest.approx(1.09)  # as late as the second server allows
+    assert both.after_s == pytest.approx(1.05)  # as late as the second server allows
 
 
 def test_one_server_that_keeps_the_deadline_is_asked_alone() -> None:
@@ -36,7 +36,7 @@ def test_the_second_server_is_asked_later_than_the_probability_needs_if_its_shar
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_what_is_promised_is_what_happens(seed: int) -> None:
+def test_what_happens_is_at_least_what_is_promised(seed: int) -> None:
     chance = random.Random(seed)
 
     def times() -> list[float]:
@@ -58,7 +58,7 @@ def test_what_is_promised_is_what_happens(seed: int) -> None:
         asks = one_s > after_s and asked < deadline.extra * calls
         asked += asks
         in_time += min(one_s, after_s + other_s if asks else math.inf) <= deadline.within_s
-    assert in_time / 20_000 == pytest.approx(plan.probability, abs=0.006)
+    assert in_time / 20_000 > plan.probability - 0.006
     assert asked / 20_000 == pytest.approx(plan.extra, abs=0.01)
     assert plan.extra <= deadline.extra + 0.001
 
@@ -90,5 +90,5 @@ def test_delays_of_the_flight_count_and_calls_without_an_answer_too() -> None:
         deadlines.answered("s1", LOOK, math.inf)
         deadlines.answered("s2", LOOK, 1.0)
     told = deadlines.prospect(LOOK, "s1", "s2")
-    assert told is not None and told.after_s == pytest.approx(0.49)
+    assert told is not None and told.after_s == pytest.approx(0.45)
     assert deadlines.prospect(Operation("other", "look"), "s1", "s2") is None

@@ -18,7 +18,7 @@ from msgspec import Struct
 from upwash.core.operation import Operation
 
 _WINDOW_LENGTH = 1000  # delays
-_MOMENT_S = 0.01  # answers and timers may be late by it
+_MOMENT_S = 0.05  # answers and timers may be later than known by it
 
 
 class Deadline(Struct, frozen=True):
