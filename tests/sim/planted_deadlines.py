@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.sim.planting import plant, planted
+from tests.sim.planting import planted
 
 from upwash.core.knowledge.servers import Server
 from upwash.core.selection.call_placement import CallPlacement
-from upwash.core.selection.deadlines import Deadlines
-
-plant("a second server gets more than its share", Deadlines, "may_ask", lambda *_: True)
 
 
 @planted("a second server is asked before it is ready", CallPlacement, "second")
