@@ -20,7 +20,7 @@ PHOTO = bytes(10_000)  # which TCP sends at once
 
 
 def drawn_s(number: int, seed: int) -> float:
-    """The time of the call with that number: of each twenty calls the seed draws one that stalls."""
+    """The time of the call with that number: the seed draws one stalling call of each twenty."""
     turn, place = divmod(number, STALLS_ONE_IN)
     is_stalled = random.Random(f"{seed}/{turn}").randrange(STALLS_ONE_IN) == place
     return STALL_S if is_stalled else random.Random(f"{seed}/{turn}/{place}").uniform(*CALL_S)

@@ -2,7 +2,7 @@
 
     sent to a server alone    the drone's own service starts if the server fails
     hedged                    ... or is late (core/selection/hedging.py); the first answer counts
-    with a deadline           another server gets it too if the first one is late (core/selection/deadlines.py)
+    with a deadline           a second server gets late calls too (core/selection/deadlines.py)
     raced                     both start at once, as the server is on trial
     on the drone              a server that becomes READY before the drone is done gets the call too
     with two answers          the drone computes the first, at once or where the server is late; a server's answer
@@ -110,9 +110,9 @@ class Attempt:
     delay_s: float = 0.0  # until that report
     verdict: RemoteFault = ""  # on the report
     twice: Twice | None = None  # its answer is the better one
-    of: Attempt | None = None  # which is made at two servers, of which this is one
-    winner: Attempt | None = None  # of the two, if it is made at two
-    second_s: float | None = None  # from its begin until the second server was asked
+    of: Attempt | None = None  # an attempt at two servers, which has this part
+    winner: Attempt | None = None  # of an attempt at two servers
+    second_s: float | None = None  # from its begin until the second server got it
     answer: Any = None  # which is decoded
 
     def became(self, winner: Attempt) -> None:
@@ -283,7 +283,7 @@ class Calling:
     # --- one place ------------------------------------------------------------------------------------------
 
     async def at_servers(self, attempt: Attempt) -> Any | None:
-        """The decoded reply of the server, or of a second one that a deadline needs; None if none has one.
+        """The decoded reply of the server, or of the second server of a call with a deadline; None if none answers.
 
         The exception that a server reports ends both tries, as the drone tests it.
         """
@@ -318,7 +318,7 @@ class Calling:
         return None
 
     def _ask_second(self, attempt: Attempt, began_s: float) -> Attempt | None:
-        """The same call at another READY server, in the time that is left; None if it may not be asked."""
+        """The same call at another READY server, in the time that is left; None if no server may get it."""
         call, after_s = attempt.call, now_s() - began_s
         left_s = attempt.deadline_s - after_s
         if attempt.late or left_s <= 0 or not self._deadlines.may_ask(call.operation):

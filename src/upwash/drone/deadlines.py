@@ -60,9 +60,9 @@ def make_deadlines(config: DroneConfig, specs: Mapping[str, ServiceSpec], estima
 def require_deadlines(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
 ) -> list[DeadlineProspect]:
-    """What can be had of each deadline over these waypoints; raises UsageError if that is less than was asked for.
+    """What can be had of each deadline over these waypoints; raises UsageError if it is less than configured.
 
-    Nothing is promised of flights without servers, with which others are compared.
+    A flight without servers promises nothing: other flights are compared with it.
     """
     if config.policy.name == "local-only":
         return []

@@ -240,7 +240,7 @@ class NoBetterAnswer(_Explained, frozen=True, kw_only=True):
 class DeadlinePromised(Event, frozen=True, kw_only=True):
     """Before take-off: calls of the operation are answered `within_s` with the probability `expected` at least.
 
-    `asked` is the probability that was asked for, and `extra` the share of calls that a second server should get too.
+    `asked` is the configured probability, and `extra` the expected share of calls that a second server gets too.
     """
 
     operation: Text
@@ -956,7 +956,7 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
 
     `place` is a server's name, or `local` for the drone; `check` is the number of the server's selection, absent for
     the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service joined the call,
-    `second_s` when a second server did, one of which answered,
+    `second_s` when a second server did, if a server answered,
     and `queued_s` how long earlier calls kept its place busy. `waypoint` is where the mission began the call, if
     several may be open at the same time. `remote_fault` is `confirmed` or `denied` if the
     server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not
@@ -1009,7 +1009,7 @@ class Hedged(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Preferred(Event, frozen=True, kw_only=True):
-    """Of two READY servers, calls go to this one from now on, and the other one is kept for late calls."""
+    """From now on calls go first to this one of two READY servers; the other server is kept for late calls."""
 
     server: Text
     check: Count = 0

@@ -1,8 +1,8 @@
 """Answers by a deadline with a probability: what servers can promise, and when a second server gets a call too.
 
 Two servers are late independently of each other: if a share q of the calls is late at each, q² is late at both. The
-second server is asked only of calls that the first has not answered `after_s` after the call, which is as late as the
-probability allows: then the second server computes fewest calls.
+second server gets only calls that the first has not answered after `after_s`. This time is as long as the probability
+allows, so that the second server computes fewest calls.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ class Delays:
         insort(self._sorted, delay_s)
 
     def share_by(self, within_s: float) -> float:
-        """The share of calls that is answered in that time; never 1, as more calls are to come than are known."""
+        """The share of calls that is answered in that time; never 1, as the next call may be the slowest."""
         return bisect_right(self._sorted, within_s) / (len(self._sorted) + 1)
 
     def reached_s(self, share: float, *, within_s: float) -> float | None:
-        """The time in which that share is answered, or else the most that is in `within_s`; None without a call."""
+        """The time (s) until that share of the calls is answered, or their most `within_s`; None without a call."""
         in_time = bisect_right(self._sorted, within_s)
         rank = min(math.ceil(share * (len(self._sorted) + 1)), in_time)
         return self._sorted[rank - 1] if rank > 0 else None
@@ -105,7 +105,7 @@ class Deadlines:
         self._second = Counter[Operation]()
 
     def within_s(self, operation: Operation) -> float | None:
-        """The time (s) by which its calls are answered; None without a deadline."""
+        """The deadline (s) of its calls; None without one."""
         deadline = self._deadlines.get(operation)
         return None if deadline is None else deadline.within_s
 

@@ -11,7 +11,7 @@ from upwash.lab.faults.history import Breach, History, service_of
 
 
 def two_servers(history: History) -> Iterator[Breach]:
-    """A second server gets late calls of services with a deadline, if it is READY, and no more than allowed."""
+    """Only calls with a deadline go to a second server, which is READY and gets no more than its share."""
     extra = {service.name: service.deadline.extra for service in history.config.services if service.deadline}
     states: dict[str, State] = {}
     ended, asked = Counter[str](), Counter[str]()
