@@ -35,6 +35,12 @@ def test_the_second_server_is_asked_later_than_the_probability_needs_if_its_shar
     assert bound.extra <= 0.6 and 0.5 < bound.probability < 0.6
 
 
+def test_a_second_server_that_would_answer_too_late_gets_no_call() -> None:
+    slow = [1.45] * 90 + [9.0] * 9  # so slow that only a share of 0.1 is spared for 0.05 s
+    told = prospect(Deadline(1.5, 0.99, 0.1), Delays(slow), Delays([0.4] * 99))
+    assert told == Prospect(0.9)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_what_happens_is_at_least_what_is_promised(seed: int) -> None:
     chance = random.Random(seed)

@@ -82,6 +82,8 @@ def prospect(deadline: Deadline, first: Delays, second: Delays | None) -> Prospe
     if 1 - first.share_by(after_s) > deadline.extra and spared_s is not None:
         after_s = spared_s + _MOMENT_S
         takes_s = within_s - after_s
+        if not second.share_by(takes_s):
+            return Prospect(alone)
     late = 1 - first.share_by(after_s)
     helped = min(1.0, deadline.extra / late)  # of the late calls
     both = 1 - (1 - alone) * (1 - helped * second.share_by(takes_s))
