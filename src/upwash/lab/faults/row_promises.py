@@ -96,8 +96,9 @@ def _placed(call: FlownCall) -> Iterator[tuple[schema.Decided, str, float]]:
     if ended.first_s is None:
         yield tried[0], place, ended.t
         return
-    if place == ON_DRONE:
-        yield tried[0], place, ended.t - ended.delay_s + ended.first_s
+    first_at_s = ended.t - ended.delay_s + ended.first_s
+    if place == ON_DRONE and tried[0].t < first_at_s:  # else the drone began it while a server was waited for
+        yield tried[0], place, first_at_s
     if ended.server is not None:
         last = next(decided for decided in reversed(tried) if decided.server == ended.server)
         yield last, ended.server, ended.t

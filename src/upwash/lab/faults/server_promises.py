@@ -70,6 +70,7 @@ def _holds(history: History) -> Iterator[Breach]:
 def _leases(facts: Sequence[Observation], *, end_s: float) -> Iterator[Breach]:
     """A drone that sends no request, and has no slot held, is not admitted after its lease ends."""
     asked_s: dict[str, float] = {}
+    open_ones = set[str]()  # drones without the answer to their request
     held_until_s: dict[str, float] = {}
     admitted: dict[str, Observation] = {}  # by service, as last told to its instance
     over = Observation(event="over", t=end_s)
@@ -84,6 +85,10 @@ def _leases(facts: Sequence[Observation], *, end_s: float) -> Iterator[Breach]:
         match fact.event:
             case "asked" | "answered" | "served":
                 asked_s[fact.drone] = fact.t
+                open_ones.discard(fact.drone)
+                open_ones |= {fact.drone} if fact.event == "asked" else set()
+            case "instance_started":  # again, for those that wait for a start: their leases begin anew
+                asked_s |= dict.fromkeys(open_ones, fact.t)
             case "held":
                 held_until_s[fact.drone] = fact.t + min(fact.for_s, _HOLD_S)
             case "admitted":
