@@ -13,7 +13,7 @@ import msgspec
 
 from upwash.config import DroneConfig
 from upwash.config.reading import Document
-from upwash.lab.faults.history import calls_of, within_s
+from upwash.lab.faults.history import asks_servers, calls_of, within_s
 from upwash.lab.faults.promises import Broken, History, Promise, broken_promises
 from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs, moment_of
 from upwash.lab.observer import Observation
@@ -52,17 +52,17 @@ def judge(seed: int, *, replay: bool = False) -> WorldVerdict:
     except Exception as error:  # noqa: BLE001 - whatever breaks out of a simulation breaks the first promise
         why = "".join(traceback.format_exception(error))
         return WorldVerdict(seed, [Broken(Promise.AUTONOMY, seed, None, why)], 0, 0, (0.0, 0.0), math.inf)
-    calls = [
-        call
+    bounds_s = [
+        (call.ended.delay_s, call.bound_s)
         for run, config in zip(flown.runs, configs(flown.documents), strict=True)
+        if not asks_servers(config)  # else calls have the bound that the mission chose
         for call in calls_of(run.events, within_s=within_s(config))
     ]
-    bounds_s = [(call.ended.delay_s, call.bound_s) for call in calls]
     return WorldVerdict(
         seed,
         broken,
         drones=len(flown.runs),
-        calls=len(calls),
+        calls=sum(len(run.result.calls) for run in flown.runs),
         longest_s=max(bounds_s, default=(0.0, 0.0)),
         spare_s=min((bound_s - delay_s for delay_s, bound_s in bounds_s), default=math.inf),
     )
