@@ -2,8 +2,8 @@
 
 A server answers a call in about 0.4 s, and one of each twenty, drawn at each server, in 10 s. It computes four calls
 at a time, and the drone takes 3 s. *Simulated* are missions over a field with both servers in range. *Flown* are
-calls of `upwash fly`, each 2 s after the last one or at its end, to daemons at the other ends of emulated links of
-54 Mbit/s and 50 ms there and back, with mutual TLS. All ways are flown at the same time, with computers of their
+calls of `upwash fly`, each 2 s after the last one or at its end. The daemons are at the other ends of emulated links
+of 54 Mbit/s and 50 ms there and back, with mutual TLS. All ways are flown at the same time, with computers of their
 own. The load is the number of calls that servers begin to compute, for each call of the mission. The ranges hold
 with a probability of 95 %: those of P99 count calls, the others missions.
 """

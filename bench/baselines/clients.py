@@ -65,9 +65,9 @@ class Replicated(NamedTuple):
 def replicated(run: Run, config: DroneConfig) -> Replicated:
     """The run's mission, if each call went to every server in range and to the drone, and the first answer counted.
 
-    The replay favours it. No network is joined, no daemon is asked, and no service is started. Calls do not disturb
-    each other, and the drone's computer is never hot. A server with a fault during a call has answered before. A
-    server that is back has the call at once.
+    The replay favours it. Joining a network, questions to a daemon and starts of services take no time. Calls do
+    not disturb each other, and the drone's computer is never hot. A server with a fault during a call has answered
+    before. A server that is back has the call at once.
     """
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     services = {service.name: service for service in config.services}

@@ -3,7 +3,7 @@
 Three ways to have a photo of 430,000 bytes looked at on the server:
 
     service   a ROS service over Fast DDS with its defaults; rclpy has no time-out
-    topics    a topic there and one back, with peers given by address, as FogROS2 connects a robot and a cloud
+    topics    a topic there and a topic back between given addresses, as FogROS2 connects a robot and a cloud
     upwash    a topic of the robot, which `upwash ros` subscribes to
 """
 

@@ -10,7 +10,7 @@ from upwash.core.knowledge.servers import Server
 from upwash.core.selection.call_placement import CallPlacement
 
 
-@planted("a second server is asked before it is ready", CallPlacement, "second")
+@planted("a second server gets a call before it is ready", CallPlacement, "second")
 def not_ready(
     _: Any, self: CallPlacement, operation: object, beside: str, *__: Any, **___: Any
 ) -> Server | None:

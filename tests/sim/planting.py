@@ -60,7 +60,7 @@ FOUND_BY_SEED = {
     "a call that was answered ends without an answer too": 45,
     "a part that fails is tried for ever": 133,
     "a server that was left meanwhile gets the smaller request": 2280,
-    "a second server is asked before it is ready": 14,
+    "a second server gets a call before it is ready": 14,
 }
 
 

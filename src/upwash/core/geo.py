@@ -229,7 +229,7 @@ class Grid(Generic[_Placed]):
         return itertools.chain.from_iterable(self._squares.values())
 
     def add(self, place: _Placed) -> None:
-        """Add a place; above `MOST_PLACES` another one makes room."""
+        """Add a place; above `MOST_PLACES` the oldest place of a square is forgotten."""
         if self._count >= MOST_PLACES:
             oldest = next(iter(self._squares))
             self._squares[oldest].pop(0)

@@ -122,6 +122,7 @@ def _prospects(
             for server in config.servers
             if estimates.remote_s(server.name, operation) is not None
         }
+        onboard = None if hedging is None or local_s is None else Delays([local_s] * _CERTAIN)
         found: list[tuple[Prospect, str, int]] = []
         for waypoint in plan:
             near = sorted(
@@ -134,9 +135,9 @@ def _prospects(
                 continue
             second = delays[near[1]] if len(near) > 1 and config.network.radios > 1 else None
             best = prospect(deadline, delays[near[0]], second)
-            if hedging is not None and local_s is not None:
+            if hedging is not None and onboard is not None:
                 by_drone = structs.replace(deadline, extra=hedging.budget)
-                joined = prospect(by_drone, delays[near[0]], Delays([local_s] * _CERTAIN))
+                joined = prospect(by_drone, delays[near[0]], onboard)
                 best = max(best, joined, key=lambda had: had.probability)
             found.append((best, _why(near, delays, config.network.radios, best, deadline), waypoint.index))
         if found:

@@ -1009,7 +1009,7 @@ class Hedged(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Preferred(Event, frozen=True, kw_only=True):
-    """From now on calls go first to this one of two READY servers; the other server is kept for late calls."""
+    """From now on calls go first to this server; the other READY server is kept for late calls."""
 
     server: Text
     check: Count = 0

@@ -81,7 +81,7 @@ class ServerPaused(Struct, frozen=True):
 
 
 class Preferred(Struct, frozen=True):
-    """For the log: of two READY servers, calls go to this one from now on, and the other one is kept."""
+    """For the log: calls go first to this server from now on; the other READY server is kept."""
 
     server: str
     check: int

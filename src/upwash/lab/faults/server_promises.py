@@ -87,7 +87,7 @@ def _leases(facts: Sequence[Observation], *, end_s: float) -> Iterator[Breach]:
                 asked_s[fact.drone] = fact.t
                 open_ones.discard(fact.drone)
                 open_ones |= {fact.drone} if fact.event == "asked" else set()
-            case "instance_started":  # again, for those that wait for a start: their leases begin anew
+            case "instance_started":  # which renews the leases of drones that wait for a start
                 asked_s |= dict.fromkeys(open_ones, fact.t)
             case "held":
                 held_until_s[fact.drone] = fact.t + min(fact.for_s, _HOLD_S)
