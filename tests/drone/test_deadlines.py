@@ -109,6 +109,8 @@ def test_a_drone_that_keeps_the_deadline_itself_is_not_refused(times: Path) -> N
     document = mission(times, network={"radios": 1}, policy={"hedge": {"budget": 0.1}})
     document["service"][0] |= {"local_call_s": {"heavy": 0.9}, "deadline": {"s": 1.5, "p": 0.99}}
     run = upwash.simulate(document)
+    (promised,) = (event for event in run.events if isinstance(event, schema.DeadlinePromised))
+    assert promised.expected > 0.999 and promised.extra == 0  # of calls, that a second server gets
     assert run.totals.late == 0
 
 

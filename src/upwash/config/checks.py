@@ -286,7 +286,7 @@ def _deadline_problems(config: DroneConfig) -> Iterator[Problem]:
         if only_on_servers(service):
             yield (
                 key,
-                "calls that only servers run wait for a server: leave it out, and see answered within_s",
+                "calls that only servers run wait for a server: leave it out, and give within_s to drone.service",
             )
         if config.mission.photos is not None:
             yield key, "photos in flight wait for earlier ones: a deadline goes with calls made one at a time"

@@ -137,8 +137,8 @@ def _prospects(
             best = prospect(deadline, delays[near[0]], second)
             if hedging is not None and onboard is not None:
                 by_drone = structs.replace(deadline, extra=hedging.budget)
-                joined = prospect(by_drone, delays[near[0]], onboard)
-                best = max(best, joined, key=lambda had: had.probability)
+                joined = prospect(by_drone, delays[near[0]], onboard).probability
+                best = max(best, Prospect(joined), key=lambda had: had.probability)
             found.append((best, _why(near, delays, config.network.radios, best, deadline), waypoint.index))
         if found:
             least, where, _ = min(found, key=lambda one: one[0].probability)
