@@ -415,19 +415,17 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
     if server.times_csv is not None:
         yield from times_problems("times_csv", server.times_csv, config.services)
     yield from below("truth", _truth_problems(server.truth, config.services))
-    turn_s, join_s = server.truth.turn_s, server_truth(server, config.services).join_s
-    if turn_s is not None and turn_s < join_s:
-        yield (
-            "truth.turn_s",
-            f"{turn_s:g} is shorter than truth.join_s = {join_s:g}: let a turn last longer than it takes to join",
-        )
+    truth, turn_s = server_truth(server, config.services), server.truth.turn_s
+    if turn_s is not None and turn_s < truth.join_s:
+        problem = f"{turn_s:g} is shorter than truth.join_s = {truth.join_s:g}"
+        yield "truth.turn_s", f"{problem}: let a turn last longer than it takes to join"
     if server.truth.peers:
         others = [other.name for other in config.servers if other.name != server.name]
         for name in server.truth.peers:
             if name not in others:
                 yield "truth.peers", unknown("other server", name, others)
     if config.services:
-        yield from _belief_problems(server, config.services)
+        yield from _belief_problems(server, truth, config.services)
 
 
 def _truth_problems(truth: TruthConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
@@ -517,13 +515,14 @@ def _key_problems(key: str, service: ServiceConfig, by_key: Mapping[str, float])
             yield key, unknown(f"profile key of {service.name}", name, known)
 
 
-def _belief_problems(server: ServerConfig, services: Sequence[ServiceConfig]) -> Iterator[Problem]:
+def _belief_problems(
+    server: ServerConfig, truth: ServerTruth, services: Sequence[ServiceConfig]
+) -> Iterator[Problem]:
     """Whether every call that may go to the server has a believed delay and, in simulation, a true one."""
     named = {*server.processing_s, *server.remote_call_s}
     offered = [service for service in services if service.name in named]
     if not offered:
         yield "remote_call_s", "missing: give remote_call_s, or processing_s and bandwidth_bit_s (eq. 3.1)"
-    truth = server_truth(server, services)
     images = set(truth.images)
     for service in offered:
         for key in service.local_call_s:

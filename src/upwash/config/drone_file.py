@@ -19,7 +19,7 @@ from upwash.config.shorthand import written_out
 from upwash.core.planning.order import SWEEPS
 from upwash.errors import ConfigError
 
-_MOST_PAIRS = 20_000  # of a service and a server
+_MOST_PAIRS = 5_000  # of a service and a server
 FASTEST_M_S = 10.0  # of chosen speeds, where the file names no limit: of an ArduCopter as delivered
 _SEED_BYTES = 6  # of a derived seed: it fits every integer
 _OF_A_DAEMON = {"listen", "runtime", "lease_s", "allow_without_certificates"}
