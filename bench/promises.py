@@ -84,8 +84,9 @@ def _chaos(result: Result) -> str:
     return (
         f"`{result.command}` flew {figures.worlds:,} worlds {_measured(result)}: {figures.flights:,} flights "
         f"with {figures.calls:,} calls in {figures.took_s / 60:.1f} minutes; {figures.replayed:,} worlds were "
-        f"flown twice. {broken}\n\nThe longest call took {delay_s:.2f} s of at most {bound_s:.2f} s; "
-        f"no call left less than {figures.spare_s:.3f} s of its bound (0.1 s are the promise's own)."
+        f"flown twice. {broken}\n\nThe longest call took {delay_s:.2f} s of at most {bound_s:.2f} s, with "
+        f"its time in line behind other photos; no call left less than {figures.spare_s:.3f} s of its bound "
+        f"(0.1 s are the promise's own)."
     )
 
 
