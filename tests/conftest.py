@@ -29,10 +29,13 @@ from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.sim.loop import run_virtually
 
 SCENARIOS = ROOT / "scenarios"
-WAITING_GROUPS = (
-    *(f"flights-{number}" for number in range(3)),
-    *("browser", "emulate", "ns3", "podman", "lxd", "incus", "tutorial"),
+LANES = (  # groups that fly in real time: one process runs those of a lane, as more at once would be late
+    ("flights-0", "ns3"),
+    ("flights-1", "emulate"),
+    ("podman", "browser"),
+    ("lxd", "incus", "tutorial"),
 )
+LANE_OF = {group: f"lane-{number}" for number, lane in enumerate(LANES) for group in lane}
 ON_VIRTUAL_TIME = {"core", "lab", "sim"}  # folders of tests
 PRIORITY = os.getpriority(os.PRIO_PROCESS, 0)
 
@@ -61,20 +64,29 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Lets groups that mostly wait begin first; others that wait come among those that compute, and fill the gaps."""
+    """Lets lanes begin first; others that wait come among those that compute, and fill the gaps."""
     flights = [item for item in items if item.get_closest_marker("flight") and _group(item) is None]
     for number, flight in enumerate(flights):  # each renders photos and detects, as real drones would
-        flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 3}"))
+        flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 2}"))
     for item in items:  # what a module's tests share is made once, and not by every process
         if _shares_with_its_module(item) and _group(item) is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
-    others = [item for item in items if _group(item) not in WAITING_GROUPS]
+    others = [item for item in items if _group(item) not in LANE_OF]
     waiting = [item for item in others if item.get_closest_marker("system")]
     computing = [item for item in others if not item.get_closest_marker("system")]
-    grouped = [item for item in items if _group(item) in WAITING_GROUPS]
-    items[:] = sorted(grouped, key=lambda item: WAITING_GROUPS.index(_group(item))) + _merged(
-        waiting, computing
-    )
+    in_lanes = [(item, LANE_OF[group]) for group in LANE_OF for item in items if _group(item) == group]
+    for item, lane in in_lanes:
+        _move(item, lane)
+    items[:] = [item for item, _ in in_lanes] + _merged(waiting, computing)
+
+
+def _move(item: pytest.Item, lane: str) -> None:
+    """Puts a lane in the place of the item's group."""
+    for node in item.listchain():
+        node.own_markers = [
+            mark for mark in node.own_markers if mark.name != "xdist_group" or mark.args[0] not in LANE_OF
+        ]
+    item.add_marker(pytest.mark.xdist_group(lane))
 
 
 def _group(item: pytest.Item) -> str | None:

@@ -16,7 +16,7 @@ from upwash.metrics.exposition import exposed
 pytestmark = pytest.mark.system
 
 SILENT, DEAF = 300, 100
-SERIES = 2_000  # so that an answer does not fit what a kernel holds for a connection
+SERIES, LETTERS = 100, 3_000  # so that an answer does not fit what a kernel holds for a connection
 
 
 def fetch(address: str) -> tuple[int, str]:
@@ -47,7 +47,7 @@ async def test_the_slow_hold_no_thread_and_nobody_up() -> None:
     registry = CollectorRegistry()
     gauge = Gauge("upwash_attacked", "For this attack", ["number"], registry=registry)
     for number in range(SERIES):
-        gauge.labels(f"{number:0100}").set(number)
+        gauge.labels(f"{number:0{LETTERS}}").set(number)
     async with exposed(registry, "127.0.0.1:0") as address:
         await asyncio.to_thread(fetch, address)
         before = threads()
