@@ -270,7 +270,9 @@ def test_a_defect_in_deciding_ends_offloading_and_not_the_mission(
     assert len(run.result.calls) == 6, "each is answered"
     (failure,) = events(run, "offloading_failed")
     assert failure["why"] == "ZeroDivisionError: a defect"
-    assert {call.place for call in run.result.calls if call.at_s > failure["t"]} <= {"local"}
+    later = [call for call in run.result.calls if call.at_s > failure["t"]]
+    assert {call.place for call in later} <= {"local"}
+    assert {call.decision for call in later} <= {"offloading has failed: ZeroDivisionError: a defect"}
 
 
 @pytest.mark.parametrize("defective", ["keep_lease", "lost", "end"])

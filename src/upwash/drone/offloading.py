@@ -110,7 +110,7 @@ class Offloading:
             if self._line is not None
             else None
         )
-        self._failed = False
+        self._failed = ""  # by what defect
         self._background: asyncio.Task[Any] | None = None
 
     @contextlib.asynccontextmanager
@@ -166,7 +166,7 @@ class Offloading:
         asked, asked_s, fails = (
             Invocation(operation, method, request, waypoint=waypoint),
             now_s(),
-            self._failed,
+            bool(self._failed),
         )
         if method.patience is not None:
             return await self._invoke_at_server(asked, hearing, asked_s, urgent=urgent)
@@ -274,7 +274,7 @@ class Offloading:
                 return await self.server_calls.answer(asked, hearing, urgent=urgent)
             except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
                 self._fail(error)
-        return self.server_calls.unanswered(asked, "offloading has failed", asked_s)
+        return self.server_calls.unanswered(asked, self._failed, asked_s)
 
     async def _invoke_alone(self, asked: Invocation, *, began_s: float) -> Any:
         """Run a call on the drone and decide nothing: where deciding has failed, or the method runs once."""
@@ -287,7 +287,7 @@ class Offloading:
                 waypoint=asked.waypoint,
                 operation=str(asked.operation),
                 place=ON_DRONE,
-                decision="it runs once, and on the drone" if asked.method.once else "offloading has failed",
+                decision="it runs once, and on the drone" if asked.method.once else self._failed,
                 at_s=began_s,
                 delay_s=delay_s,
                 waited_s=0.0,
@@ -310,18 +310,19 @@ class Offloading:
     def _fail(self, error: BaseException) -> None:
         if self._failed:
             return
-        self._failed = True
-        if self._line is not None:
-            self._line.keep_on_drone()
-        if self.server_calls is not None:
-            self.server_calls.end("offloading has failed")
-        if self._background is not None:
-            self._background.cancel()
         defect: BaseException = error
         while isinstance(defect, BaseExceptionGroup):
             defect = defect.exceptions[0]
+        why = f"{type(defect).__name__}: {defect}"
+        self._failed = f"offloading has failed: {why}"
+        if self._line is not None:
+            self._line.keep_on_drone()
+        if self.server_calls is not None:
+            self.server_calls.end(self._failed)
+        if self._background is not None:
+            self._background.cancel()
         trace = "".join(traceback.format_exception(error))
-        self._journal.record(schema.OffloadingFailed(why=f"{type(defect).__name__}: {defect}", trace=trace))
+        self._journal.record(schema.OffloadingFailed(why=why, trace=trace))
 
 
 def _of_two(answer: CallAnswer, *, is_first: bool) -> str:
