@@ -64,7 +64,7 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Lets lanes begin first; others that wait come among those that compute, and fill the gaps."""
+    """Lets lanes begin first, beside tests that yield to them; then those that wait fill the gaps of the others."""
     flights = [item for item in items if item.get_closest_marker("flight") and _group(item) is None]
     for number, flight in enumerate(flights):  # each renders photos and detects, as real drones would
         flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 2}"))
@@ -72,12 +72,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if _shares_with_its_module(item) and _group(item) is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     others = [item for item in items if _group(item) not in LANE_OF]
+    yielding = [item for item in others if _yields(item)]
     waiting = [item for item in others if item.get_closest_marker("system")]
-    computing = [item for item in others if not item.get_closest_marker("system")]
+    computing = [item for item in others if not (item.get_closest_marker("system") or _yields(item))]
     in_lanes = [(item, LANE_OF[group]) for group in LANE_OF for item in items if _group(item) == group]
     for item, lane in in_lanes:
         _move(item, lane)
-    items[:] = [item for item, _ in in_lanes] + _merged(waiting, computing)
+    items[:] = [item for item, _ in in_lanes] + yielding + _merged(waiting, computing)
 
 
 def _move(item: pytest.Item, lane: str) -> None:
@@ -104,9 +105,12 @@ def _merged(*lists: list[pytest.Item]) -> list[pytest.Item]:
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Lets tests on virtual time yield the processor to flights in real time, which run beside them."""
     if _takes_its_priority_back():
-        yields = item.path.relative_to(item.config.rootpath).parts[1] in ON_VIRTUAL_TIME
-        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY + 10 * yields)
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY + 10 * _yields(item))
     return (yield)
+
+
+def _yields(item: pytest.Item) -> bool:
+    return item.path.relative_to(item.config.rootpath).parts[1] in ON_VIRTUAL_TIME
 
 
 @functools.cache
