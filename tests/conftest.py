@@ -30,13 +30,14 @@ from upwash.sim.loop import run_virtually
 
 SCENARIOS = ROOT / "scenarios"
 LANES = (  # groups that fly in real time: one process runs those of a lane, as more at once would be late
-    ("flights-0", "ns3"),
+    ("flights-0",),
     ("flights-1", "emulate"),
-    ("podman", "browser"),
+    ("podman", "browser", "ns3"),
     ("lxd", "incus", "tutorial"),
 )
 LANE_OF = {group: f"lane-{number}" for number, lane in enumerate(LANES) for group in lane}
-ON_VIRTUAL_TIME = {"core", "lab", "sim"}  # folders of tests
+ON_VIRTUAL_TIME = ("sim", "lab", "core")  # folders of tests, those of long tests first
+YIELDS = 5  # by which their priority is lower
 PRIORITY = os.getpriority(os.PRIO_PROCESS, 0)
 
 # A busy machine breaks nothing.
@@ -72,7 +73,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if _shares_with_its_module(item) and _group(item) is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     others = [item for item in items if _group(item) not in LANE_OF]
-    yielding = [item for item in others if _yields(item)]
+    yielding = sorted(filter(_yields, others), key=lambda item: ON_VIRTUAL_TIME.index(_folder(item)))
     waiting = [item for item in others if item.get_closest_marker("system")]
     computing = [item for item in others if not (item.get_closest_marker("system") or _yields(item))]
     in_lanes = [(item, LANE_OF[group]) for group in LANE_OF for item in items if _group(item) == group]
@@ -105,12 +106,16 @@ def _merged(*lists: list[pytest.Item]) -> list[pytest.Item]:
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Lets tests on virtual time yield the processor to flights in real time, which run beside them."""
     if _takes_its_priority_back():
-        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY + 10 * _yields(item))
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY + YIELDS * _yields(item))
     return (yield)
 
 
 def _yields(item: pytest.Item) -> bool:
-    return item.path.relative_to(item.config.rootpath).parts[1] in ON_VIRTUAL_TIME
+    return _folder(item) in ON_VIRTUAL_TIME
+
+
+def _folder(item: pytest.Item) -> str:
+    return item.path.relative_to(item.config.rootpath).parts[1]
 
 
 @functools.cache

@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-import logging
 import math
 import sys
 from collections.abc import Iterable, Iterator
@@ -60,6 +59,7 @@ from upwash.lab.faults import campaign as chaos
 from upwash.lab.faults.display import is_replayed
 from upwash.lab.faults.mission import Blurred
 from upwash.lab.faults.promises import Broken
+from upwash.lab.outcome import quiet_daemons
 from upwash.rpc import protocol, service
 from upwash.rpc.service import Method
 from upwash.sim import link
@@ -72,8 +72,7 @@ _LONG_LEASE_S = 1e5
 
 def first_broken(defect: Defect, *, since: int = 1) -> list[Broken]:
     """The promises that the planted defect breaks in the first world, from seed `since` on, where it breaks any."""
-    logging.getLogger("upwash.server").disabled = True
-    with defect.plant(), _nothing_remembered():
+    with defect.plant(), _nothing_remembered(), quiet_daemons():
         for seed in range(since, MOST_SEEDS + 1):
             if broken := chaos.judge(seed, replay=is_replayed(seed)).broken:
                 return broken
