@@ -212,6 +212,17 @@ def fail_in_the_air(drone: Drone) -> None:
     raise ValueError("the mission has a bug")
 
 
+class Wordless(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+def fail_without_words(drone: Drone) -> None:
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(10)
+    raise Wordless
+
+
 def fail_on_the_ground(drone: Drone) -> None:
     raise ValueError("the mission has a bug")
 
@@ -234,6 +245,11 @@ def here(mission: Any) -> str:
 def test_a_mission_that_raises_in_the_air_is_brought_home(tmp_path: Path) -> None:
     with pytest.raises(MissionFailed, match="raised ValueError: the mission has a bug"):
         fly(tmp_path, here(fail_in_the_air))
+
+
+def test_a_mission_whose_exception_has_no_words_is_brought_home(tmp_path: Path) -> None:
+    with pytest.raises(MissionFailed, match=r"the mission program raised Wordless$"):
+        fly(tmp_path, here(fail_without_words))
 
 
 def test_a_mission_that_raises_on_the_ground_moves_nothing(tmp_path: Path) -> None:

@@ -226,7 +226,7 @@ def test_a_service_that_starts_too_slowly_ends_the_profiling_with_the_key_that_s
 
 def test_a_photo_that_the_service_refuses_ends_the_profiling_and_the_instance() -> None:
     computer = Computer(cls=Picky)
-    with pytest.raises(UsageError, match=r"picky\.look failed on a\.jpg: not such a photo"):
+    with pytest.raises(UsageError, match=r"picky\.look failed on a\.jpg: ValueError: not such a photo"):
         onboard(computer, samples(spec_of(Picky), PHOTOS))
     assert not computer.running
 

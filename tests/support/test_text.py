@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.support.text import by_name, escaped, escaped_lines, json_line, printable
+from upwash.support.text import by_name, escaped, escaped_lines, json_line, printable, worded
 
 
 @pytest.mark.parametrize(
@@ -54,6 +54,19 @@ def test_a_line_of_json_reads_the_same_and_shows_nothing_that_is_not_printed(val
     line = msgspec.json.encode(value)
     assert json.loads(json_line(line)) == json.loads(line)
     assert json_line(line).decode().isprintable()
+
+
+class Wordless(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [(KeyError("s1"), "KeyError: 's1'"), (SystemExit(), "SystemExit"), (Wordless("said"), "Wordless")],
+)
+def test_an_error_is_worded_whatever_its_own_code_does(error: BaseException, words: str) -> None:
+    assert worded(error) == words
 
 
 def test_names_are_sorted_as_people_count() -> None:

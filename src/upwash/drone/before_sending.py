@@ -18,6 +18,7 @@ from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.rpc.service import Method
 from upwash.support.background import begin, end
+from upwash.support.text import worded
 
 _LEAST_S, _FACTOR = 0.5, 4.0  # times its usual time: a part that takes longer hangs
 _OF_DEADLINE = 0.5  # the rest is for the call sent whole
@@ -81,7 +82,7 @@ class BeforeSending:
         except InstanceError as error:
             return str(error.__cause__ or error)
         except Exception as error:  # noqa: BLE001 - whatever it is, the call goes on
-            return f"{part.name}: {error}"
+            return f"{part.name}: {worded(error)}"
         if len(reduced) > len(request):
             return f"{part.name} made {len(request):,} bytes to {len(reduced):,}"
         return reduced if len(reduced) < len(request) else request

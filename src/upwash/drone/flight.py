@@ -73,6 +73,7 @@ from upwash.ports import (
 )
 from upwash.rpc.service import ServiceSpec, spec_of
 from upwash.support.background import end, start
+from upwash.support.text import message_of, worded
 
 _AT_ONCE_S = 1.0  # a person cannot have read of the reserve before
 _WORDS_KEPT = 8  # of the vehicle, as a reason of a loss
@@ -465,7 +466,7 @@ class Flight:
 
     def _end_unwatched(self, defect: Exception) -> None:
         """End the mission as at the reserve, because the watch of the reserve failed."""
-        why = f"a defect has ended the watch of the reserve: {type(defect).__name__}: {defect}"
+        why = f"a defect has ended the watch of the reserve: {worded(defect)}"
         trace = "".join(traceback.format_exception(defect))
         self._ports.journal.record(schema.BatteryWatchFailed(why=why, trace=trace))
         self._end_at_reserve(why)
@@ -511,4 +512,4 @@ class Flight:
 def _why(error: BaseException) -> str:
     if isinstance(error, asyncio.CancelledError):
         return "the program was stopped at once"
-    return str(error) or type(error).__name__
+    return message_of(error) or type(error).__name__

@@ -19,6 +19,7 @@ from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 from upwash.errors import MissionFailed, MissionStopped, UpwashError, UsageError
 from upwash.support.background import begin, thread
+from upwash.support.text import worded
 
 T = TypeVar("T")
 
@@ -102,7 +103,7 @@ class MissionThread:
             except Exception as error:  # noqa: BLE001 - carried over to the loop, not swallowed
                 failure = error
             except BaseException as error:  # noqa: BLE001 - sys.exit() ends the mission, not the program
-                failure = MissionStopped(f"the mission raised {error!r}")
+                failure = MissionStopped(f"the mission raised {worded(error)}")
             self._settle_from_thread(failure)
             if self._turn is not None:
                 self._turn.end()
@@ -165,7 +166,4 @@ def mission_failed(error: Exception) -> MissionFailed:
     own = [frame for frame in trace.stack if not Path(frame.filename).is_relative_to(_UPWASH)]
     if own:  # else the mission is a bundled one
         trace.stack = traceback.StackSummary.from_list(own)
-    said = f": {error}" if str(error) else ""
-    return MissionFailed(
-        f"the mission program raised {type(error).__name__}{said}", "".join(trace.format()).rstrip()
-    )
+    return MissionFailed(f"the mission program raised {worded(error)}", "".join(trace.format()).rstrip())

@@ -36,6 +36,7 @@ from upwash.eventlog import schema
 from upwash.ports import Dialer, Journal, Network, Whereabouts
 from upwash.rpc.service import Method
 from upwash.support.background import end, first, start
+from upwash.support.text import printable, worded
 
 T = TypeVar("T")
 
@@ -313,8 +314,8 @@ class Offloading:
         defect: BaseException = error
         while isinstance(defect, BaseExceptionGroup):
             defect = defect.exceptions[0]
-        why = f"{type(defect).__name__}: {defect}"
-        self._failed = f"offloading has failed: {why}"
+        why = worded(defect)
+        self._failed = f"offloading has failed: {printable(why)}"
         if self._line is not None:
             self._line.keep_on_drone()
         if self.server_calls is not None:

@@ -14,6 +14,7 @@ from upwash.eventlog import schema
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Runtime
 from upwash.rpc.protocol import service_path
 from upwash.support.background import end, start
+from upwash.support.text import worded
 
 _PAUSE_S = 1.0  # between two starts, so that a service that cannot start does not eat the computer
 
@@ -111,9 +112,7 @@ class _OnboardService:
 
     def _give_up(self, defect: Exception) -> None:
         """Fail every call from now on: nothing starts the service again."""
-        why = (
-            f"{self._spec.service} is not watched any more, after a defect: {type(defect).__name__}: {defect}"
-        )
+        why = f"{self._spec.service} is not watched any more, after a defect: {worded(defect)}"
         self._means.journal.record(schema.LocalFailed(service=self._spec.service, why=why))
         self._running = asyncio.get_running_loop().create_future()
         self._running.set_exception(InstanceError(why))

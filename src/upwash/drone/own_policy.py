@@ -32,6 +32,7 @@ from upwash.core.policies.policy import (
 from upwash.errors import UsageError
 from upwash.support.background import only_logged, thread
 from upwash.support.loading import load
+from upwash.support.text import worded
 
 T = TypeVar("T")
 ANSWERS_WITHIN_S = 5.0
@@ -64,7 +65,7 @@ def _own_policy(settings: PolicyConfig, *, otherwise: Policy) -> Policy:
     except Exception as error:
         known = inspect.signature(made) if inspect.isclass(made) else "()"
         raise UsageError(
-            f"policy {name} cannot be made: {type(error).__name__}: {error}; it takes {known}, and "
+            f"policy {name} cannot be made: {worded(error)}; it takes {known}, and "
             f"policy.settings has {', '.join(settings.settings) or 'nothing'}"
         ) from error
     if not callable(getattr(policy, "choose", None)):
@@ -135,7 +136,7 @@ class OwnPolicy:
         except _NoAnswer:
             raise self._defect(method, f"did not answer within {ANSWERS_WITHIN_S:g} s") from None
         except Exception as error:
-            raise self._defect(method, f"raised {type(error).__name__}: {error}") from error
+            raise self._defect(method, f"raised {worded(error)}") from error
 
     def _defect(self, method: str, what: str) -> PolicyDefect:
         return PolicyDefect(f"policy {self.name}: {method} {what}")
@@ -175,7 +176,7 @@ def _answer(questions: SimpleQueue[tuple[Callable[[], Any], Future[Any]]]) -> No
             except _GivenUp:
                 raise
             except BaseException as error:  # noqa: BLE001 - it is raised where the answer is awaited
-                answer.set_exception(error if isinstance(error, Exception) else RuntimeError(repr(error)))
+                answer.set_exception(error if isinstance(error, Exception) else RuntimeError(worded(error)))
 
 
 class _NoAnswer(Exception):

@@ -26,6 +26,7 @@ from upwash.eventlog.schema import Event
 from upwash.ports import Journal
 from upwash.rpc.service import Method, request_of
 from upwash.support.background import begin, end
+from upwash.support.text import message_of
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -162,7 +163,7 @@ class Pending(Generic[T]):
 def why_failed(call: asyncio.Task[Any]) -> str:
     """Why a call that is over has no answer; "" if it has one."""
     error = None if call.cancelled() else call.exception()
-    return "" if error is None else str(error) or type(error).__name__
+    return "" if error is None else message_of(error) or type(error).__name__
 
 
 class Demand(Generic[T]):

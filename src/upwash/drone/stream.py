@@ -23,6 +23,7 @@ from upwash.eventlog import schema
 from upwash.ports import Dialer, Finder, Journal, Network, Program, Runtime, Whereabouts
 from upwash.rpc.service import Method, Patience, ServiceSpec
 from upwash.support.background import beside
+from upwash.support.text import worded
 
 T = TypeVar("T")
 _NUMBERS = schema.MOST_ITEMS  # of photos in the log, again and again
@@ -193,6 +194,6 @@ class Stream(Generic[T]):
             )
             value = method.result(reply)
         except Exception as error:  # noqa: BLE001 - of the service, or of the photo: the stream goes on
-            text = str(error) if isinstance(error, UpwashError) else f"{type(error).__name__}: {error}"
+            text = str(error) if isinstance(error, UpwashError) else worded(error)
             return StreamAnswer(service, method.name, why=text, call=self._calls.pop(number, None))
         return StreamAnswer(service, method.name, value, call=self._calls.pop(number, None))

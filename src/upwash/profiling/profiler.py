@@ -25,6 +25,7 @@ from upwash.profiling.agreement import LabelledBox, lost, mean_ap50
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Method, ServiceSpec
 from upwash.support.background import beside
+from upwash.support.text import worded
 
 LONGEST_CALL_S = 600.0
 _PROBES = 7
@@ -327,7 +328,7 @@ def require_answer(sample: CallSample, photo: str, reply: bytes) -> None:
     try:
         sample.method.result(sample.method.decode(reply))
     except Exception as error:
-        raise UsageError(f"{sample.operation} failed on {photo}: {error}") from error
+        raise UsageError(f"{sample.operation} failed on {photo}: {worded(error)}") from error
 
 
 async def _measure_transfer(sample: CallSample, request: Request) -> tuple[float, float | None]:

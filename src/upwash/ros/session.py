@@ -12,7 +12,7 @@ from typing import Any
 
 from upwash.errors import UsageError
 from upwash.support.background import only_logged, thread
-from upwash.support.text import printable
+from upwash.support.text import printable, worded
 
 _SPIN_S = 0.2  # at most, until the end of the block is noticed
 _JOIN_S = 5.0
@@ -83,7 +83,7 @@ def spinning(
 
 def sentence_of(error: Exception) -> str:
     """A failure of ROS's code or of a callback in one line."""
-    return printable(f"{type(error).__name__}: {error}", 300)
+    return printable(worded(error), 300)
 
 
 def guarded(do: Callable[..., Any], failed: Callable[[str], None]) -> Callable[..., Any]:

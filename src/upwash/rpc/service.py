@@ -52,7 +52,7 @@ from upwash.rpc.operations import operations_of
 from upwash.rpc.settings import describe_settings
 from upwash.rpc.wire import Encoding, require_sendable
 from upwash.support.loading import load
-from upwash.support.text import printable
+from upwash.support.text import message_of, printable
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -219,10 +219,7 @@ class Method:
         """The encoded reply of a call that raised this exception."""
         cls = type(error)
         type_path = f"{cls.__module__}:{cls.__qualname__}"
-        try:
-            message = str(error)
-        except Exception:  # noqa: BLE001 - its own code may raise any
-            message = ""
+        message = message_of(error)
         try:
             return self.reply.encode({"fault": ServiceFault(type_path, message, _plain_args(error))})
         except (OverflowError, ValueError):  # its text or arguments have no encoding, or are too long
@@ -477,7 +474,7 @@ def _describe_method(
     try:
         hints = typing.get_type_hints(function, include_extras=True)
     except Exception as error:  # a hint in quotes is any expression
-        raise DeclarationError(f"{where}: a type hint cannot be resolved: {error}") from error
+        raise DeclarationError(f"{where}: a type hint cannot be resolved: {message_of(error)}") from error
     signature = inspect.signature(function)
     parameters = list(signature.parameters.values())[1:]
     fields: list[tuple[str, Any]] = []
@@ -520,7 +517,7 @@ def _require_default(parameter: inspect.Parameter, hint: Any, where: str) -> Non
     except Exception as error:  # a class may have code that encodes it, or a union no encoding
         raise DeclarationError(
             f"{where}: parameter {parameter.name!r}: its default {printable(repr(parameter.default))} cannot be "
-            f"sent: {error}: change the default, or the type hint"
+            f"sent: {message_of(error)}: change the default, or the type hint"
         ) from error
 
 

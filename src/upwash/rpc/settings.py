@@ -29,6 +29,7 @@ from msgspec import UNSET, UnsetType
 from upwash.errors import DeclarationError, UsageError
 from upwash.rpc.wire import require_plain
 from upwash.support.loading import import_remedy
+from upwash.support.text import worded
 
 T = TypeVar("T")
 PlainSettings = Mapping[str, object]
@@ -103,7 +104,7 @@ def _made(cls: type[T], settings: msgspec.Struct) -> T:
         return cls(**given)
     except Exception as error:
         raise UsageError(
-            f"{cls.__name__} cannot be made: {type(error).__name__}: {error} ({_place(error, cls)})"
+            f"{cls.__name__} cannot be made: {worded(error)} ({_place(error, cls)})"
             f"{import_remedy(error, _file_of(cls))}"
         ) from error
 

@@ -21,6 +21,8 @@ import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, NoReturn, TypeVar
 
+from upwash.support.text import worded
+
 T = TypeVar("T")
 Failed = Callable[[Exception], object]  # what a failure leads to
 
@@ -77,7 +79,7 @@ async def kept_up(
         try:
             await work()
         except Exception as failure:  # noqa: BLE001 - every one has the same consequence
-            if (said := repr(failure)) != last:
+            if (said := worded(failure)) != last:
                 last = said
                 _report(name, failure)
                 failed(failure)

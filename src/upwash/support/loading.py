@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from upwash.errors import UsageError
+from upwash.support.text import worded
 
 
 def load(program: str) -> object:
@@ -25,7 +26,7 @@ def load(program: str) -> object:
             module = _load_file(Path(module_path)) if is_file else importlib.import_module(module_path)
     except (Exception, SystemExit) as error:
         raise UsageError(
-            f"{program!r} cannot be loaded from {module_path}: {type(error).__name__}: {error}"
+            f"{program!r} cannot be loaded from {module_path}: {worded(error)}"
             f"{import_remedy(error, module_path)}"
         ) from error
     if not hasattr(module, name):

@@ -41,6 +41,20 @@ def printable(text: str, most: int = LONGEST_TEXT) -> str:
     return shown if len(shown) <= most else f"{shown[: most - 1]}…"
 
 
+def message_of(error: BaseException) -> str:
+    """The message of an error; "" where the error's own code fails to make one."""
+    try:
+        return str(error)
+    except Exception:  # noqa: BLE001 - of users' classes
+        return ""
+
+
+def worded(error: BaseException) -> str:
+    """The type of an error, and its message if it has one."""
+    kind, message = type(error).__name__, message_of(error)
+    return f"{kind}: {message}" if message else kind
+
+
 def words_of(text: str) -> str:
     """The printed characters of the text on one line, with blanks for all others, such as colours."""
     return "".join(letter if letter.isprintable() else " " for letter in text).strip()

@@ -18,6 +18,7 @@ from upwash.services.photo import in_8_bits
 from upwash.support.background import thread
 from upwash.support.camera_source import is_pipeline, shown_source
 from upwash.support.loading import extra
+from upwash.support.text import worded
 
 _JPEG_QUALITY = 95
 _FIRST_FRAME_S = 10.0  # a USB camera takes a second or two, a stream may have to wait for a key frame
@@ -102,7 +103,7 @@ class VideoCamera:
             self._closed.wait(_REOPEN_S)
 
     def _lose(self, defect: Exception) -> None:
-        self._trouble = f"a defect has ended the reading: {type(defect).__name__}: {defect}"
+        self._trouble = f"a defect has ended the reading: {worded(defect)}"
 
     def _read_frames(self, capture: _Capture) -> None:
         self._trouble = "it is open, but shows nothing"

@@ -25,7 +25,7 @@ from upwash.real.link.door import Entrance, Lead
 from upwash.real.link.proxy import Connect
 from upwash.real.link.streams import hang_up
 from upwash.support.background import first, start
-from upwash.support.text import words_of
+from upwash.support.text import worded, words_of
 
 _log = logging.getLogger("upwash.instance")
 
@@ -158,7 +158,7 @@ class InstanceControl:
         return message
 
     def _lose(self, defect: Exception) -> None:
-        self._hang_up(f"a defect in reading its messages: {type(defect).__name__}: {defect}")
+        self._hang_up(f"a defect in reading its messages: {worded(defect)}")
 
     def _hang_up(self, why: str) -> None:
         self.fault = why

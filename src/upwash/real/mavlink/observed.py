@@ -35,6 +35,7 @@ from upwash.real.mavlink.settings import Patience
 from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import FirmwareProfile, VehicleTelemetry
 from upwash.support.background import end, kept_up, only_logged, start
+from upwash.support.text import worded
 
 _HEARTBEAT_S = 1.0
 _HEARTBEAT, _SYSTEM_TIME = mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
@@ -223,7 +224,7 @@ class ObservedVehicle:
         """Run the work, and again after a defect, with a warning: a vehicle without messages may end the flight."""
 
         def tell(defect: Exception) -> None:
-            why = f"a defect of upwash: {type(defect).__name__}: {defect}"
+            why = f"a defect of upwash: {worded(defect)}"
             self.news.tell(LinkTrouble(about="defect", why=why))
 
         kept = kept_up(work, name="the vehicle's link", pause_s=_HEARTBEAT_S, failed=tell)
