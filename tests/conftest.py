@@ -74,8 +74,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     others = [item for item in items if _group(item) not in LANE_OF]
     yielding = sorted(filter(_yields, others), key=lambda item: ON_VIRTUAL_TIME.index(_folder(item)))
-    waiting = [item for item in others if item.get_closest_marker("system")]
-    computing = [item for item in others if not (item.get_closest_marker("system") or _yields(item))]
+    rest = [item for item in others if not _yields(item)]
+    waiting = [item for item in rest if item.get_closest_marker("system")]
+    computing = [item for item in rest if not item.get_closest_marker("system")]
     in_lanes = [(item, LANE_OF[group]) for group in LANE_OF for item in items if _group(item) == group]
     for item, lane in in_lanes:
         _move(item, lane)
