@@ -28,6 +28,7 @@ from upwash.ports import Camera, Photo
 from upwash.services import Detection
 from upwash.sim.camera import ModelCamera
 from upwash.sim.loop import run_virtually
+from upwash.support.exif import PhotoPlace, own_place, with_place
 
 MISSION = """
 from pathlib import Path
@@ -290,6 +291,68 @@ def test_the_altitude_above_the_sea_is_logged_to_the_centimetre() -> None:
     vehicle = Reported(earth=EarthPosition(47.123456789, 8.5, 432.1987))
     _, taken = shoot(ModelCamera(photo_s=1.0), vehicle)
     assert (taken.latitude_deg, taken.longitude_deg, taken.above_sea_m) == (47.1234568, 8.5, 432.2)
+
+
+class Album:
+    """A camera whose photos are these, one after the other."""
+
+    def __init__(self, *photos: bytes) -> None:
+        self._photos = iter(photos)
+
+    async def take_photo(self, at: Position) -> Photo:
+        now_s = asyncio.get_running_loop().time()
+        return Photo(next(self._photos), now_s, "DJI_7.JPG", lens=DOWN)
+
+
+def taken(vehicle: Reported, *photos: bytes) -> tuple[list[bytes], list[str]]:
+    """The photos that a mission gets, and what is doubted aloud."""
+    log: list[object] = []
+    photographer = Photographer(
+        Album(*photos),
+        cast(Any, SimpleNamespace(call=run_virtually)),
+        cast(Any, SimpleNamespace(record=log.append)),
+        autopilot=cast(Any, vehicle),
+        payload=cast(Any, SimpleNamespace(pointed_deg=None)),
+    )
+    got = [photographer.take_photo() for _ in photos]
+    return got, [event.why for event in log if isinstance(event, schema.PhotoPlaceDoubted)]
+
+
+EARTH = EarthPosition(47.1, 8.5, 432.0)
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "away_m", "stays"), [(0, 45, True), (0, 55, False), (10, 95, True), (10, 105, False)]
+)
+def test_a_place_that_the_drone_can_have_flown_to_is_the_cameras_own(
+    speed_m_s: float, away_m: float, *, stays: bool
+) -> None:
+    own = with_place(jpeg(64, 48), PhotoPlace(47.1 + away_m / 111_170, 8.5))
+    vehicle = Reported(earth=EARTH, told={"velocity": Velocity(speed_m_s, 0.0, 0.0)})
+    (photo,), doubts = taken(vehicle, own)
+    assert (photo is own, doubts == []) == (stays, stays)
+
+
+def test_a_place_that_cannot_be_is_doubted_once_and_the_drones_is_written() -> None:
+    far = with_place(jpeg(64, 48), PhotoPlace(47.2, 8.5))
+    photos, (why,) = taken(Reported(earth=EARTH, told={"velocity": Velocity()}), far, far)
+    assert [own_place(photo) for photo in photos] == [pytest.approx((47.1, 8.5))] * 2
+    assert "(47.200000, 8.500000) is 11,117 m from the drone, which can have flown 50 m at most" in why
+    assert "the drone's place is written into it" in why
+
+
+def test_a_photo_that_takes_no_place_says_so() -> None:
+    full = jpeg(64, 48)[:2] + b"\xff\xe1\0\x0eExif\0\0XX*\0\0\0" + jpeg(64, 48)[2:]
+    (photo,), (why,) = taken(Reported(earth=EARTH), full)
+    assert photo is full
+    assert "could not be written into it" in why
+
+
+def test_the_direction_in_the_exif_is_that_of_the_photo() -> None:
+    told = {"attitude": Attitude(0.0, 0.0, 90.0), "heading_deg": 90.3}
+    (photo,), _ = taken(Reported(earth=EARTH, told=told), jpeg(64, 48))
+    gps = Image.open(io.BytesIO(photo)).getexif().get_ifd(ExifTags.IFD.GPSInfo)
+    assert gps[ExifTags.GPS.GPSImgDirection] == 90.0
 
 
 def test_without_a_home_nothing_is_known_of_the_place(tmp_path: Path) -> None:

@@ -145,11 +145,11 @@ async def test_a_wait_ends_after_two_minutes_of_silence(script: Script) -> None:
 
 @played(tell)
 async def test_the_vehicles_time_goes_on_between_its_reports(script: Script) -> None:
-    await script.say(mavlink.MAVLink_system_time_message(1_700_000_000_500_000, 1), script.place(HERE))
+    await script.say(mavlink.MAVLink_system_time_message(1_770_000_000_500_000, 1), script.place(HERE))
     await asyncio.sleep(10.0)
     told = script.autopilot.earth_position
     assert told is not None
-    assert told.unix_s == pytest.approx(1_700_000_010.5, abs=1e-3)
+    assert told.unix_s == pytest.approx(1_770_000_010.5, abs=1e-3)
     geo = FRAME.geo(HERE)
     assert (told.latitude_deg, told.longitude_deg) == pytest.approx((geo.latitude_deg, geo.longitude_deg))
     assert told.above_sea_m == HOME_ABOVE_SEA_M + 10.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime
 from typing import Any
 
 import pytest
@@ -262,12 +263,21 @@ def test_wind_of_a_px4_is_a_velocity() -> None:
 
 def test_a_breached_fence_and_a_time_are_told_and_forgotten() -> None:
     told = taken(
-        mavlink.MAVLink_fence_status_message(1, 1, 1, 1), mavlink.MAVLink_system_time_message(1_500_000, 1)
+        mavlink.MAVLink_fence_status_message(1, 1, 1, 1),
+        mavlink.MAVLink_system_time_message(1_770_000_000_500_000, 1),
     )
-    assert (told.fence_breached, told.unix_s) == (True, 1.5)
+    assert (told.fence_breached, told.unix_s) == (True, 1_770_000_000.5)
     told.take(mavlink.MAVLink_fence_status_message(0, 1, 1, 1), 11.0)
     told.take(mavlink.MAVLink_system_time_message(0, 1), 11.0)
     assert (told.fence_breached, told.unix_s) == (False, None)
+
+
+@pytest.mark.parametrize(
+    "date", ["1970-01-01T00:00:42", "1980-01-06T00:00", "2006-05-21T00:00", "2080-01-06T00:00"]
+)
+def test_a_receiver_without_a_time_tells_none(date: str) -> None:
+    unix_us = round(datetime.fromisoformat(f"{date}+00:00").timestamp() * 1e6)
+    assert taken(mavlink.MAVLink_system_time_message(unix_us, 1)).unix_s is None
 
 
 @pytest.mark.parametrize(("component", "ours"), [(0, True), (191, True), (1, False), (190, False)])

@@ -19,7 +19,16 @@ from upwash.core.camera.georeference import (
     level_ground,
 )
 from upwash.core.camera.lens import Lens
-from upwash.core.geo import EarthPosition, Position, part_way, rounded
+from upwash.core.geo import (
+    EarthPosition,
+    GeoPosition,
+    LocalFrame,
+    Position,
+    distance_m,
+    ground_distance_m,
+    part_way,
+    rounded,
+)
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.payload import Payload
@@ -27,7 +36,7 @@ from upwash.errors import CameraError, NotWritten
 from upwash.eventlog import schema
 from upwash.eventlog.objects import found_objects
 from upwash.ports import Album, Autopilot, Camera, Journal, KeptPhoto, Photo
-from upwash.support.exif import PhotoPlace, with_place
+from upwash.support.exif import PhotoPlace, own_place, with_place
 from upwash.support.jpeg import size_of
 
 _FAILURES = 3  # of frames in a row; a device that is silent takes 5 s for each
@@ -38,6 +47,9 @@ _FIX_M: dict[FixKind, float] = {
 _REPORT_S = 0.1  # between a position and its report
 _GIMBAL_DEG = 1.0
 _FILM_MM = 36.0  # wide, of 35 mm
+_RECEIVERS_M = 50.0  # between the places of two receivers at one moment
+_OWN_PLACE_S = 5.0  # the oldest place that a camera writes
+_QUICK_M_S = 20.0  # of a vehicle whose speed is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +108,14 @@ class Photographer:
         self._ground = ground
         self._album = album
         self._album_failed = False
+        self._doubts = set[str]()  # the kinds that were told
         self.pose: PhotoPose | None = None  # of the last photo
 
     def take_photo(self) -> bytes:
         """Takes a photo and returns it as a JPEG, with its place on the Earth as EXIF if known; raises CameraError.
 
-        A photo with a place from the camera's own GPS is returned unchanged. `pose` then has the photo's pose.
+        A photo with a place by the camera's own GPS, near the drone, is returned unchanged. `pose` then has the
+        photo's pose.
         """
         return self._thread.call(self._take_photo())
 
@@ -132,10 +146,11 @@ class Photographer:
     async def _take_photo(self) -> bytes:
         before = self._moment()
         photo = await self._camera.take_photo(before.position)
-        shot = _at(photo.captured_s, before, self._moment())
+        after = self._moment()
+        shot = _at(photo.captured_s, before, after)
         geometry, earth = self._geometry(photo, shot), shot.earth
         self.pose = PhotoPose(shot.position, earth, shot.told.attitude, shot.told.heading_deg, geometry)
-        jpeg = photo.jpeg if earth is None else with_place(photo.jpeg, _place(shot, geometry))
+        jpeg = self._placed(photo, shot, geometry, distance_m(before.position, after.position))
         self._journal.record(
             schema.PhotoTaken(
                 source=await self._kept(jpeg, photo.source, earth, geometry),
@@ -151,6 +166,38 @@ class Photographer:
         )
         return jpeg
 
+    def _placed(self, photo: Photo, shot: _Moment, geometry: PhotoGeometry | None, flown_m: float) -> bytes:
+        """The photo with its place: the camera's own, or the drone's where the camera's is none or cannot be true."""
+        if shot.earth is None:
+            return photo.jpeg
+        own = own_place(photo.jpeg)
+        if own is not None:
+            reach_m = _RECEIVERS_M + flown_m + _OWN_PLACE_S * _speed_m_s(shot.told)
+            away_m = _away_m(shot.earth, own)
+            if away_m <= reach_m:
+                return photo.jpeg
+            self._doubt(
+                photo,
+                "own place",
+                f"the camera's own place ({own[0]:.6f}, {own[1]:.6f}) is {away_m:,.0f} m from the drone, which can "
+                f"have flown {reach_m:.0f} m at most: the drone's place is written into it, and into others like it",
+            )
+        placed = with_place(photo.jpeg, _place(shot, geometry))
+        if placed is photo.jpeg and size_of(placed) is not None:  # the bytes of a model have no size
+            self._doubt(
+                photo,
+                "not placed",
+                "the drone's place could not be written into it, as its header is damaged or full: the log has the "
+                "place; have the camera write plain JPEG files",
+            )
+        return placed
+
+    def _doubt(self, photo: Photo, kind: str, why: str) -> None:
+        """Records what is wrong with a place in a photo, once for each kind."""
+        if kind not in self._doubts:
+            self._doubts.add(kind)
+            self._journal.record(schema.PhotoPlaceDoubted(source=photo.source, why=why))
+
     async def _kept(
         self, jpeg: bytes, source: str, earth: EarthPosition | None, geometry: PhotoGeometry | None
     ) -> str:
@@ -158,7 +205,7 @@ class Photographer:
         if self._album is None:
             return source
         photo = KeptPhoto(jpeg, source, earth)
-        if geometry is not None and isinstance(sight := geometry.sight, Sight) and not sight.assumes:
+        if geometry is not None and (sight := _sure_sight(geometry)) is not None:
             errors_m = geometry.accuracy.position_m, geometry.accuracy.altitude_m
             photo = replace(photo, angles_deg=sight.angles_deg, errors_m=errors_m)
         try:
@@ -202,6 +249,12 @@ class Photographer:
             lens = msgspec.structs.replace(lens, tilt_deg=-pitch_deg, turned_deg=yaw_deg)
         nose_deg = told.heading_deg if told.attitude is None else told.attitude.yaw_deg
         return lens, None if nose_deg is None else Attitude(0.0, 0.0, nose_deg)
+
+
+def _sure_sight(geometry: PhotoGeometry) -> Sight | None:
+    """The photo's geometry if nothing of it is assumed."""
+    sight = geometry.sight
+    return sight if isinstance(sight, Sight) and not sight.assumes else None
 
 
 async def _wait_until(time_s: float) -> float:
@@ -266,17 +319,30 @@ def _rounded(attitude: Attitude) -> Attitude:
     return Attitude(round(attitude.roll_deg, 2), round(attitude.pitch_deg, 2), round(attitude.yaw_deg, 2))
 
 
+def _speed_m_s(told: Telemetry) -> float:
+    return _QUICK_M_S if told.velocity is None else told.velocity.speed_m_s
+
+
+def _away_m(earth: EarthPosition, place: tuple[float, float]) -> float:
+    """The distance over the ground from the drone to a place in degrees."""
+    frame = LocalFrame(GeoPosition(earth.latitude_deg, earth.longitude_deg))
+    return ground_distance_m(Position(0.0, 0.0), frame.position(GeoPosition(*place)))
+
+
 def _place(shot: _Moment, geometry: PhotoGeometry | None) -> PhotoPlace:
+    """The drone's place, and the direction of up in the photo, or else of the nose."""
     earth = shot.earth
     assert earth is not None  # noqa: S101
-    focal_35mm = None
+    heading_deg, focal_35mm = shot.told.heading_deg, None
     if geometry is not None:
+        if (sight := _sure_sight(geometry)) is not None:
+            heading_deg = sight.angles_deg[0]
         focal_35mm = _FILM_MM * geometry.lens.focal_in(geometry.size_px) / geometry.size_px[0]
     return PhotoPlace(
         earth.latitude_deg,
         earth.longitude_deg,
         earth.above_sea_m,
-        shot.told.heading_deg,
+        heading_deg,
         earth.unix_s,
         focal_35mm,
     )

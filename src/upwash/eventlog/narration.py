@@ -246,6 +246,7 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
         schema.BorderWatchFailed: "border watch failed: {event.why}",
         schema.CoverageNotKept: "coverage not kept: {event.why}",
         schema.DemandsNotKept: "map of demands not kept: {event.why}",
+        schema.PhotoPlaceDoubted: "photo {event.source}: {event.why}",
         schema.PhotosNotKept: "photos not kept: {event.why}",
         schema.OffloadingFailed: "offloading failed: {event.why}",
         schema.WaitingForTheTime: "waiting for the vehicle's GPS to tell the time: {event.why}",

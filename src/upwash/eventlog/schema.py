@@ -338,6 +338,13 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     truth: _Few[Branch] | None = None
 
 
+class PhotoPlaceDoubted(Event, frozen=True, kw_only=True):
+    """The camera's own place cannot be true, or the drone's could not be written; further ones are not logged."""
+
+    source: Text
+    why: Text
+
+
 class PhotosNotKept(Event, frozen=True, kw_only=True):
     """A photo could not be kept in `camera.keep`; the flight goes on, and further failures are not logged."""
 

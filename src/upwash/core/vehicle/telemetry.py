@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Literal, TypeAlias
 
 from upwash.core.geo import Position, Velocity
 
 FixKind: TypeAlias = Literal["none", "2d", "3d", "dgps", "rtk-float", "rtk-fixed"]
+
+# A receiver without a time says 1970, or 1980, where GPS begins; one that has lost count of its weeks 2006 or 2080.
+_EARLIEST_UNIX_S, _LATEST_UNIX_S = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2025, 2060))
+
+
+def gps_time(unix_s: float) -> float | None:
+    """The time that a receiver says, in seconds since 1970; None where it does not know the time."""
+    return unix_s if _EARLIEST_UNIX_S <= unix_s < _LATEST_UNIX_S else None
 
 
 @dataclass(frozen=True, slots=True)

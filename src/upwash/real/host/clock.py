@@ -12,6 +12,7 @@ import sys
 import time
 from datetime import UTC, datetime
 
+from upwash.core.vehicle.telemetry import gps_time
 from upwash.errors import CredentialsError
 from upwash.eventlog import schema
 from upwash.ports import Journal
@@ -19,8 +20,6 @@ from upwash.real.trust.credentials import Credentials, at_second
 from upwash.support.text import command
 
 _WRONG_S = 60.0  # TLS compares seconds, but certificates last years; a GPS without leap seconds is 18 s off
-_EARLIEST_UNIX_S = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # before: a receiver that lost count of weeks
-_LATEST_UNIX_S = datetime(2100, 1, 1, tzinfo=UTC).timestamp()  # after: a broken message
 _STA_UNSYNC = 0x40  # of adjtimex(2): nothing keeps the clock in time
 _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 47, 4  # of prctl(2)
 
@@ -53,7 +52,7 @@ def agree_on_time(
     A clock that NTP or another program keeps, or that this process may not set, stays as it is. The clock is never
     set to a time outside the certificates' validity, so that a forged time cannot make other certificates valid.
     """
-    if gps_unix_s is None or not _EARLIEST_UNIX_S <= gps_unix_s <= _LATEST_UNIX_S:
+    if gps_unix_s is None or gps_time(gps_unix_s) is None:
         remedy = _remedy()
         why = f"; the vehicle's GPS does not tell the time yet: wait for its fix and start again, or {remedy}"
     else:

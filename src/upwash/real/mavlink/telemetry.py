@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Velocity
-from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix
+from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, gps_time
 from upwash.eventlog.schema import SEVERITIES, VehicleSaid
 from upwash.mavlink.packets import Message
 from upwash.mavlink.version import Version
@@ -178,7 +178,7 @@ class VehicleTelemetry:
             case "FENCE_STATUS":
                 self.fence_breached = bool(message.breach_status)
             case "SYSTEM_TIME":
-                self.unix_s = message.time_unix_usec / 1e6 or None  # 0: not known
+                self.unix_s = gps_time(message.time_unix_usec / 1e6)
             case "WIND":  # from where it blows, in degrees
                 towards = math.radians(message.direction + 180)
                 self.wind = Velocity(message.speed * math.sin(towards), message.speed * math.cos(towards))
