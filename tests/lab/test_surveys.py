@@ -224,6 +224,39 @@ def test_a_turn_outside_the_geofence_is_refused(tmp_path: Path) -> None:
         simulate(written(tmp_path, transects(), fence=fence))
 
 
+TIMED = [0, 20, 40, 60, 80]  # metres from the first waypoint, at 4 m/s
+
+
+@pytest.mark.parametrize(
+    ("before", "between", "norths_m"),
+    [
+        ([item(214, 5000)], [], TIMED),
+        ([item(214, 5000), item(214, 0)], [], TIMED),
+        ([item(2000, 0, 5, 0), item(2000, 0, 0, 0)], [], TIMED),
+        ([item(2000, 0, 5, -1)], [], TIMED),
+        ([item(2000, 0, 5, 2)], [], [0, 20]),
+        ([item(2000, 0, 0, 0)], [], [0]),
+        ([item(260, 30)], [], [30, 60, 90]),
+        ([item(206, 20)], [item(2001)], [20, 40, 60, 80]),
+        ([item(206, 30)], [item(2000, 0, 5, 0)], [30, 60, 80]),
+        ([item(2000, 0, 5, 0)], [item(206, 0)], TIMED),
+        ([item(2000, 0, 5, 0), item(206, 10)], [item(2001)], [0, 20, 40, 60, 70, 80, 90]),
+        ([item(206, 20)], [item(206, -1)], [20, 40, 60]),
+        ([item(206, 20)], [item(2003, 0)], [20, 40, 60]),
+        ([item(206, 20), item(2003, 0)], [item(2003, 1)], [80]),
+        ([item(214, 5000), item(2003, 1, 0, 1)], [item(2003, 1)], [0, 60, 80]),
+        ([item(206, 0, 0, 1)], [item(203), item(203, 0, 0, 0, 0, 1)], [0, 60]),
+    ],
+)
+def test_commands_take_the_photos_that_autopilots_take(
+    tmp_path: Path, before: list[Item], between: list[Item], norths_m: list[float]
+) -> None:
+    """Three waypoints in a row, 60 m and 35 m apart."""
+    file = written(tmp_path, [at(0, 10), *before, at(0, 70), *between, at(0, 105)], photo_s=0.2)
+    spots = waypoints(read_drone_config(file).mission)
+    assert [spot.position.north_m - 10 for spot in spots] == pytest.approx(norths_m, abs=0.05)
+
+
 ROW = [at(0, 10), begin(), at(0, 100), END]
 
 
@@ -234,16 +267,44 @@ ROW = [at(0, 10), begin(), at(0, 100), END]
         (
             [at(0, 10), begin(math.nan), at(0, 100)],
             {},
-            "item 3: takes a photo each nan m: expected a distance",
+            r"item 3: MAV_CMD_DO_SET_CAM_TRIGG_DIST \(206\) names no distance: expected a distance above 0",
         ),
-        ([at(0, 10), begin(-5.0), at(0, 100)], {}, "item 3: takes a photo each -5 m"),
+        (
+            [at(0, 10), begin(-5.0), at(0, 100)],
+            {},
+            r"item 3: MAV_CMD_DO_SET_CAM_TRIGG_DIST \(206\) takes a photo each -5 m",
+        ),
         ([at(0, 10), item(206, 1e9, 0, 0), at(0, 100)], {}, "no leg is as long as its trigger's distance"),
-        ([at(0, 10), item(2000, 0, 0, 0), at(0, 100)], {}, "item 3: takes a photo each 0 s: expected a time"),
+        (
+            [at(0, 10), item(2000, 0, 0, 7), at(0, 100)],
+            {},
+            r"item 3: MAV_CMD_IMAGE_START_CAPTURE \(2000\) takes a photo each 0 s, and a photo takes camera.photo_s",
+        ),
+        (
+            [at(0, 10), item(214, 2), at(0, 100)],
+            {},
+            r"item 3: MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL \(214\) takes a photo each 0.002 s, .*INTERVAL in mil",
+        ),
+        (
+            [at(0, 10), item(260, 20, 0, 0, 3, 30), at(0, 100)],
+            {},
+            r"item 3: MAV_CMD_OBLIQUE_SURVEY \(260\) swings the camera .*TRIGG_DIST, 206",
+        ),
+        (
+            [at(0, 10), item(2003, 1), at(0, 100)],
+            {},
+            r"item 3: MAV_CMD_DO_TRIGGER_CONTROL \(2003\) names no distance: .*or set photos.every_m",
+        ),
+        (
+            [at(0, 10), item(203), item(2500), item(206, 0), at(0, 100)],
+            {},
+            r"triggers no camera \(item 3: .*\(203\): left out: it takes no photo, .* is 0, not 1; item 4: .*2500",
+        ),
         ([at(0, 10), at(0, 100)], {}, "triggers no camera: plan a survey with a camera, or leave photos out"),
         (
             ROW,
             {"photo_s": 6.0},
-            "item 3: a photo takes camera.photo_s = 6 s, so that one every 20 m allows at",
+            r"item 3: MAV_CMD_DO_SET_CAM_TRIGG_DIST \(206\) is too dense: a photo takes camera.photo_s = 6 s, so",
         ),
         (ROW, {"mission": "photos = {}\norder = 3"}, "rows are flown in the order of the file"),
     ],

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import ConfigError
 from upwash.plans import read_plan
@@ -27,6 +28,23 @@ def packed(*names: str) -> bytes:
 
 
 KML = '<?xml version="1.0"?>\n<!-- drawn by hand -->\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document/></kml>'
+WPML = """<?xml version="1.0" encoding="UTF-8"?>
+<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:wpml="http://www.dji.com/wpmz/1.0.2"><Document>
+<wpml:missionConfig/><Folder><Placemark/></Folder></Document></kml>"""
+OLD = {"firmwareType": 3, "groundStation": "QGroundControl", "items": [], "plannedHomePosition": [0, 0, 0]}
+
+
+def telemetry(*, time_bytes: int, version: int) -> bytes:
+    """Heartbeats as a ground station logs them, each after the time."""
+    codec = mavlink.MAVLink(None, 1, 1)
+    content = b""
+    for number in range(3):
+        heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 4, 4, 3)
+        packet = heartbeat.pack(codec, force_mavlink1=version == 1)
+        content += (1_790_000_000_000_000 + number).to_bytes(time_bytes) + packet if time_bytes else packet
+    return content
+
+
 FILES = [
     # the content, and what it is
     (json.dumps({"type": "FeatureCollection", "features": []}), "GeoJSON"),
@@ -35,6 +53,8 @@ FILES = [
         json.dumps({"MAV_AUTOPILOT": 3, "items": [], "version": 1}),
         "a mission of an old QGroundControl (.mission)",
     ),
+    (json.dumps(OLD), "a mission of an old QGroundControl (.mission)"),
+    (json.dumps({"mission": {"name": "", "routes": []}}), "a mission of UgCS"),
     (json.dumps({"fileType": "GeoFence", "version": 2}), "QGroundControl's GeoFence"),
     (json.dumps([1, 2]), "JSON without a plan in it"),
     (KML, "KML"),
@@ -44,6 +64,27 @@ FILES = [
     ("<?xml version='1.0'?><ugcs-Transfer/>", "XML"),
     (packed("doc.kml"), "KMZ"),
     (packed("wpmz/template.kml", "wpmz/waylines.wpml"), "a flight of DJI Pilot"),
+    (WPML, "a flight of DJI Pilot (WPML)"),
+    (WPML.encode("utf-16"), "a flight of DJI Pilot (WPML)"),
+    (telemetry(time_bytes=8, version=1), "a telemetry log (tlog)"),
+    (telemetry(time_bytes=8, version=2), "a telemetry log (tlog)"),
+    (telemetry(time_bytes=0, version=2), "a telemetry log (tlog)"),
+    (telemetry(time_bytes=8, version=2) + bytes(10_000_000), "a telemetry log (tlog)"),
+    ("FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n", "a flight log of ArduPilot"),
+    (bytes(16) + b"BUILD 2015-12-25", "a flight log of DJI"),
+    (b"#ROSBAG V2.0\n", "a recording of ROS (bag)"),
+    (b"\x89MCAP0\r\n", "a recording (MCAP)"),
+    (b"SQLite format 3\0", "a database (SQLite)"),
+    (b"\x1f\x8b\x08\0", "a packed file"),
+    (b"\x1bg\x10\0", "parameters of an ArduPilot"),
+    ("# Vehicle-Id Component-Id Name Value Type\n1\t1\tACRO_BAL_PITCH\t1.0\t9\n", "parameters of a vehicle"),
+    ("ACRO_BAL_PITCH,1\n", "parameters of a vehicle"),
+    ('<flight-plan xmlns="http://www8.garmin.com/xmlschemas/FlightPlan/v1"/>', "a flight plan of Garmin"),
+    ('<?xml version="1.0"?><mission><missionitem no="1"/></mission>', "a mission of INAV or MultiWii"),
+    ("lat;lng;alt\n1;2;3\n", "a table of places (CSV)"),
+    ("version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "a pointer of Git LFS"),
+    ('[mission]\nplan = "field.plan"\n', "TOML"),
+    (b"\xef\xbb\xbf", "empty"),
     (packed("field.shp", "field.dbf"), "a packed shapefile"),
     (packed("field.plan"), "an archive (ZIP)"),
     (packed("doc.kml")[:40], "a damaged archive"),
@@ -60,7 +101,9 @@ FILES = [
 ]
 
 
-@pytest.mark.parametrize(("content", "what"), FILES, ids=[what for _, what in FILES])
+@pytest.mark.parametrize(
+    ("content", "what"), FILES, ids=[f"{number}-{what}" for number, (_, what) in enumerate(FILES)]
+)
 def test_a_file_of_another_kind_is_told_what_it_is(tmp_path: Path, content: str | bytes, what: str) -> None:
     file = tmp_path / "field.plan"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())

@@ -59,16 +59,30 @@ def told(plan: FlightPlan) -> list[str]:
 # --- left out, and told -------------------------------------------------------------------------------------
 
 PHOTOS = "left out: the mission takes its photos itself"
+FILM = "left out: it films, and the mission takes photos"
+SHOOT = row(203, place=(1, 0))  # parameter 5
 AIM = "left out: the flight points no camera"
 LEFT_OUT = [
     # the item, and what is told of it
-    (row(203, 0, 0, 0, 0), f"MAV_CMD_DO_DIGICAM_CONTROL (203): {PHOTOS}"),
+    (SHOOT, f"MAV_CMD_DO_DIGICAM_CONTROL (203): {PHOTOS}"),
+    (
+        row(203),
+        "MAV_CMD_DO_DIGICAM_CONTROL (203): left out: it takes no photo, as its parameter 5 (shoot) is 0, not 1",
+    ),
+    (row(214, 2000), f"MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL (214): {PHOTOS}"),
+    (
+        row(214),
+        "MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL (214): left out: a time of 0 ms (parameter 1) changes nothing",
+    ),
+    (row(260, 12.5), f"MAV_CMD_OBLIQUE_SURVEY (260): {PHOTOS}"),
+    (row(2003, 1), f"MAV_CMD_DO_TRIGGER_CONTROL (2003): {PHOTOS}"),
+    (row(2003, -1, 1, -1), "MAV_CMD_DO_TRIGGER_CONTROL (2003): left out: it neither starts nor ends photos"),
     (row(206, 12.5), f"MAV_CMD_DO_SET_CAM_TRIGG_DIST (206): {PHOTOS}"),
     (row(530, 0, 2), f"MAV_CMD_SET_CAMERA_MODE (530): {PHOTOS}"),
     (row(2000, 0, 2), f"MAV_CMD_IMAGE_START_CAPTURE (2000): {PHOTOS}"),
     (row(2001), f"MAV_CMD_IMAGE_STOP_CAPTURE (2001): {PHOTOS}"),
-    (row(2500), f"MAV_CMD_VIDEO_START_CAPTURE (2500): {PHOTOS}"),
-    (row(2501), f"MAV_CMD_VIDEO_STOP_CAPTURE (2501): {PHOTOS}"),
+    (row(2500), f"MAV_CMD_VIDEO_START_CAPTURE (2500): {FILM}"),
+    (row(2501), f"MAV_CMD_VIDEO_STOP_CAPTURE (2501): {FILM}"),
     (row(195, place=NORTH), f"MAV_CMD_DO_SET_ROI_LOCATION (195): {AIM}"),
     (row(197), f"MAV_CMD_DO_SET_ROI_NONE (197): {AIM}"),
     (row(201, 3, place=NORTH), f"MAV_CMD_DO_SET_ROI (201): {AIM}"),
@@ -93,10 +107,9 @@ def test_what_no_flight_needs_is_left_out_and_told(tmp_path: Path, item: str, wh
 
 
 def test_what_is_said_of_several_items_is_said_once(tmp_path: Path) -> None:
-    shoot = row(203)
-    (notice,) = told(read(tmp_path, HOME, TAKEOFF, FIRST, shoot, shoot, SECOND, shoot))
+    (notice,) = told(read(tmp_path, HOME, TAKEOFF, FIRST, SHOOT, SHOOT, SECOND, SHOOT))
     assert notice.startswith("items 3-4, 6: MAV_CMD_DO_DIGICAM_CONTROL")
-    (notice,) = told(read(tmp_path, HOME, TAKEOFF, *[FIRST, shoot] * 10))
+    (notice,) = told(read(tmp_path, HOME, TAKEOFF, *[FIRST, SHOOT] * 10))
     assert notice.startswith("items 3 to 21 (10 of them): MAV_CMD_DO_DIGICAM_CONTROL")
 
 
@@ -219,6 +232,43 @@ def test_a_return_goes_home_whatever_its_place(tmp_path: Path) -> None:
     plan = read(tmp_path, HOME, TAKEOFF, FIRST, row(20, place=NORTH, altitude_m=30))
     assert (plan.ending, len(plan.waypoints)) == ("return", 1)
     assert "a return goes to the vehicle's home" in told(plan)[0]
+
+
+@pytest.mark.parametrize("end", [RETURN, row(21)])
+def test_a_speed_before_the_end_changes_nothing(tmp_path: Path, end: str) -> None:
+    plan = read(tmp_path, HOME, TAKEOFF, FIRST, row(178, 1, 3), end)
+    assert [waypoint.ground_speed_m_s for waypoint in plan.waypoints] == [None]
+    assert told(plan) == [
+        "item 3: MAV_CMD_DO_CHANGE_SPEED (178): left out: no waypoint comes after it, and the end has its own speed"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "flown_m_s", "what"),
+    [
+        (-1, 5, "left out: a speed of -1 changes nothing"),
+        (-2, None, "a speed of -2 is flown as the speed of the mission"),
+    ],
+)
+def test_a_speed_may_be_no_change_or_the_default(
+    tmp_path: Path, speed_m_s: float, flown_m_s: float | None, what: str
+) -> None:
+    plan = read(tmp_path, HOME, TAKEOFF, row(178, 1, 5), FIRST, row(178, 1, speed_m_s), SECOND, RETURN)
+    assert [waypoint.ground_speed_m_s for waypoint in plan.waypoints] == [5, flown_m_s]
+    assert told(plan) == [f"item 4: MAV_CMD_DO_CHANGE_SPEED (178): {what}"]
+    assert read(tmp_path, HOME, TAKEOFF, FIRST, row(178, 1, speed_m_s), RETURN).ending == "return"
+
+
+@pytest.mark.parametrize("throttle", [0, -1, -2, 60])
+def test_a_throttle_is_left_out(tmp_path: Path, throttle: float) -> None:
+    plan = read(tmp_path, HOME, TAKEOFF, row(178, 1, 5, throttle), FIRST)
+    assert plan.waypoints[0].ground_speed_m_s == 5
+    assert len(told(plan)) == (throttle == 60)
+
+
+def test_a_speed_of_nothing_is_refused(tmp_path: Path) -> None:
+    for speed_m_s in (0, -3, 101):
+        assert "expected a speed above 0" in refusal(tmp_path, HOME, TAKEOFF, row(178, 1, speed_m_s), FIRST)
 
 
 def test_an_airspeed_is_a_ground_speed(tmp_path: Path) -> None:

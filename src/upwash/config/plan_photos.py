@@ -122,20 +122,17 @@ def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
         return
     file, plan, step_m = mission.plan.file, mission.plan.plan, mission.photos.step_m(mission.ground_speed_m_s)
     triggers = [trigger for waypoint in plan.waypoints for trigger in waypoint.triggers]
-    for trigger in triggers if step_m is None else ():
-        what = f"{file}: item {trigger.item}: takes a photo each"
-        if trigger.every_m is not None and not 0 < trigger.every_m < math.inf:
-            yield key, f"{what} {trigger.every_m:g} m: expected a distance above 0"
-            return
-        if trigger.every_s is not None and not 0 < trigger.every_s < math.inf:
-            yield key, f"{what} {trigger.every_s:g} s: expected a time above 0"
+    for trigger in triggers:
+        problem = trigger.problem or (_pace_problem(trigger, config.camera.photo_s) if step_m is None else "")
+        if problem:
+            yield key, f"{file}: item {trigger.item}: {trigger.command} {problem}"
             return
     course = _Course(mission, plan)
     if not any(trigger.now for trigger in triggers) and not course.legs:
         yield (
             key,
-            f"{file} triggers no camera: plan a survey with a camera, or leave photos out, and the drone stops at "
-            "each waypoint for a photo",
+            f"{file} triggers no camera{_commands_without_photos(plan)}: plan a survey with a camera, or leave "
+            "photos out, and the drone stops at each waypoint for a photo",
         )
         return
     if (count := course.least_photos()) > MOST_SPOTS:
@@ -147,13 +144,35 @@ def photo_plan_problems(config: DroneConfig) -> Iterator[Problem]:
         if photo_s * speed_m_s > leg.step_m * (1 + 1e-9):
             yield (
                 key,
-                f"{file}: item {leg.trigger.item}: a photo takes camera.photo_s = {photo_s:g} s, so that one every "
+                f"{file}: item {leg.trigger.item}: {leg.trigger.command} is too dense: a photo takes "
+                f"camera.photo_s = {photo_s:g} s, so that one every "
                 f"{leg.step_m:g} m allows at most {leg.step_m / photo_s:.3g} m/s, and the plan has {speed_m_s:g} "
                 "m/s there: fly slower, or set photos.every_m larger",
             )
             return
     if not course.photos().waypoints:
         yield key, f"{file}: no leg is as long as its trigger's distance: set photos.every_m smaller"
+
+
+def _pace_problem(trigger: PhotoTrigger, photo_s: float) -> str:
+    """What is wrong with a trigger's distance or time, as a continuation of its command; "" for nothing."""
+    every_m, every_s = trigger.every_m, trigger.every_s
+    if every_m is not None and not 0 < every_m < math.inf:
+        says = "names no distance" if math.isnan(every_m) else f"takes a photo each {every_m:g} m"
+        return f"{says}: expected a distance above 0 (DO_SET_CAM_TRIGG_DIST, 206), or set photos.every_m"
+    if every_s is not None and not max(0.0, photo_s) <= every_s < math.inf:
+        return (
+            f"takes a photo each {every_s:g} s, and a photo takes camera.photo_s = {photo_s:g} s: plan a longer "
+            "time (IMAGE_START_CAPTURE counts in seconds, DO_SET_CAM_TRIGG_INTERVAL in milliseconds), or set "
+            "photos.every_m"
+        )
+    return ""
+
+
+def _commands_without_photos(plan: FlightPlan) -> str:
+    """The plan's commands to cameras that take no photo, in brackets."""
+    found = "; ".join(map(str, (notice for notice in plan.notices if notice.of_camera)))
+    return f" ({found})" if found else ""
 
 
 class _Course:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from upwash.errors import ConfigError
-from upwash.plans.foreign import WANTED, kind_of_bytes, kind_of_text
+from upwash.plans.foreign import BEGINNING, WANTED, kind_of_beginning, kind_of_bytes, kind_of_text
 from upwash.plans.items import PlanRefusal
 from upwash.plans.plan import (
     Ending,
@@ -46,9 +46,30 @@ _MOST_BYTES = 10_000_000
 def read_plan(file: Path) -> FlightPlan:
     """The plan in the file; raises ConfigError with the number of the item that is not understood."""
     try:
-        return _parsed(read_named_file(file, most_bytes=_MOST_BYTES))
+        return _parsed(_content(file))
     except PlanRefusal as refusal:
         raise ConfigError(str(file), refusal.where, refusal.problem) from None
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return read_named_file(file, most_bytes=_MOST_BYTES)
+    except ConfigError:
+        if kind := _kind_of_large(file):
+            raise PlanRefusal("", f"no plan, it is {kind}; {WANTED}") from None
+        raise
+
+
+def _kind_of_large(file: Path) -> str:
+    """What a file is that is too large for a plan, as logs are; "" for what is not known."""
+    try:
+        if not file.is_file():
+            return ""
+        with file.open("rb") as opened:
+            beginning = opened.read(BEGINNING)
+    except (OSError, ValueError):
+        return ""
+    return kind_of_beginning(beginning) or kind_of_text(beginning.decode("latin-1"))
 
 
 def _parsed(content: bytes) -> FlightPlan:
@@ -60,9 +81,9 @@ def _parsed(content: bytes) -> FlightPlan:
         raise PlanRefusal("", f"not UTF-8 text (byte {error.start}); {WANTED}") from None
     if text.startswith(HEADER):
         return parse_waypoint_list(text)
-    if text.lstrip().startswith(("{", "[")):
+    kind = kind_of_text(text)
+    if not kind and text.lstrip().startswith(("{", "[")):
         from upwash.plans.qgroundcontrol import parse_plan  # its parser is only needed here
 
         return parse_plan(text)
-    kind = kind_of_text(text)
     raise PlanRefusal("", f"no plan{f', it is {kind}' if kind else ''}; {WANTED}")

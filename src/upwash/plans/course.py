@@ -14,14 +14,11 @@ from upwash.plans.items import (
     ABOVE_HOME,
     ABOVE_SEA_LEVEL,
     ABOVE_TERRAIN,
-    CAM_TRIGG_DIST,
-    DIGICAM_CONTROL,
     FASTEST_M_S,
     FENCE_ENABLE,
     HIGHEST_M,
-    IMAGE_START_CAPTURE,
-    IMAGE_STOP_CAPTURE,
     LEFT_OUT,
+    OF_CAMERA,
     SET_HOME,
     TRIGGERED,
     Command,
@@ -41,13 +38,14 @@ from upwash.plans.plan import (
     PlannedWaypoint,
     PlanNotices,
 )
+from upwash.plans.triggers import TriggerCommands
 
 _SAME_PLACE_M = 1.0
 _ASSUMED_LOWEST_M = 20.0  # above home, of what counts from the sea where home's altitude is unknown
 _FARTHEST_TAKEOFF_M = 10_000.0
 _LONGEST_HOLD_S = 3600.0
 _AIRSPEED, _GROUND_SPEED, _CLIMB_SPEED, _DESCENT_SPEED = range(4)
-_NO_CHANGE = -1
+_NO_CHANGE, _DEFAULT = -1, -2
 _OVER_A_PLACE = (Command.WAYPOINT, Command.SPLINE_WAYPOINT, Command.LOITER_TIME, Command.LOITER_TO_ALT)
 _CLIMBING = (*_OVER_A_PLACE, Command.TAKEOFF, Command.CONDITION_GATE)
 _OF_A_WAYPOINT = (
@@ -156,6 +154,7 @@ class PlannedCourse:
         self._notices = notices
         self._ground_speed_m_s: float | None = None
         self._unused_speed: Item | None = None
+        self._trigger_commands = TriggerCommands()
         self._first_triggers: tuple[PhotoTrigger, ...] = ()  # before the first waypoint
 
     def take(self, item: Item) -> None:
@@ -192,7 +191,9 @@ class PlannedCourse:
         if not self.waypoints:
             raise PlanRefusal("", "no waypoint in it: add at least one")
         if self._unused_speed is not None:
-            self._unused_speed.refuse("has no waypoint after it, and a return has its own speed: remove it")
+            self._tell(
+                self._unused_speed, "left out: no waypoint comes after it, and the end has its own speed"
+            )
         if self.above_sea_level is not None and (self._home is None or self._home.altitude_m is None):
             lowest_m = min(waypoint.place.altitude_m for waypoint in self.waypoints)
             self._notices.add(
@@ -203,7 +204,7 @@ class PlannedCourse:
             )
 
     def _tell(self, item: Item, what: str) -> None:
-        self._notices.add(f"{item.name}: {what}", item.number)
+        self._notices.add(f"{item.name}: {what}", item.number, of_camera=item.command in OF_CAMERA)
 
     def _is_left_out(self, item: Item) -> bool:
         """Whether the item is not flown; adds a notice if so."""
@@ -217,10 +218,13 @@ class PlannedCourse:
         return why is not None
 
     def _is_trigger(self, item: Item) -> bool:
-        """Whether the item commands the camera to photograph; takes the command if so."""
-        trigger = _trigger(item)
+        """Whether the item is a trigger of the camera; takes its command if so."""
+        trigger = self._trigger_commands.take(item)
         if trigger is None:
             return False
+        if isinstance(trigger, str):
+            self._tell(item, trigger)
+            return True
         self._notices.add(f"{item.name}: {TRIGGERED}", item.number, only_without_photos=True)
         if not self.waypoints:
             self._first_triggers += (trigger,)
@@ -331,11 +335,20 @@ class PlannedCourse:
             item.refuse(f"changes speed type {kind}: choose the ground speed (type 1)")
         if kind == _AIRSPEED:
             self._tell(item, "an airspeed is flown as a ground speed, as a multicopter does")
+        if item.value(3) not in (None, 0, _NO_CHANGE, _DEFAULT):
+            self._tell(
+                item, f"its throttle of {item.value(3):g} % is left out: a multicopter flies by the speed"
+            )
+        item.require_unset(4, 5, 6, 7)
+        if speed_m_s == _NO_CHANGE:
+            self._tell(item, "left out: a speed of -1 changes nothing")
+            return
+        if speed_m_s == _DEFAULT:
+            self._tell(item, "a speed of -2 is flown as the speed of the mission")
+            self._ground_speed_m_s = None
+            return
         if not 0 < speed_m_s <= FASTEST_M_S:
             item.refuse(f"sets {speed_m_s:g} m/s: expected a speed above 0 and up to {FASTEST_M_S:g} m/s")
-        if item.value(3) != _NO_CHANGE:
-            item.require_unset(throttle=3)
-        item.require_unset(4, 5, 6, 7)
         self._ground_speed_m_s = speed_m_s
         self._unused_speed = item
 
@@ -407,22 +420,3 @@ class PlannedCourse:
                 f"has frame {item.frame}, which is not understood: give its altitude above home or sea level"
             )
         return Height(altitude_m)
-
-
-def _trigger(item: Item) -> PhotoTrigger | None:
-    """What the item commands the camera to photograph; None where it does not."""
-    photo = PhotoTrigger(item.number, now=True, leaves_on=True)
-    if item.command == DIGICAM_CONTROL:
-        only_moves_the_lens = any(item.value(index) for index in (2, 3, 4)) and not item.value(5)
-        return None if only_moves_the_lens else photo
-    if item.command == CAM_TRIGG_DIST:
-        every_m = item.parameters[0]
-        every_m = math.nan if every_m is None else every_m
-        return PhotoTrigger(item.number, every_m=every_m or None, now=item.value(3) == 1)
-    if item.command == IMAGE_START_CAPTURE:
-        every_s, most = item.value(2) or 0.0, item.value(3) or 0.0
-        if most == 1:
-            return photo
-        count = int(most) if math.isfinite(most) else 0
-        return PhotoTrigger(item.number, every_s=every_s, most=count or None, now=True)
-    return PhotoTrigger(item.number) if item.command == IMAGE_STOP_CAPTURE else None

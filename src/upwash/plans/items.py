@@ -35,21 +35,20 @@ class Command(IntEnum):
     CONDITION_GATE = 4501
 
 
-DIGICAM_CONTROL = 203
-CAM_TRIGG_DIST = 206
-IMAGE_START_CAPTURE = 2000
-IMAGE_STOP_CAPTURE = 2001
 SET_HOME = 179
 FENCE_ENABLE = 207
 
 _PHOTOS = "left out: the mission takes its photos itself"
 TRIGGERED = f"{_PHOTOS}, at each waypoint; with mission.photos = {{}} the plan's triggers take them in flight"
+_FILM = "left out: it films, and the mission takes photos"
 _AIM = "left out: the flight points no camera; a mission does with drone.payload"
 _NOSE = "left out: the vehicle turns its nose as its own settings say"
 _MARK = "left out: it marks a place in the plan, and commands nothing"
 
+OF_CAMERA = frozenset({202, 203, 206, 214, 260, 530, 531, 532, 534, 2000, 2001, 2003, 2500, 2501})
 LEFT_OUT: Mapping[int, str] = {
-    **dict.fromkeys((202, 203, 206, 214, 260, 530, 531, 532, 534, 2000, 2001, 2003, 2500, 2501), _PHOTOS),
+    **dict.fromkeys((202, 530, 531, 532, 534), _PHOTOS),
+    **dict.fromkeys((2500, 2501), _FILM),
     **dict.fromkeys((80, 195, 196, 197, 201, 204, 205, 1000, 1001), _AIM),
     115: _NOSE,
     **dict.fromkeys((189, 600), _MARK),

@@ -17,12 +17,14 @@ _MOST_STRETCHES = 6  # that a person reads
 class PlanNotice:
     """What is done about items, by the numbers that the ground station shows, and why; no items: the whole plan.
 
-    With `only_without_photos` it is so for a mission that does not take the plan's photos.
+    With `only_without_photos` it is so for a mission that does not take the plan's photos. `of_camera`: the items are
+    commands to a camera.
     """
 
     items: tuple[int, ...]
     what: str
     only_without_photos: bool = False
+    of_camera: bool = False
 
     def __str__(self) -> str:
         if not self.items:
@@ -39,11 +41,11 @@ class PlanNotices:
     """Collects notices, in the order of their first items; the same words about several items are one notice."""
 
     def __init__(self) -> None:
-        self._items: dict[tuple[str, bool], list[int]] = {}
+        self._items: dict[tuple[str, bool, bool], list[int]] = {}
 
-    def add(self, what: str, *items: int, only_without_photos: bool = False) -> None:
+    def add(self, what: str, *items: int, only_without_photos: bool = False, of_camera: bool = False) -> None:
         """Add the words about the items."""
-        self._items.setdefault((what, only_without_photos), []).extend(items)
+        self._items.setdefault((what, only_without_photos, of_camera), []).extend(items)
 
     def all(self) -> tuple[PlanNotice, ...]:
         """All notices."""
@@ -56,14 +58,17 @@ class PhotoTrigger:
 
     Photos each `every_m` metres or each `every_s` seconds of flight begin at the waypoint before it, `most` of them
     at most. They end at the waypoint before the next command, unless that `leaves_on`. `now` is a photo at once.
+    `command` is the command's name, and `problem` says why it cannot be flown, as a continuation of the name.
     """
 
     item: int
+    command: str = ""
     every_m: float | None = None
     every_s: float | None = None
     most: int | None = None
     now: bool = False
     leaves_on: bool = False
+    problem: str = ""
 
 
 @dataclass(frozen=True, slots=True)
