@@ -24,6 +24,7 @@ from upwash.support.heat import Surroundings
 VehicleNews: TypeAlias = (
     Control
     | schema.VehicleSaid
+    | schema.AutopilotPhoto
     | schema.ArmingDelayed
     | schema.VehicleSetting
     | schema.LinkLost

@@ -81,6 +81,7 @@ FILES = [
     ("ACRO_BAL_PITCH,1\n", "parameters of a vehicle"),
     ('<flight-plan xmlns="http://www8.garmin.com/xmlschemas/FlightPlan/v1"/>', "a flight plan of Garmin"),
     ('<?xml version="1.0"?><mission><missionitem no="1"/></mission>', "a mission of INAV or MultiWii"),
+    ("-35.36179110,149.16605470,0.000000,0\n", "a table of numbers"),
     ("lat;lng;alt\n1;2;3\n", "a table of places (CSV)"),
     ("version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "a pointer of Git LFS"),
     ('[mission]\nplan = "field.plan"\n', "TOML"),

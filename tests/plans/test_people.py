@@ -285,6 +285,12 @@ def test_a_list_with_items_taken_out_is_flown_in_its_order(tmp_path: Path) -> No
     assert "its numbers leave item 3 out" in told(plan)[0]
 
 
+def test_comments_in_a_list_are_skipped(tmp_path: Path) -> None:
+    file = tmp_path / "comments.waypoints"
+    file.write_text(listed(HOME, TAKEOFF, FIRST).replace("\n1\t", "\n# the take-off\n1\t"))
+    assert [waypoint.item for waypoint in read_plan(file).waypoints] == [2]
+
+
 def test_a_list_of_which_no_item_continues_by_itself_is_flown_on(tmp_path: Path) -> None:
     file = tmp_path / "waits.waypoints"
     file.write_text(

@@ -7,6 +7,8 @@ import itertools
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -395,6 +397,20 @@ def test_each_call_stands_where_it_was_made_though_it_was_answered_elsewhere(goi
         call.position and (call.position.east_m, call.position.north_m) for call in going.calls
     ] == planned
     assert [call.result.waypoint for call in going.calls] == list(range(18))
+
+
+def test_photos_of_a_camera_at_the_autopilot_lie_where_the_autopilot_says(going: Record) -> None:
+    placed = schema.AutopilotPhoto(
+        t=going.began_s + 3.0, camera=1, number=7, position=Position(1.0, 2.0, 20.0), latitude_deg=39.4,
+        longitude_deg=22.9, above_sea_m=120.0, taken=datetime(2026, 3, 1, tzinfo=UTC),
+    )  # fmt: skip
+    record = replace(going, events=[placed, schema.AutopilotPhoto(t=going.began_s, camera=1, number=8)])
+    features = json.loads(write_geojson([record]))["features"]
+    (photo,) = (each for each in features if each["properties"]["kind"] == "autopilot_photo")
+    assert photo["geometry"]["coordinates"] == [22.9, 39.4]
+    facts = {"camera": 1, "photo": 7, "at_s": 3.0, "altitude_m": 20.0, "above_sea_m": 120.0}
+    assert facts.items() <= photo["properties"].items()
+    assert photo["properties"]["time"] == "2026-03-01T00:00:00+00:00"
 
 
 def test_other_tools_are_told_of_turns_and_hidden_time(going: Record) -> None:

@@ -482,5 +482,6 @@ async def test_each_photo_is_told_and_one_while_the_shutter_is_held_is_not_taken
     photos = client.all("CAMERA_FEEDBACK")
     assert [photo.img_idx for photo in photos] == [1, 2]
     assert photos[0].lat == round(HOME.latitude_deg * 1e7)
+    assert photos[0].time_usec == pytest.approx(time.time() * 1e6, abs=1e9)
     assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_ACCEPTED
     assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_FAILED

@@ -27,7 +27,9 @@ SAFE_ENDS = {
 WARNING = 4
 _SHORTEST_S = 0.05  # the shortest time in line that a sentence has
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
-_WITHOUT_SENTENCE = frozenset({schema.PhotoTaken, schema.Decided, schema.CallStarted, schema.FirstAnswer})
+_WITHOUT_SENTENCE = frozenset(
+    {schema.PhotoTaken, schema.AutopilotPhoto, schema.Decided, schema.CallStarted, schema.FirstAnswer}
+)
 _OWNERS = {
     Owner.NOBODY: "nobody",
     Owner.PROGRAM: "the program",

@@ -41,7 +41,9 @@ _URGENT_FIRST = (
 )  # fmt: skip
 _RANKS = {about: rank for rank, about in enumerate(_URGENT_FIRST)}
 # Most events of a long log are of few kinds: each case of a match takes time.
-_NEVER_NOTICED = frozenset({schema.PositionReport, schema.Arrived, schema.PhotoTaken, schema.Decided})
+_NEVER_NOTICED = frozenset(
+    {schema.PositionReport, schema.Arrived, schema.PhotoTaken, schema.AutopilotPhoto, schema.Decided}
+)
 
 
 class Level(StrEnum):

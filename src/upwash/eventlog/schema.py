@@ -338,6 +338,22 @@ class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="phot
     truth: _Few[Branch] | None = None
 
 
+class AutopilotPhoto(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """A photo of a camera at the autopilot, by the autopilot's report: the camera, the photo's number, and its place.
+
+    The photo stays on that camera. The place is that of the vehicle at the shutter; absent if it was unknown.
+    `taken` is the time by the autopilot's GPS, absent without one.
+    """
+
+    camera: Count
+    number: Count
+    position: Position | None = None
+    latitude_deg: Number | None = None
+    longitude_deg: Number | None = None
+    above_sea_m: Number | None = None
+    taken: _Time | None = None
+
+
 class PhotoPlaceDoubted(Event, frozen=True, kw_only=True):
     """The camera's own place cannot be true, or the drone's could not be written; further ones are not logged."""
 

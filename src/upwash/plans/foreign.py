@@ -53,6 +53,7 @@ _PAIR = re.compile(r"\s*-?\d+(\.\d+)?[\s,]+-?\d+(\.\d+)?\s*")
 _BY_FIRST_LINE = (
     (r"RALLY|FENCE", "a list of rally points or of a geofence, not of waypoints"),
     (_PAIR.pattern + "$", "pairs of numbers, as ArduPilot's older geofences have them"),
+    (r"-?\d+(\.\d+)?([\s,;]+-?\d+(\.\d+)?){2,}\s*$", "a table of numbers"),
     (r"FMT, *\d", "a flight log of ArduPilot"),
     (r"(?:\d+\s+\d+\s+)?[A-Z][A-Z\d]*_[A-Z\d_]*[\s,]+-?[\d.]", "parameters of a vehicle"),
     (

@@ -1,4 +1,4 @@
-"""`QGC WPL 110`: one item a line, twelve numbers each; item 0 is home."""
+"""`QGC WPL 110`: one item a line, twelve numbers each; item 0 is home. A line that begins with # is a comment."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ from upwash.plans.plan import FlightPlan, PlanNotices
 HEADER = "QGC WPL"
 _VERSION = "110"
 _COLUMNS = 12
+_COMMENT = "#"
+_SAVED_ANEW = "save the list again with a ground station"
 _OF_A_FENCE = range(5000, 5005)
 _OF_RALLY_POINTS = range(5100, 5101)
 _NO_COMMAND = 0  # as some ground stations write home
@@ -33,7 +35,7 @@ def parse_waypoint_list(text: str) -> FlightPlan:
     header = next(lines)
     if header.split() != [*HEADER.split(), _VERSION]:
         raise PlanRefusal("line 1", f'expected "{HEADER} {_VERSION}", found "{header.strip()[:40]}"')
-    found = ((number, line.split()) for number, line in enumerate(lines, start=2) if line.strip())
+    found = ((number, line.split()) for number, line in enumerate(lines, start=2) if _is_item(line))
     rows = list(itertools.islice(found, MOST_ITEMS + 2))  # home, the items, and one too many
     if len(rows) > MOST_ITEMS + 1:
         raise PlanRefusal("", f"more than {MOST_ITEMS} items: at most {MOST_ITEMS} can be flown, so fly less")
@@ -52,20 +54,28 @@ def parse_waypoint_list(text: str) -> FlightPlan:
     return make_plan(home, others, notices, as_arducopter=True)
 
 
+def _is_item(line: str) -> bool:
+    return bool(line.strip()) and not line.startswith(_COMMENT)
+
+
 def _numbers(rows: list[tuple[int, list[str]]], notices: PlanNotices) -> list[int]:
     """The items' numbers, with a notice of a gap; refuses numbers that do not ascend, as the list may be mixed up."""
     numbers = [_whole(line, fields[0]) for line, fields in rows]
     wrong = next((expected for expected, number in enumerate(numbers) if number != expected), None)
     if wrong is not None:
         if any(after <= before for before, after in itertools.pairwise(numbers)):
-            raise PlanRefusal(f"line {rows[wrong][0]}", f"expected item {wrong}, found item {numbers[wrong]}")
+            raise PlanRefusal(
+                f"line {rows[wrong][0]}",
+                f"expected item {wrong}, found item {numbers[wrong]}: number the lines in the order of the flight, "
+                f"or {_SAVED_ANEW}",
+            )
         notices.add(f"its numbers leave item {wrong} out: the items in the file are flown in their order")
     return numbers
 
 
 def _item(line: int, fields: list[str], number: int, waits: bool) -> Item:
     if len(fields) != _COLUMNS:
-        raise PlanRefusal(f"line {line}", f"expected {_COLUMNS} numbers, found {len(fields)}")
+        raise PlanRefusal(f"line {line}", f"expected {_COLUMNS} numbers, found {len(fields)}: {_SAVED_ANEW}")
     current, frame, command = (_whole(line, field) for field in fields[1:4])
     if current not in (0, 1) or (current == 1 and number > 1):
         raise PlanRefusal(f"item {number}", "is marked as current: a flight begins with the first item")
@@ -103,7 +113,7 @@ def _whole(line: int, field: str) -> int:
     """A whole number, which some programs write with decimals."""
     digits = field.removesuffix("." + "0" * (len(field) - field.find(".") - 1)) if "." in field else field
     if not (digits.isascii() and digits.isdecimal() and len(digits) <= 9):
-        raise PlanRefusal(f"line {line}", f'expected a whole number, found "{field[:40]}"')
+        raise PlanRefusal(f"line {line}", f'expected a whole number, found "{field[:40]}": {_SAVED_ANEW}')
     return int(digits)
 
 
@@ -111,4 +121,4 @@ def _real(line: int, field: str) -> float:
     try:
         return float(field)
     except ValueError:
-        raise PlanRefusal(f"line {line}", f'expected a number, found "{field[:40]}"') from None
+        raise PlanRefusal(f"line {line}", f'expected a number, found "{field[:40]}": {_SAVED_ANEW}') from None

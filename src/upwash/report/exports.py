@@ -119,6 +119,25 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
             facts = as_json(call.result)
             yield _feature(record, "call", "Point", _degrees(frame, call.position), **facts)
     yield from _photos(record, frame)
+    yield from _autopilot_photos(record)
+
+
+def _autopilot_photos(record: Record) -> Iterator[dict[str, Any]]:
+    """Each photo of a camera at the autopilot, by the camera and the number there."""
+    for event in record.events:
+        if not isinstance(event, schema.AutopilotPhoto) or event.longitude_deg is None:
+            continue
+        facts = {
+            "camera": event.camera,
+            "photo": event.number,
+            "at_s": event.t - record.began_s,
+            "altitude_m": event.position and event.position.altitude_m,
+            "above_sea_m": event.above_sea_m,
+            "time": event.taken and event.taken.isoformat(),
+        }
+        place = [event.longitude_deg, event.latitude_deg]
+        known = {key: each for key, each in facts.items() if each is not None}
+        yield _feature(record, "autopilot_photo", "Point", place, **known)
 
 
 def _photos(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:

@@ -34,6 +34,7 @@ _PASSED_OVER = frozenset(
         schema.SetOff,
         schema.Arrived,
         schema.PhotoTaken,
+        schema.AutopilotPhoto,
         schema.CallStarted,
         schema.AnswerTaken,
         schema.Energy,

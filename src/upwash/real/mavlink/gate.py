@@ -56,6 +56,8 @@ RANGES: Ranges = MappingProxyType(
         "SYS_STATUS": {"battery_remaining": _PERCENT},
         "BATTERY_STATUS": {"battery_remaining": _PERCENT},
         "EXTENDED_SYS_STATE": {"landed_state": Range(_UNDEFINED, _LANDING, unknown=_UNDEFINED)},
+        "CAMERA_FEEDBACK": {"lat": LATITUDE_E7, "lng": LONGITUDE_E7, "alt_msl": ABOVE_SEA_M},
+        "CAMERA_IMAGE_CAPTURED": {"lat": LATITUDE_E7, "lon": LONGITUDE_E7, "alt": _ABOVE_SEA_MM},
         "SYSTEM_TIME": {"time_unix_usec": Range(0, _LATEST_UNIX_US, unknown=0)},
     }
 )

@@ -8,12 +8,24 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from upwash.core.admission.limits import Allowance
-from upwash.eventlog.schema import HomeMoved, LinkTrouble, LinkTroubleName, PositionDoubted, VehicleSaid
+from upwash.eventlog.schema import (
+    AutopilotPhoto,
+    HomeMoved,
+    LinkTrouble,
+    LinkTroubleName,
+    PositionDoubted,
+    VehicleSaid,
+)
 from upwash.mavlink.packets import Message
 from upwash.ports import VehicleNews
 
 _KEPT = 1000  # until there is a listener
-_UNBOUNDED = VehicleSaid, HomeMoved, PositionDoubted  # a vehicle, or a forger, may send these without end
+_UNBOUNDED = (
+    VehicleSaid,
+    HomeMoved,
+    PositionDoubted,
+    AutopilotPhoto,
+)  # a vehicle, or a forger, may send these without end
 _UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
 _log = logging.getLogger("upwash.mavlink")
 

@@ -19,6 +19,7 @@ from upwash.errors import AutopilotRefused, UsageError
 from upwash.ports import DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
 from upwash.real.mavlink.settings import FlightSettings
+from upwash.real.mavlink.shutter import ShutterReports
 from upwash.real.mavlink.tracker import PositionTracker
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
@@ -54,6 +55,8 @@ class ReportingAutopilot(ABC):
         self._tracker = PositionTracker(vehicle, frame)
         self._listening = contextlib.ExitStack()
         self._listening.enter_context(vehicle.listening(self._tracker.hear))
+        shutter = ShutterReports(vehicle.news.tell, vehicle.telemetry, frame)
+        self._listening.enter_context(vehicle.listening(shutter.hear))
 
     @property
     def position(self) -> Position:

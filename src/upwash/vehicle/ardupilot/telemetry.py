@@ -143,7 +143,7 @@ class CopterTelemetry(StandInTelemetry[Copter]):
         geo = self.copter.frame.geo(shot.position)
         return made(
             mavlink.MAVLink_camera_feedback_message,
-            time_usec=self._boot_us(shot.taken_s),
+            time_usec=round(self.copter.unix_s(shot.taken_s) * 1e6),  # with a feedback pin since the boot
             img_idx=shot.number,
             lat=degrees_e7(geo.latitude_deg),
             lng=degrees_e7(geo.longitude_deg),
