@@ -108,7 +108,7 @@ class Photographer:
         self._ground = ground
         self._album = album
         self._album_failed = False
-        self._doubts = set[str]()  # the kinds that were told
+        self._doubts = set[str]()  # the kinds that the log has
         self.pose: PhotoPose | None = None  # of the last photo
 
     def take_photo(self) -> bytes:

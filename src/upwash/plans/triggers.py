@@ -87,7 +87,7 @@ class TriggerCommands:
         return self._on(item, now=True)
 
     def _on(self, item: Item, *, now: bool) -> PhotoTrigger:
-        """The photos that the commands up to this one leave on; none where all ended."""
+        """The photos that go on after the item; none where all ended."""
         on = self._by_time or self._by_distance or PhotoTrigger(0)
         return replace(on, item=item.number, command=item.name, now=now)
 

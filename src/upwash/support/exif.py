@@ -2,8 +2,8 @@
 
     SOI [APP0 JFIF] APP1 "Exif" TIFF, APP1 XMP ...
 
-A place that is written replaces the camera's GPS directory, and what the camera's XMP says of the place becomes
-blanks, so that nobody reads two places in one photo.
+A place that is written replaces the camera's GPS directory. What the camera's XMP says of a place becomes blanks, as
+some programs read XMP first.
 """
 
 from __future__ import annotations

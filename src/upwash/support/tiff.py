@@ -46,7 +46,7 @@ class Directory:
         return cls._at(tiff, order, first) if first else cls(tiff, order)
 
     def inner(self, tag: int) -> Directory | None:
-        """The directory that an entry leads to; None without one that can be read."""
+        """The directory that an entry leads to; None where no directory can be read."""
         if tag not in self.entries:
             return None
         (at,) = struct.unpack_from(f"{self.order}I", self.entries[tag], 6)
@@ -72,7 +72,7 @@ class Directory:
         return self._data(tag, ASCII, 1).decode("latin-1").strip(" \0\t")
 
     def numbers(self, tag: int) -> tuple[float, ...]:
-        """The fractions of a value, NaN for one that divides by 0; () without such a value."""
+        """The fractions of a value, NaN for a division by 0; () where the entry is missing."""
         data = self._data(tag, RATIONAL, 8)
         parts = struct.unpack(f"{self.order}{len(data) // 4}I", data)
         pairs = zip(parts[::2], parts[1::2], strict=True)
