@@ -66,7 +66,7 @@ from upwash.services.heads import parse_names
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.sim.radio import read_goodput
-from upwash.support.exif import PhotoPlace, unturned, with_place
+from upwash.support.exif import PhotoPlace, own_place, unturned, with_place, with_pose
 
 ROOT = Path(__file__).parents[2]
 Decode = Callable[[bytes], object]
@@ -523,7 +523,9 @@ def decoders() -> Mapping[str, Decoder]:
             most_bytes=10**9,
         ),
         "a photo's EXIF": Decoder(
-            lambda photo: with_place(unturned(photo), _SHOT),
+            lambda photo: own_place(
+                with_pose(with_place(unturned(photo), _SHOT), (1.0, 2.0, 3.0), (1.0, 1.0))
+            ),
             (),
             (_photo(), with_place(_photo(), _SHOT), _exif_of_a_camera()),
         ),

@@ -11,7 +11,7 @@ from upwash.core.geo import Position, Velocity
 
 FixKind: TypeAlias = Literal["none", "2d", "3d", "dgps", "rtk-float", "rtk-fixed"]
 
-# A receiver without a time says 1970, or 1980, where GPS begins. A receiver that lost count of weeks says 2006 or 2080.
+# A receiver without a time says 1970, or 1980, where GPS begins. A receiver that miscounts weeks says 2006 or 2080.
 _EARLIEST_UNIX_S, _LATEST_UNIX_S = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2025, 2060))
 
 
