@@ -22,6 +22,9 @@ _HEAD = """\
 CODES
 
 Every command has `-h` (`--help`) and `-v` (`--verbose`: also print where in the code an error arose).
+
+Work of more than two seconds reports on standard error what is done and how much is left: on a terminal in one
+line, which changes, elsewhere in a line each 10 s.
 """
 _EVERYWHERE = {"help", "verbose"}
 

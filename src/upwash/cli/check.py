@@ -16,6 +16,7 @@ from upwash.preflight.capacity import show_capacity
 from upwash.preflight.check import read_plan
 from upwash.preflight.display import show_check
 from upwash.preflight.fleet import show_fleet_check
+from upwash.support.progress import work
 
 ARGUMENTS = {
     "config": option("the drone's configuration or a scenario, a TOML file", type=Path),
@@ -78,7 +79,10 @@ def _survey(options: argparse.Namespace) -> bool:
     refuse_several(config, options.config, what="what is looked at")
     console = Console(markup=False)
     if options.networks:
-        return check_networks(config, console)
+        with work("joining each network"):
+            return check_networks(config, console)
     if options.servers:
-        return check_servers(config, console)
-    return check_vehicle(config, console, install_dead_man=options.install_dead_man)
+        with work("calling each server"):
+            return check_servers(config, console)
+    with work("waiting for what the vehicle says"):
+        return check_vehicle(config, console, install_dead_man=options.install_dead_man)

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
@@ -19,6 +18,7 @@ from upwash.lab.campaigns.comparison import ComparedPolicy, compare
 from upwash.lab.campaigns.sweep import read_overrides
 from upwash.lab.figures import FigureFiles
 from upwash.support.confidence import Mean, mean_of
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 
@@ -51,8 +51,7 @@ def run(options: argparse.Namespace) -> None:
         raise UsageError("nothing to compare in: name scenario files, or give --thesis or --worlds 1..100")
     overrides = read_overrides(options.settings)
     figures = figures_of(options)
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("missions", total=None)
+    with work("missions") as progress:
         rows = compare(
             options.scenarios,
             policies=options.policies or None,
@@ -61,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
             worlds=options.worlds,
             workers=options.workers,
             thesis=options.thesis,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=lambda done, total: progress(total=total),
         )
     console = Console(markup=False, highlight=False)
     if options.markdown or not console.is_terminal:

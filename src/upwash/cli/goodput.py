@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from rich.console import Console
-from rich.progress import Progress
-
 from upwash.cli.arguments import count, option, seeds_of
 from upwash.emulation.goodput import Measurement, measure, write_table
 from upwash.emulation.native import WIFI
+from upwash.support.progress import work
 
 ARGUMENTS = {
     "radio": option("the radio's settings", choices=("disc12", "disc54")),
@@ -31,8 +29,7 @@ def run(options: argparse.Namespace) -> None:
         request_bytes=options.request_bytes,
         seeds=options.seeds,
     )
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("distances", total=len(measurement.distances_m))
-        table = measure(measurement, measured=lambda: bar.advance(task))
+    with work("distances", len(measurement.distances_m)) as measured:
+        table = measure(measurement, measured=measured)
     write_table(options.out, measurement, table)
     print(f"written: {options.out}")

@@ -11,6 +11,7 @@ from rich.table import Column, Table
 from upwash.cli.arguments import config_of
 from upwash.config import read_daemon_config
 from upwash.packaging.shipping import list_images
+from upwash.support.progress import work
 from upwash.support.tables import show_table
 
 ARGUMENTS = config_of("daemon")
@@ -18,7 +19,8 @@ ARGUMENTS = config_of("daemon")
 
 def run(options: argparse.Namespace) -> bool:
     """Print a table; false where a configured service could not run."""
-    offers = asyncio.run(list_images(read_daemon_config(options.config)))
+    with work("asking what can run"):
+        offers = asyncio.run(list_images(read_daemon_config(options.config)))
     table = Table("service", Column("program", overflow="fold"), "image", "made with", box=None)
     for offer in offers:
         table.add_row(offer.service, offer.program, offer.image, offer.made_with)

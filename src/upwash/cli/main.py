@@ -27,6 +27,7 @@ from upwash.errors import (
     UsageError,
 )
 from upwash.support.loading import look_here
+from upwash.support.progress import shown
 from upwash.support.standard_streams import forgiving_streams, give_up_output, open_closed_streams
 from upwash.support.text import escaped_lines
 
@@ -57,6 +58,8 @@ _COMMANDS = {
     "emulate": "fly a scenario in real time, by real programs in network namespaces of their own (root)",
     "goodput": "compute a radio's goodput by distance with ns-3 (make native)",
 }
+_SHOW_THEMSELVES = frozenset({"fly", "ros", "serve", "vehicle", "demo", "view", "emulate"})
+_SHOW_THEMSELVES_ON_A_TERMINAL = frozenset({"campaign", "chaos"})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -89,7 +92,8 @@ def _run(arguments: Sequence[str]) -> int:
     look_here()
     complain = functools.partial(_complain, with_trace=options.verbose)
     try:
-        return ExitCode.FAILURE if options.run(options) is False else ExitCode.DONE
+        with contextlib.nullcontext() if _shows_itself(options.command) else shown(options.command):
+            return ExitCode.FAILURE if options.run(options) is False else ExitCode.DONE
     except UsageError as error:
         return complain(error, ExitCode.USAGE)
     except ReserveReached as error:
@@ -116,6 +120,10 @@ def _run(arguments: Sequence[str]) -> int:
         return ExitCode.INTERRUPTED
 
 
+def _shows_itself(command: str) -> bool:
+    return command in _SHOW_THEMSELVES or (command in _SHOW_THEMSELVES_ON_A_TERMINAL and sys.stdout.isatty())
+
+
 def command_line(words: Collection[str] = tuple(_COMMANDS)) -> argparse.ArgumentParser:
     """The parser of the command line; only the commands among `words` have their arguments."""
     parser = argparse.ArgumentParser(
@@ -133,7 +141,7 @@ def command_line(words: Collection[str] = tuple(_COMMANDS)) -> argparse.Argument
 
             add_options(command, module.ARGUMENTS)
             command.epilog = getattr(module, "EPILOG", None)
-            command.set_defaults(run=module.run)
+            command.set_defaults(run=module.run, command=name)
         _add_verbose(command, default=argparse.SUPPRESS)
     return parser
 

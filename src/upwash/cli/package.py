@@ -6,13 +6,12 @@ import argparse
 import asyncio
 from pathlib import Path
 
-from rich.console import Console
-
 from upwash.cli.arguments import announce, option, repeated
 from upwash.config import read_daemon_config
 from upwash.packaging.contents import extra_of
 from upwash.packaging.image import Format, Recipe, package
 from upwash.packaging.shipping import find_service, import_image
+from upwash.support.progress import work
 
 _KIND = "for Docker and Podman, or for LXD and Incus; default: as the configuration's runtime.kind, or lxd"
 _BASE = "the system: the /usr of the machine that runs it (default), or a Debian of the image's own"
@@ -42,9 +41,9 @@ def run(options: argparse.Namespace) -> None:
         base=options.base,
         format=chosen,
     )
-    with Console(stderr=True).status("packaging") as status:
-        file = package(recipe, options.output, report=status.update)
-        if options.imports:
-            status.update("importing")
+    with work("making the image") as done:
+        file = package(recipe, options.output, report=lambda step: done(0, what=step))
+    if options.imports:
+        with work("importing the image"):
             asyncio.run(import_image(file, chosen, daemon))
     announce(str(file))

@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
 
 from upwash.cli.arguments import option
@@ -41,6 +39,7 @@ from upwash.real.camera.video import read_frames
 from upwash.rpc.service import spec_of
 from upwash.services.photo import photo_size
 from upwash.support.output_files import write_file
+from upwash.support.progress import work
 from upwash.support.tables import show_table
 from upwash.support.text import counted, printable
 
@@ -231,12 +230,9 @@ def _settings(service: LoadedService, *, but: str | None = None) -> str:
 def _watched(
     found: Sequence[CallSample], calls: int, profile: Callable[[Watch], Coroutine[Any, Any, T]]
 ) -> T:
-    """Profile with a progress bar."""
-    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("starting", total=calls_to_make(found, calls))
-        return asyncio.run(profile(lambda what: progress.update(bar, advance=1, description=escape(what))))
+    """Profile, and say how far it has come."""
+    with work("calls measured", calls_to_make(found, calls)) as done:
+        return asyncio.run(profile(lambda _: done()))
 
 
 def _print(table: Table | None, text: str, out: Path | None) -> None:

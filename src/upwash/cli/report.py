@@ -17,6 +17,7 @@ from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record, read_records
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
+from upwash.support.progress import work
 from upwash.support.standard_streams import print_bytes
 from upwash.view.file import write_page
 
@@ -70,7 +71,11 @@ def run(options: argparse.Namespace) -> None:
         with extra("bag"):
             from upwash.report.bag import write_bag
     records = read_records(options.logs)
-    written = [(file, write(records)) for file, write in wanted]
+    written = []
+    with work("files made", len(wanted)) as done:
+        for file, write in wanted:
+            written.append((file, write(records)))
+            done()
     for file, content in written:
         if file == _PRINTED:
             print_bytes(content)
@@ -78,7 +83,8 @@ def run(options: argparse.Namespace) -> None:
             write_file(file, content)
             print(f"written: {file}", file=sys.stderr)
     if options.bag:
-        write_bag(records, options.bag, photos=options.photos)
+        with work("writing the bag"):
+            write_bag(records, options.bag, photos=options.photos)
         print(f"written: {options.bag}", file=sys.stderr)
 
 

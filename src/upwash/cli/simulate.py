@@ -33,6 +33,7 @@ from upwash.lab.least_time import Bound
 from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import FleetSimulation, Simulation, simulate, simulate_fleet
 from upwash.support.output_files import write_file
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.software import software
 from upwash.support.tables import show_table
@@ -67,19 +68,21 @@ def run(options: argparse.Namespace) -> None:
 
 def _run_one(options: argparse.Namespace) -> None:
     figures = figures_of(options)
-    simulation = simulate(
-        options.scenario,
-        policy=options.policy,
-        seed=options.seed,
-        keep_coverage=options.keep_coverage,
-        keep_demands=options.keep_demands,
-    )
+    with work("simulating"):
+        simulation = simulate(
+            options.scenario,
+            policy=options.policy,
+            seed=options.seed,
+            keep_coverage=options.keep_coverage,
+            keep_demands=options.keep_demands,
+        )
     if options.json:
         _print_json(_as_object(simulation) | _origin(simulation))
     else:
         _print_simulation(simulation, calls=options.calls)
     if options.log is not None:
-        _write_log(options.log, simulation, options.scenario, of=simulation)
+        with work("writing the log"):
+            _write_log(options.log, simulation, options.scenario, of=simulation)
     if figures is not None:
         _draw(simulation, options.scenario, figures)
     if simulation.failure:
@@ -101,7 +104,8 @@ def _run_fleet(options: argparse.Namespace) -> None:
             "--figures draws one mission, and this scenario has several drones: --log keeps their logs, "
             "and upwash report makes a page of them"
         )
-    fleet = simulate_fleet(options.scenario, policy=options.policy, seed=options.seed)
+    with work("simulating"):
+        fleet = simulate_fleet(options.scenario, policy=options.policy, seed=options.seed)
     if options.json:
         drones = {name: _as_object(simulation) for name, simulation in fleet.drones.items()}
         shown = {name: getattr(fleet, name) for name in _PRINTED_OF_FLEET}

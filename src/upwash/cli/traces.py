@@ -10,6 +10,7 @@ from upwash.errors import UsageError
 from upwash.report.record import read_records
 from upwash.report.traces import settings_of, traces_of
 from upwash.support.output_files import write_file
+from upwash.support.progress import work
 
 ARGUMENTS = {
     "log LOG": "an event log, flown or simulated",
@@ -20,7 +21,8 @@ ARGUMENTS = {
 def run(options: argparse.Namespace) -> None:
     """Write the files, and print the lines of a scenario that name them."""
     (record,) = read_records([options.log])
-    files = traces_of(record)
+    with work("making traces"):
+        files = traces_of(record)
     if not files:
         raise UsageError(
             f"{options.log} has no take-off and no call on a server, so that no trace can be made of it"

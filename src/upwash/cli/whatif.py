@@ -7,13 +7,13 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from upwash.cli.arguments import option, repeated
 from upwash.core.policies.names import POLICIES
 from upwash.eventlog.log import EventLog
 from upwash.lab.whatif import DRAWS, Replays, Tuned, Tuning, WhatIf, order_of, tune, what_if
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted, printable
@@ -34,9 +34,8 @@ def run(options: argparse.Namespace) -> None:
     """Replay them with a progress bar, and print what is predicted."""
     logs = [EventLog(log) for log in options.logs]
     policies = options.policies or list(POLICIES)
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("replays", total=None)
-        replays = Replays(max(3, options.draws), options.workers, lambda: bar.advance(task))
+    with work("replays") as replayed:
+        replays = Replays(max(3, options.draws), options.workers, replayed)
         if options.tune:
             tuning = tune(logs, next(iter(options.policies), None), replays=replays)
         else:

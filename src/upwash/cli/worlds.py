@@ -11,6 +11,7 @@ from upwash.cli.arguments import option, seeds
 from upwash.lab.scenario import as_toml
 from upwash.lab.worlds import draw_world
 from upwash.support.output_files import write_file
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.text import counted
 
@@ -24,7 +25,9 @@ ARGUMENTS = {
 
 def run(options: argparse.Namespace) -> None:
     """Draw them and write a file for each."""
-    for seed in options.seeds:
-        head = f"# World {seed}, drawn by: upwash worlds --seeds {seed}..{seed}\n"
-        write_file(options.out / f"world-{seed}.toml", (head + as_toml(draw_world(seed))).encode())
+    with work("worlds drawn", len(options.seeds)) as done:
+        for seed in options.seeds:
+            head = f"# World {seed}, drawn by: upwash worlds --seeds {seed}..{seed}\n"
+            write_file(options.out / f"world-{seed}.toml", (head + as_toml(draw_world(seed))).encode())
+            done()
     say(f"{counted(len(options.seeds), 'world')} in {options.out}", Console(markup=False))

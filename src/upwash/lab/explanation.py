@@ -19,6 +19,7 @@ from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.scenario import read_scenario
 from upwash.lab.simulation import Simulation, simulate, simulate_fleet
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.text import escaped_lines, printable
 
@@ -66,7 +67,8 @@ def show_explanation(
     events = EventLog(log)
     console = Console(markup=False, highlight=False)
     wanted = wanted or CallChoice()
-    calls = explained_calls(events)
+    with work("reading the log"):
+        calls = explained_calls(events)
     if not calls:
         raise UsageError(f"{log} has no service call to explain")
     wanted.of(calls)  # before other policies are flown for none
@@ -90,7 +92,11 @@ def replay(events: Iterable[Event], scenario: Path, drone: str | None = None) ->
     elif drone is not None:
         raise UsageError(f"--drone {drone}: {scenario} has no [[drone]] tables: leave it out")
     else:
-        runs = {label: simulate(scenario, policy=policy, seed=seed) for label, policy in policies.items()}
+        runs = {}
+        with work("policies flown", len(policies)) as done:
+            for label, policy in policies.items():
+                runs[label] = simulate(scenario, policy=policy, seed=seed)
+                done()
     bound = next((run.bound for run in runs.values() if run.bound), None)  # whatever policy flew
     return Replay(runs, bound.free_s if bound else None, others=len(config.drones) > 1)
 

@@ -42,10 +42,10 @@ from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
 from upwash.lab.observer import Observation, RangeInterval, drone_observer, observe_ranges
-from upwash.missions.bundled import load_mission, load_services, load_specs
+from upwash.missions.bundled import is_bundled, load_mission, load_services, load_specs
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.sim.camera import ModelCamera, RenderedCamera, eventful, mistaken
+from upwash.sim.camera import ModelCamera, RenderedCamera, UnseenCamera, eventful, mistaken
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
@@ -60,6 +60,7 @@ from upwash.sim.vehicle import Manner, Plain
 from upwash.sim.world import DroneComputer, JoinedSlowly, Joining, ModelRadio
 from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
+from upwash.support.progress import work
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.px4 import airframe as px4
 
@@ -143,8 +144,11 @@ def simulate_fleet(
         for config, presence in zip(fleet, there or [Presence() for _ in fleet], strict=True)
     ]
     ends = [_End() for _ in drones]
+    places = sum(len(waypoints(drone.config.mission)) for drone in drones)
     try:
-        with sleeps_reported():
+        with sleeps_reported(), work("waypoints reached in simulation", places) as arrived:
+            for drone in drones:
+                drone.journal.arrived = arrived
             ends = run_virtually(_fly(drones, computing=computing, seen=seen))
     except (MissionFailed, UsageError):
         raise
@@ -357,9 +361,11 @@ def _radios(
 
 
 def _camera(config: DroneConfig, chance: Chance) -> Camera:
-    """A camera that renders photos if the scenario has it; simulations have no folders or devices."""
+    """A camera that renders photos if the mission may look at them; simulations have no folders or devices."""
     camera = config.camera
     if camera.park_seed is not None:
+        if is_bundled(config.mission.program):
+            return UnseenCamera(camera.park_seed, photo_s=camera.photo_s)
         return RenderedCamera(camera.park_seed, photo_s=camera.photo_s, in_thread=False)
     places = waypoints(config.mission)
     events = eventful(config.event, places, chance)

@@ -21,6 +21,11 @@ _MISSIONS = {"survey": "upwash.missions.survey:survey"}
 _SERVICES = {"detector": "upwash.services:Detector"}
 
 
+def is_bundled(program: str) -> bool:
+    """Whether the mission of that name is bundled; the bundled missions look at no photo themselves."""
+    return program in _MISSIONS
+
+
 def load_mission(program: str, *, mode: str) -> Mission:
     """The mission of that name or path; one with a parameter `mode` gets it."""
     if ":" not in program and program not in _MISSIONS:

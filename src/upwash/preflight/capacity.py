@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
 
 import msgspec
 from msgspec import Struct
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
 from upwash.config import DroneConfig, Presence
@@ -22,6 +20,7 @@ from upwash.errors import UpwashError, UsageError
 from upwash.lab.run import Run, simulate_fleet
 from upwash.lab.scenario import with_policy
 from upwash.preflight.prediction import LOCAL_ONLY
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted
@@ -111,24 +110,13 @@ def _completed(runs: list[Run]) -> list[Run]:
 
 def show_capacity(config: DroneConfig, name: str, *, as_json: bool) -> bool:
     """Flies it with more and more drones and prints what came of it; returns whether the servers carry any."""
-    with _progress() as flown:
-        found = capacity_of(config, name, flown)
+    with work("fleets flown in simulation, each with more drones") as flown:
+        found = capacity_of(config, name, lambda _: flown())
     if as_json:
         sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
     else:
         _print(found, Console(markup=False))
     return found.loads[0].saved > 0
-
-
-@contextmanager
-def _progress() -> Generator[Callable[[Load], None]]:
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("flying it with 1 drone", total=None)
-        yield lambda load: progress.update(
-            task, description=f"flown with {counted(load.drones, 'drone')}, now with more"
-        )
 
 
 def _print(found: Capacity, console: Console) -> None:

@@ -36,6 +36,7 @@ from upwash.preflight.speed import SpeedCheck, check_speed
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
 from upwash.preflight.waypoints import Farthest, ServerCoverage, coverage, farthest, uncovered
 from upwash.preflight.worth import Worth, judge, missions_to_judge
+from upwash.support.progress import work
 
 
 class CheckInput(Struct, frozen=True):
@@ -187,10 +188,13 @@ def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     seen = Look({})
     if not any(refusal.kind == "no-camera" for refusal in refused):
         try:
-            seen = asyncio.run(look(config))
+            with work("looking at the camera's photos"):
+                seen = asyncio.run(look(config))
         except UpwashError as error:
             yield PreflightWarning("camera", str(error))
     for trouble in seen.troubles:
         yield PreflightWarning("camera", trouble)
-    for failure in asyncio.run(services_in_trouble(config, seen.photos)):
+    with work("calling each service"):
+        failures = asyncio.run(services_in_trouble(config, seen.photos))
+    for failure in failures:
         yield PreflightWarning("service", str(failure))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 
 import msgspec
 from msgspec import UNSET
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress
 from rich.table import Table
 from rich.text import Text
 
@@ -26,6 +24,7 @@ from upwash.preflight.warnings import PreflightWarning, is_for_flight
 from upwash.preflight.waypoints import Farthest, ServerCoverage
 from upwash.preflight.worth import told_worth
 from upwash.sim.chance import plays_a_part
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted
@@ -47,14 +46,12 @@ def show_check(
 ) -> bool:
     """Checks the file and prints what was found; returns whether there is nothing to warn of."""
     seeds = seeds if plays_a_part(plan.config) else 1
-    with _progress("flying it in simulation", missions_to_fly(plan, seeds)) as flown:
+    with work("missions flown in simulation", missions_to_fly(plan, seeds)) as flown:
         found = check(plan, seeds=seeds, fly=fly, flown=flown)
     drawn = plan.config
     if more_servers is not None:
-        with _progress("trying places", None) as flown:
-            placement, document = place(
-                plan.document, plan.config, plan.file, more=more_servers, fly=fly, flown=flown
-            )
+        with work("trying places for servers"):
+            placement, document = place(plan.document, plan.config, plan.file, more=more_servers, fly=fly)
         found = msgspec.structs.replace(found, placement=placement)
         drawn = drone_config(document, plan.file)
     if as_json:
@@ -66,15 +63,6 @@ def show_check(
 
         draw_coverage(drawn, figures.files("coverage"))
     return not found.warnings
-
-
-@contextmanager
-def _progress(what: str, missions: int | None) -> Generator[Callable[[int], None]]:
-    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=missions)
-        yield lambda flown: progress.advance(task, flown)
 
 
 def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Console) -> None:

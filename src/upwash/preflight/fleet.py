@@ -47,6 +47,7 @@ from upwash.preflight.warnings import PreflightWarning, warnings
 from upwash.preflight.waypoints import coverage, uncovered
 from upwash.sim.chance import plays_a_part
 from upwash.support.confidence import mean_or_none
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted
@@ -117,7 +118,8 @@ def check_fleet(document: Document, file: Path, *, seeds: int, workers: int | No
         for seed in range(1, seeds + 1)
         for local_only in (True, False)
     ]
-    runs = processes.in_order(_fly, flights, workers=workers)
+    with work("fleets flown in simulation", len(flights)) as done:
+        runs = processes.in_order(_fly, flights, workers=workers, done=done)
     flown = {
         case: [run for flight, run in zip(flights, runs, strict=True) if flight.local_only is local_only]
         for case, local_only in ((LOCAL_ONLY, True), (AS_CONFIGURED, False))

@@ -22,6 +22,7 @@ from upwash.report.going import OpenAnswer, OpenAnswers
 from upwash.report.notices import Notices, NoticesTaken
 from upwash.report.numbering import FlightFindings, PlacedFinding, placed
 from upwash.report.outcome import UNPLANNED, Outcome
+from upwash.support.progress import work
 from upwash.support.text import by_name
 
 _WORST = 5
@@ -167,7 +168,12 @@ class Record:
 def read_records(logs: Sequence[Path]) -> list[Record]:
     """The last run of each log, named after its file; raises UsageError for what is no log of a mission."""
     names = names_of(logs)
-    return [_record_of_log(EventLog(log), log, name) for log, name in zip(logs, names, strict=True)]
+    records = []
+    with work("logs read", len(logs)) as done:
+        for log, name in zip(logs, names, strict=True):
+            records.append(_record_of_log(EventLog(log), log, name))
+            done()
+    return records
 
 
 def findings_of(records: Sequence[Record]) -> list[PlacedFinding]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 _LENS = Lens(fov_deg=62.2, up_deg=0.0)  # of the photos of the solar park
+_PARK_PHOTO_BYTES = 430_000  # a usual rendered photo
 _JPEG = b"\xff\xd8\xff"
 _SAME_PLACE_M = 1.0
 
@@ -59,6 +60,26 @@ class ModelCamera:
         return Photo(photo, captured_s, source="model")
 
 
+class UnseenCamera:
+    """Returns one grey photo in place of the photos of a solar park, where nobody looks at them.
+
+    Size and lens are those of the rendered photos.
+    """
+
+    def __init__(self, park_seed: int, *, photo_s: float) -> None:
+        with extra("detector"):
+            from upwash.services.solar_park import grey_photo
+        self._jpeg = grey_photo().ljust(_PARK_PHOTO_BYTES, b"\0")  # decoders stop at the end of the picture
+        self._source = f"park {park_seed}"
+        self._photo_s = photo_s
+
+    async def take_photo(self, at: Position) -> Photo:
+        """The grey photo, after `photo_s`."""
+        captured_s = asyncio.get_running_loop().time()
+        await asyncio.sleep(self._photo_s)
+        return Photo(self._jpeg, captured_s, self._source, lens=_LENS)
+
+
 class RenderedCamera:
     """Renders photos of the solar park of a seed, straight down from the drone's position, north up.
 
@@ -92,8 +113,8 @@ def _rendered(park_seed: int, east_m: float, north_m: float, altitude_m: float, 
     return photograph(Park(park_seed), View(east_m, north_m, altitude_m), shot=shot)
 
 
-# A check flies its mission four times, and rendering takes longer than all else of it. A photo has 430 KB.
-_rendered_once = functools.lru_cache(maxsize=32)(_rendered)
+# A check flies its mission many times, and each flight takes the same photos, of 430 KB each.
+_rendered_once = functools.lru_cache(maxsize=256)(_rendered)
 
 
 def eventful(event: EventConfig | None, waypoints: Sequence[Waypoint], chance: Chance) -> list[Waypoint]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
 import msgspec
 
@@ -26,6 +27,7 @@ class MemoryJournal:
         self.events = KeptEvents()
         self.meter: EnergyMeter | None = None
         self.life = Life()
+        self.arrived: Callable[[], object] = lambda: None  # called at each waypoint
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def begin(self) -> None:
@@ -37,6 +39,8 @@ class MemoryJournal:
         assert self._loop is not None  # noqa: S101 - begin() was called
         if self.life.is_over:
             return
+        if isinstance(event, schema.Arrived):
+            self.arrived()
         if self.meter is not None and isinstance(event, (schema.MissionCompleted, schema.MissionEnded)):
             self.record(self.meter.used())
         for entry in fitted(msgspec.structs.replace(event, t=round(self._loop.time(), 6))):

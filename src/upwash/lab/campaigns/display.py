@@ -16,6 +16,7 @@ from upwash.lab.campaigns.file import CampaignFile, CampaignRow
 from upwash.lab.campaigns.sweep import ParameterSweep
 from upwash.lab.figures import FigureFiles
 from upwash.support.confidence import Mean, mean_saving
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted
@@ -51,12 +52,18 @@ def show_campaign(
     console = Console()
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), _Rate(), TimeRemainingColumn())
     try:
-        with Progress(*columns, console=console) as progress:
-            task = progress.add_task("missions", total=len(sweep.combinations) * sweep.seeds)
+        total = len(sweep.combinations) * sweep.seeds
+        with Progress(*columns, console=console) as progress, work("missions", total) as done:
+            task = progress.add_task("missions", total=total)
+
+            def flown(runs: int) -> None:
+                progress.advance(task, runs)
+                done(runs)
+
             summaries = run_campaign(
                 file,
                 fly=fly,
-                flown=lambda runs: progress.advance(task, runs),
+                flown=flown,
                 costs=lambda cost: say(_planned(cost, workers), progress.console),
             )
     except KeyboardInterrupt:

@@ -19,6 +19,7 @@ from upwash.lab.outcome import quiet_daemons
 from upwash.lab.processes import in_processes
 from upwash.lab.scenario import as_toml
 from upwash.support.output_files import write_file
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.text import plural
 
@@ -75,6 +76,7 @@ def show_chaos(
     chunks = [seeds[first : first + _CHUNK] for first in range(0, len(seeds), _CHUNK)]
     with (
         _shown_progress(len(seeds), console) as show,
+        work("worlds", len(seeds)) as flown,
         in_processes(judge_all, chunks, workers=workers) as done,
     ):
         for verdicts in done:
@@ -82,6 +84,7 @@ def show_chaos(
                 _show_broken(verdict.broken, console, shown=len(summary.broken))
                 summary.add(verdict)
             show(summary.worlds)
+            flown(len(verdicts))
             if minutes is not None and time.monotonic() - began_s > 60 * minutes:
                 break
     summary.took_s = time.monotonic() - began_s

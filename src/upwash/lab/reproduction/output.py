@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
@@ -27,6 +26,7 @@ from upwash.lab.reproduction.quantities import Comparison, contradictions, print
 from upwash.lab.reproduction.sensitivity import Moved
 from upwash.lab.run import Run
 from upwash.support.output_files import write_file
+from upwash.support.progress import work
 from upwash.support.sentences import say
 from upwash.support.tables import show_table
 from upwash.support.text import counted
@@ -50,15 +50,9 @@ def show_reproduction(
         import upwash.lab.figures.style  # noqa: F401 - a missing matplotlib is reported before, not after
 
     console = Console()
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        total = quantities.missions(seeds) + (sensitivity.missions() if vary else 0)
-        task = bar.add_task("missions", total=total)
-
-        def progress() -> None:
-            bar.advance(task)
-
-        comparisons = quantities.reproduce(seeds=seeds, progress=progress)
-        moved = sensitivity.moved(progress=progress) if vary else []
+    with work("missions", quantities.missions(seeds) + (sensitivity.missions() if vary else 0)) as flown:
+        comparisons = quantities.reproduce(seeds=seeds, progress=flown)
+        moved = sensitivity.moved(progress=flown) if vary else []
     print_comparison(comparisons, console)
     if moved:
         print_sensitivity(moved, console)

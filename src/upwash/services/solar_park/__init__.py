@@ -9,8 +9,19 @@ from upwash.services.solar_park.photo import (
     RenderedPhoto,
     TrueBox,
     View,
+    grey_photo,
     photograph,
     render_photo,
 )
 
-__all__ = ["LABELS", "Park", "Rates", "RenderedPhoto", "TrueBox", "View", "photograph", "render_photo"]
+__all__ = [
+    "LABELS",
+    "Park",
+    "Rates",
+    "RenderedPhoto",
+    "TrueBox",
+    "View",
+    "grey_photo",
+    "photograph",
+    "render_photo",
+]

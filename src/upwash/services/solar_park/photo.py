@@ -192,6 +192,12 @@ def _expose(photo: MatLike, rng: Generator) -> MatLike:
     return cv2.add(shaded, cv2.merge([noise] * 3), dtype=cv2.CV_8U)  # the same for the three colours
 
 
+def grey_photo() -> bytes:
+    """A grey JPEG of the photos' width and height that shows nothing."""
+    grey = np.full((HEIGHT_PX, WIDTH_PX, 3), 128, np.uint8)
+    return cv2.imencode(".jpg", grey)[1].tobytes()
+
+
 def _encode(photo: MatLike) -> bytes:
     """A JPEG of about the target size, found by a few trials: its logarithm grows steadily with quality."""
     tried: dict[int, bytes] = {}
