@@ -110,6 +110,10 @@ class Autopilot(Whereabouts, Protocol):
     """
 
     @property
+    def position_is_sure(self) -> bool:
+        """Whether the reported position can be true, and the vehicle is sure of it; no arrival counts otherwise."""
+
+    @property
     def earth_position(self) -> EarthPosition | None:
         """The last known place on the Earth, altitude above the sea, and GPS time; None if the place is unknown."""
 

@@ -163,8 +163,10 @@ def test_rows_are_flown_as_simulated(firmware: Firmware, speed_m_s: float) -> No
     assert len(flown.shots) == len(spots)
     for number, (shot, spot) in enumerate(zip(flown.shots, spots, strict=True)):
         at = shot.place.east_m, shot.place.north_m
-        most_m = 1.1 if number == LAST else 0.5  # at the last one it rests, as at a stop
+        most_m = 1.1 if number in ROW_ENDS else 0.5  # there it rests, as at a stop
         assert math.dist(at, (spot.position.east_m, spot.position.north_m)) < most_m, number
+        if number in ROW_ENDS:
+            assert shot.velocity.speed_m_s < 0.6, number
         if number not in ROW_ENDS and number != DEMANDING + 1:
             assert shot.velocity.speed_m_s > 0.85 * speed_m_s, number
             along_deg = 270.0 if shot.velocity.east_m_s < 0 else 90.0

@@ -10,14 +10,14 @@ from typing import Any
 from upwash.core.geo import Position, Via, Waypoint, distance_m
 from upwash.core.selection.events import LegBegun, LegEnded, SelectionEvent
 from upwash.drone.pending import AnswerAction, Demand, index_of, one_answered, position_of
-from upwash.drone.rows import ahead_m, late_m, lies_on, passed
+from upwash.drone.rows import is_missed, lies_on, nearest_on, passed
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal, VehicleLimits
 from upwash.support.background import begin, first
 
-_SHORT_M = 1.0  # a leg whose end is not seen to be passed
+_SHORT_M = 1.0  # a leg on which no spot is seen to be passed
 
 
 class Legs:
@@ -50,7 +50,6 @@ class Legs:
         self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
         self._leg_start: Position | None = None  # of that leg
         self._leg_end: Position | None = None
-        self._leg_m_s: float | None = None
 
     @property
     def rests(self) -> bool:
@@ -112,20 +111,14 @@ class Legs:
         return self._site.allows_leg(self.limits, start, target)
 
     async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
-        """Set off for the end of a leg, once the present leg is flown, and do not wait for the arrival."""
-        before, start = self._leg, self._leg_end
-        if before is None or start is None:
-            start = self.stands_at or self._autopilot.position
+        """Set off for the end of a leg, and do not wait for the arrival."""
+        await self.arrive()
+        start = self.stands_at or self._autopilot.position
         self._site.require_leg(self.limits, start, end)
         self._leg_start, self._leg_end = start, end
-        self._leg_m_s = ground_speed_m_s
-        self._leg = begin(self._fly_leg(end, ground_speed_m_s, after=before))
+        self._leg = begin(self._fly_leg(end, ground_speed_m_s))
 
-    async def _fly_leg(
-        self, end: Position, ground_speed_m_s: float | None, *, after: asyncio.Task[None] | None
-    ) -> None:
-        if after is not None:
-            await after
+    async def _fly_leg(self, end: Position, ground_speed_m_s: float | None) -> None:
         if ground_speed_m_s is not None and ground_speed_m_s != self.ground_speed_m_s:
             await self.set_ground_speed(ground_speed_m_s)
         self.stands_at = None
@@ -137,11 +130,16 @@ class Legs:
         self.stands_at = end
 
     def passes(self, place: Waypoint | Position) -> bool:
-        """Whether the leg that is flown passes the place, or has just passed it."""
+        """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its position."""
         start, end, spot = self._leg_start, self._leg_end, position_of(place)
         if start is None or end is None or not lies_on(spot, start, end):
             return False
-        return not self._is_beyond(spot, start=start, end=end)
+        return not self._misses(spot, start=start, end=end)
+
+    def left(self) -> Position:
+        """The place of the last leg that is nearest to where it is; without a leg, where it is."""
+        start, end, here = self._leg_start, self._leg_end, self._autopilot.position
+        return here if start is None or end is None else nearest_on(start, end, here)
 
     def head_for(self, place: Waypoint | Position, via: tuple[Via, ...] = ()) -> None:
         """Note that the place is the next one on the leg, or on those over `via`."""
@@ -158,24 +156,21 @@ class Legs:
         self._tell(LegBegun(position_of(place), planned_m_s or self.ground_speed_m_s, via=via))
 
     async def fly_on(self, place: Waypoint | Position, answers: Sequence[AnswerAction[Any]]) -> bool:
-        """Return True where it passes the place, or arrives there; False when one of the answers is there.
+        """Return True where it passes the place, or rests there at the end of the leg.
 
-        If it finds itself far beyond the place, it comes back.
+        Return False when one of the answers is there, or when it has missed the place.
         """
         start, end, position = self._leg_start, self._leg_end, position_of(place)
         assert start is not None and end is not None  # noqa: S101 - it was set off
-        if not await self.fly_through(position, answers):
+        if not await self.fly_through(position, answers) or self._misses(position, start=start, end=end):
             return False
-        if self._is_beyond(position, start=start, end=end):
-            await self._come_back(place, end)
-            return True
         self._tell(LegEnded())
         self._journal.record(
             schema.Arrived(
                 waypoint=index_of(place),
                 east_m=position.east_m,
                 north_m=position.north_m,
-                passing=position != end,
+                passing=not self.rests,
                 **({"hold_s": place.hold_s} if isinstance(place, Waypoint) and place.hold_s else {}),
             )
         )
@@ -194,7 +189,7 @@ class Legs:
             is_there = True
 
         waits: list[Coroutine[Any, Any, Any]] = [one_answered(answers)] if answers else []
-        if distance_m(start, end) > _SHORT_M:
+        if position != end and distance_m(start, end) > _SHORT_M:
             waits.append(passes())
         try:
             await first(asyncio.wait([leg]), *waits)
@@ -206,23 +201,19 @@ class Legs:
             is_there = True
         return is_there
 
-    def _is_beyond(self, spot: Position, *, start: Position, end: Position) -> bool:
-        """Whether the vehicle is far beyond a spot of the leg, as after a silence of its link."""
-        if end in (spot, start):
-            return False
-        left_m = ahead_m(spot, self._autopilot.position, start=start, end=end)
-        return left_m < -late_m(self.ground_speed_m_s or self._default_m_s)
+    def _misses(self, spot: Position, *, start: Position, end: Position) -> bool:
+        """Whether it is sure to have passed a spot too far away, or long ago, as in a silence of its link.
 
-    async def _come_back(self, spot: Waypoint | Position, end: Position) -> None:
-        """Brake, fly to a spot that was passed unseen, and set off again."""
-        if self._leg is not None:
-            await self.stop_short_of(end)
-        await self.goto(position_of(spot), waypoint=index_of(spot))
-        await self.set_off(end, self._leg_m_s)
+        The end of the leg is not missed, as the leg ends there.
+        """
+        if end in (spot, start) or not self._autopilot.position_is_sure:
+            return False
+        here, speed_m_s = self._autopilot.position, self.ground_speed_m_s or self._default_m_s
+        return is_missed(spot, here, start=start, end=end, speed_m_s=speed_m_s)
 
     async def stop(self) -> None:
         """Brake and end the leg, or fly it to its end if that is nearer."""
-        if self._leg_end is not None:
+        if self._leg is not None and self._leg_end is not None:
             await self.stop_short_of(self._leg_end)
 
     async def arrive(self) -> None:

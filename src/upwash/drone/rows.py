@@ -7,6 +7,8 @@
                  first. Then the drone flies on from where it began to brake, or along the row of its last action.
     too many     With too many open answers the drone brakes and waits.
     other verbs  The drone brakes, and comes back to the last spot. Before most verbs every answer is in.
+    a doubt      While the vehicle is not sure of its position no spot counts. A spot that was passed meanwhile, or too
+                 far beside it, is flown to, from rest.
 
 With `policy.stay_or_go = "learn"` the drone rests at the next spot and waits for the answer, where frequent demands
 make that faster.
@@ -29,7 +31,7 @@ from typing import Any, Protocol
 
 from msgspec.structs import asdict
 
-from upwash.core.geo import Position, Via, Waypoint, distance_m
+from upwash.core.geo import Position, Via, Waypoint, distance_m, part_way
 from upwash.core.planning.stay_or_go import RowOutlook, StayRule, StayVerdict
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Place, one_answered, position_of
@@ -45,6 +47,8 @@ _THERE_M = 1.0  # from a photo's place, at rest
 _BESIDE_M = 2.0  # by wind and GPS
 _LATER = 2.0  # times what an answer is expected to take that the drone waits for
 _LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
+_NEAR_M = 4.0  # of a spot that counts: less than the 5 m of an arrival, as the truth may lie beside the report
+_UNSURE_S = 0.1  # between two looks while the position is in doubt
 
 
 def lies_on(spot: Position, start: Position, end: Position) -> bool:
@@ -66,22 +70,37 @@ def ahead_m(spot: Position, here: Position, *, start: Position, end: Position) -
     ) / distance_m(start, end)
 
 
-def late_m(speed_m_s: float) -> float:
-    """How far behind a spot may lie that a vehicle with this speed need not fly back to."""
-    return max(_LATE_M, _LATE_S * speed_m_s)
+def is_missed(spot: Position, here: Position, *, start: Position, end: Position, speed_m_s: float) -> bool:
+    """Whether a vehicle with this speed has passed a spot of a leg too far away, or is too far beyond it by now."""
+    beyond_m = -ahead_m(spot, here, start=start, end=end)
+    is_late = beyond_m > max(_LATE_M, _LATE_S * speed_m_s)
+    return is_late or (beyond_m >= 0 and distance_m(here, spot) > _NEAR_M)
+
+
+def nearest_on(start: Position, end: Position, here: Position) -> Position:
+    """The place of a leg that is nearest to here."""
+    length_m = distance_m(start, end)
+    if length_m == 0:
+        return end
+    left_m = ahead_m(end, here, start=start, end=end)
+    return part_way(start, end, min(1.0, max(0.0, 1 - left_m / length_m)))
 
 
 async def passed(
     autopilot: Autopilot, spot: Position, *, start: Position, end: Position, fastest_m_s: float
 ) -> None:
-    """Return when the vehicle, on its way from `start` to `end`, passes the spot; at `fastest_m_s` at most."""
+    """Return when the vehicle, sure of its position, has passed the spot from `start` to `end`.
+
+    It flies at `fastest_m_s` at most.
+    """
     while True:
         left_m = ahead_m(spot, autopilot.position, start=start, end=end)
-        if left_m <= 0:
+        if left_m <= 0 and autopilot.position_is_sure:
             return
         velocity = autopilot.telemetry.velocity
         speed_m_s = max(fastest_m_s, velocity.speed_m_s if velocity else 0.0)
-        await asyncio.sleep(max(_LEAST_S, left_m / (_FASTER * speed_m_s)))
+        ahead_s = left_m / (_FASTER * speed_m_s)
+        await asyncio.sleep(max(_LEAST_S, ahead_s) if left_m > 0 else _UNSURE_S)
 
 
 class LegVerbs(Protocol):
@@ -89,6 +108,9 @@ class LegVerbs(Protocol):
 
     def position(self) -> Position:
         """Where it is."""
+
+    def left(self) -> Position:
+        """The place of the last leg that is nearest to where it is."""
 
     def place(self) -> Place | None:
         """Where it was last sent to."""
@@ -100,10 +122,10 @@ class LegVerbs(Protocol):
         """Whether no fence forbids the straight way."""
 
     async def set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
-        """Set off for the end of a leg; a leg that is flown is first flown to its end."""
+        """Set off for the end of a leg, and do not wait for the arrival."""
 
     def passes(self, place: Place) -> bool:
-        """Whether the leg that is flown passes the place, or has just passed it."""
+        """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its position."""
 
     def rests(self) -> bool:
         """Whether the last leg is over."""
@@ -115,7 +137,10 @@ class LegVerbs(Protocol):
         """Note that the next leg on the way to the place begins."""
 
     async def fly_on(self, place: Place, answers: Sequence[AnswerAction[Any]]) -> bool:
-        """Return True where it passes the place, or arrives there; False when one of the answers is there."""
+        """Return True where it passes the place, or rests there at the end of the leg.
+
+        Return False when one of the answers is there, or when it has missed the place.
+        """
 
     async def fly_through(self, position: Position, answers: Sequence[AnswerAction[Any]]) -> bool:
         """As `fly_on`, of a place that is none of the mission's."""
@@ -251,10 +276,13 @@ class Rows:
     def _reach(
         self, place: Place, fly_on: Callable[[], Coroutine[Any, Any, bool]], goes_on: Callable[[], None]
     ) -> None:
-        """Fly on until the place is passed, and meet the demands that come meanwhile."""
+        """Fly on until the place is passed, and meet the demands that come meanwhile; fly back to one that was missed."""
         while not self._thread.call(fly_on()):
             if demanding := self._taken():
                 self._detour(demanding, position_of(place), goes_on)
+            elif not self._vehicle.passes(place):
+                self._fly_back(place)
+                return
 
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Meet the answer's demand once it is there; stop and wait if too many answers are open."""
@@ -333,11 +361,15 @@ class Rows:
                 answer.finish(0.0)
 
     def _wait_below(self, count: int) -> None:
-        """Wait at rest until fewer answers are open, and meet their demands; come back where a plan has the way."""
+        """Wait at rest until fewer answers are open, and meet their demands; come back where a plan has the way.
+
+        A place off the leg, as in doubt of the position, is not come back to.
+        """
         here, was_away = self._vehicle.position(), False
+        is_on_way = bool(self._way) and (self._acts or self._vehicle.passes(here))
         while self._unheard >= count:
             was_away |= self._take_next()
-        if was_away and self._way:
+        if was_away and is_on_way:
             self.fly_around(here)
             self._vehicle.fly(here)
 
@@ -459,10 +491,19 @@ class Rows:
                 waited_s = 0.0
         return demanding
 
+    def _fly_back(self, spot: Place) -> None:
+        """Brake, fly to a spot that was missed, and set off again."""
+        end = self._end
+        assert end is not None  # noqa: S101 - a leg is flown
+        self.stop()
+        self.fly_around(position_of(spot))
+        self._vehicle.fly(spot)
+        self._set_off(end, self._leg_m_s)
+
     def _detour(
         self, demanding: list[AnswerAction[Any]], spot: Position, goes_on: Callable[[], None]
     ) -> None:
-        end, left = self._end, self._vehicle.position()
+        end, left = self._end, self._vehicle.left()
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
         last = self._meet(demanding)

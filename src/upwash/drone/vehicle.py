@@ -375,6 +375,7 @@ class VehicleHandle:
         self.allows = legs.allows
         self.set_off = legs.set_off
         self.passes = legs.passes
+        self.left = legs.left
         self.head_for = legs.head_for
         self.fly_on = legs.fly_on
         self.fly_through = legs.fly_through

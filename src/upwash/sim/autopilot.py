@@ -90,6 +90,11 @@ class ModelAutopilot:
         return self._vehicle.position
 
     @property
+    def position_is_sure(self) -> bool:
+        """Whether each jump of the reported position is undone."""
+        return not self._link.doubt
+
+    @property
     def earth_position(self) -> EarthPosition | None:
         """The place on the Earth; None without a frame. A model has no altitude above the sea and no date."""
         if self._frame is None:

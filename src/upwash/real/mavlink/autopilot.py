@@ -231,7 +231,7 @@ class MavlinkAutopilot(ReportingAutopilot):
         raise AutopilotRefused(step, "the vehicle disarmed", vehicle.said_lately)
 
     def _arrived(self, target: Position) -> bool:
-        return self._rests_at(target) and self._tracker.is_sure
+        return self._rests_at(target) and self.position_is_sure
 
     def _rests_at(self, target: Position) -> bool:
         """Whether the vehicle rests at the target by its own report, even if it doubts its position."""

@@ -64,6 +64,11 @@ class ReportingAutopilot(ABC):
         return self._tracker.present_position
 
     @property
+    def position_is_sure(self) -> bool:
+        """Whether the reported position can be true, and the vehicle reports that it is sure of it."""
+        return self._tracker.is_sure
+
+    @property
     def earth_position(self) -> EarthPosition | None:
         """The same on the Earth; None until the vehicle knows it."""
         if self._telemetry.position is None:
