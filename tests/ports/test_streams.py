@@ -15,12 +15,13 @@ from tests.played import played
 from tests.ports.memory import AGILE, AT_ONCE, Air, Bench, bench, driven
 
 from upwash.eventlog.schema import LinkTrouble
-from upwash.mavlink.px4 import CURRENT_MODE
+from upwash.mavlink.px4 import CURRENT_MODE, Mode
 from upwash.ports import VehicleNews
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.px4_firmware import PX4
 from upwash.sim.loop import run_virtually
+from upwash.vehicle.body.connection import PeerConnection
 from upwash.vehicle.px4.settings import Px4Settings
 
 POSITION, HEARTBEAT = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT
@@ -127,15 +128,53 @@ def test_a_request_that_the_link_lost_is_made_again_within_seconds(
 
 
 @played(tell_of_px4)
-async def test_px4s_mode_comes_at_50_hz_though_it_comes_by_itself_every_other_second(
+async def test_px4s_mode_comes_at_each_change_and_says_nothing_of_the_link(
     sky: Bench, reports: Counted
 ) -> None:
-    assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
+    """It comes twice a second too, whatever is asked, and every other second where it was not asked for."""
+    await asyncio.sleep(60.0)
+    rates = await reports.rates_hz(10.0)
+    assert rates[CURRENT_MODE] == pytest.approx(2.0, rel=0.1)
+    assert rates[POSITION] == pytest.approx(10.0, rel=0.1)
     by_itself = mavlink.MAVLink_command_long_message(1, 1, 511, 0, CURRENT_MODE, 0, *(0.0,) * 5)
-    sky.connection.hear(by_itself)  # as where the request was lost: twice a second, or less
+    sky.connection.hear(by_itself)  # as another program does, or where the request was lost
+    assert (await reports.rates_hz(4.0))[CURRENT_MODE] < 1.0
     await asyncio.sleep(4.0)
-    assert (await reports.rates_hz(5.0))[CURRENT_MODE] == pytest.approx(50.0, rel=0.1)
+    assert (await reports.rates_hz(10.0))[CURRENT_MODE] == pytest.approx(2.0, rel=0.1)
+    sky.copter.set_mode(Mode.ALTCTL)
+    await asyncio.sleep(0.05)
+    modes = reports.autopilot.vehicle.telemetry.flown_and_intended_mode
+    assert modes == (Mode.ALTCTL, Mode.ALTCTL)
     assert reports.troubles == []
+
+
+def test_reports_that_come_rarely_during_a_transfer_say_nothing_of_the_link(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An ArduPilot that serves parameters to a ground station sends all reports four times as rarely meanwhile."""
+
+    async def story(made: Bench, reports: Counted) -> None:
+        await asyncio.sleep(20.0)
+        connection, repeat = made.connection, PeerConnection._repeat
+
+        async def rarely_repeat(self: PeerConnection, number: float, interval_s: float) -> None:
+            await repeat(self, number, 4 * interval_s)
+
+        monkeypatch.setattr(PeerConnection, "_repeat", rarely_repeat)
+        for number in ARDUCOPTER.streams_hz.keys() & connection._streams.keys():
+            asked_hz = ARDUCOPTER.streams_hz[number]
+            connection._streams[number][1].cancel()
+            rarely = asyncio.create_task(connection._repeat(number, 1 / asked_hz))
+            connection._streams[number] = 1 / asked_hz, rarely  # it says that its interval is as asked
+        for _ in range(400):
+            connection.send(made.copter.parameters.at(1))
+            await asyncio.sleep(0.1)
+        assert reports.troubles == []
+        assert (await reports.rates_hz(2.0))[POSITION] <= 3.0
+        await asyncio.sleep(60.0)
+        assert reports.about == ["capacity"], "without a transfer it is the link"
+
+    tell(story, monkeypatch)
 
 
 def test_rates_that_a_ground_station_lowered_once_are_back_within_seconds(

@@ -12,14 +12,15 @@ from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.demand_map import DemandMap
-from upwash.drone import line
+from upwash.drone import legs, line
 from upwash.drone.legs import Legs
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
-from upwash.drone.rows import Rows
+from upwash.drone.rows import Rows, ahead_m
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import call_promises
+from upwash.sim.autopilot import ModelAutopilot
 
 
 @planted("on a row an action is done where the drone is", AnswerAction, "come_back")
@@ -53,7 +54,15 @@ def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0) -> Any:
     return demanding
 
 
-plant("a spot that was passed during a call is not flown back to", Legs, "_is_beyond", lambda *_, **__: False)
+plant("a spot that was passed during a call is not flown back to", Legs, "_misses", lambda *_, **__: False)
+plant("on a row a spot counts in doubt of the position", ModelAutopilot, "position_is_sure", True)
+
+
+@planted("on a row a spot counts however far beside it the drone passes", legs, "is_missed")
+def counts_beside(_: Any, spot: Position, here: Position, *, speed_m_s: float, **leg: Position) -> bool:
+    return -ahead_m(spot, here, **leg) > max(1.0, 0.5 * speed_m_s)
+
+
 plant(
     "the number of open photos has no bound",
     Rows,

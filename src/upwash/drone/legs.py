@@ -130,7 +130,7 @@ class Legs:
         self.stands_at = end
 
     def passes(self, place: Waypoint | Position) -> bool:
-        """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its position."""
+        """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its place."""
         start, end, spot = self._leg_start, self._leg_end, position_of(place)
         if start is None or end is None or not lies_on(spot, start, end):
             return False

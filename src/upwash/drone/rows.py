@@ -7,8 +7,8 @@
                  first. Then the drone flies on from where it began to brake, or along the row of its last action.
     too many     With too many open answers the drone brakes and waits.
     other verbs  The drone brakes, and comes back to the last spot. Before most verbs every answer is in.
-    a doubt      While the vehicle is not sure of its position no spot counts. A spot that was passed meanwhile, or too
-                 far beside it, is flown to, from rest.
+    a doubt      While the vehicle is not sure of its position no spot counts. It flies back to a spot that it passed
+                 meanwhile, or too far beside, and then sets off from there.
 
 With `policy.stay_or_go = "learn"` the drone rests at the next spot and waits for the answer, where frequent demands
 make that faster.
@@ -47,7 +47,9 @@ _THERE_M = 1.0  # from a photo's place, at rest
 _BESIDE_M = 2.0  # by wind and GPS
 _LATER = 2.0  # times what an answer is expected to take that the drone waits for
 _LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
-_NEAR_M = 4.0  # of a spot that counts: less than the 5 m of an arrival, as the truth may lie beside the report
+_NEAR_M = (
+    4.0  # of a spot that counts: less than the 5 m of an arrival, as the truth may lie beside the report
+)
 _UNSURE_S = 0.1  # between two looks while the position is in doubt
 
 
@@ -125,7 +127,7 @@ class LegVerbs(Protocol):
         """Set off for the end of a leg, and do not wait for the arrival."""
 
     def passes(self, place: Place) -> bool:
-        """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its position."""
+        """Whether the leg that is flown passes the place, or has just passed it; True too in doubt of its place."""
 
     def rests(self) -> bool:
         """Whether the last leg is over."""
@@ -276,7 +278,7 @@ class Rows:
     def _reach(
         self, place: Place, fly_on: Callable[[], Coroutine[Any, Any, bool]], goes_on: Callable[[], None]
     ) -> None:
-        """Fly on until the place is passed, and meet the demands that come meanwhile; fly back to one that was missed."""
+        """Fly on until the place is passed, or fly back to it; meet the demands that come meanwhile."""
         while not self._thread.call(fly_on()):
             if demanding := self._taken():
                 self._detour(demanding, position_of(place), goes_on)

@@ -17,7 +17,7 @@ The models name each event to an observer, and know nothing of what it keeps.
 | `taken` | a pilot, a ground station, a fail-safe or a restart takes the vehicle: `by` |
 | `taken_unseen` | a fail-safe lands a vehicle that lands already, which no report shows: `by` |
 | `given_back_unheard` | a pilot who took the vehicle and gives it back within one silence of its link |
-| `reached` | the vehicle counts as arrived; `off_m` is the true distance to that place |
+| `reached` | the vehicle counts as arrived, or a waypoint as reached; `off_m` is the true distance to that place |
 | `jumped_unheard` | its reported position jumps within a silence of the vehicle's link |
 | `flight_over` | the drone, and its altitude |
 """
@@ -33,8 +33,10 @@ from typing import Any, NoReturn
 import msgspec
 
 from upwash.core.admission.clients import Client
-from upwash.core.geo import Circle, Position, Reach
+from upwash.core.geo import Circle, Position, Reach, distance_m
 from upwash.core.knowledge.ranges import Ranges
+from upwash.eventlog import schema
+from upwash.ports import Journal
 from upwash.rpc.protocol import HOLD, HoldReply, HoldRequest
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.link import Handler, Life, Observe
@@ -77,6 +79,25 @@ def drone_observer(
             seen.append(Observation(event=event, drone=drone, position=place, **facts))
 
     return note
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedJournal:
+    """The drone's event log; the observer sees how far truly from each waypoint it counts as reached.
+
+    `spots` has the waypoints by their numbers.
+    """
+
+    journal: Journal
+    spots: Mapping[int, Position]
+    true_position: Callable[[], Position]
+    observe: Observe
+
+    def record(self, event: schema.Event) -> None:
+        """Adds one event."""
+        if isinstance(event, schema.Arrived) and event.waypoint is not None:
+            self.observe("reached", off_m=distance_m(self.true_position(), self.spots[event.waypoint]))
+        self.journal.record(event)
 
 
 def server_observer(server: str, seen: list[Observation]) -> Observe:

@@ -41,7 +41,13 @@ from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
-from upwash.lab.observer import Observation, RangeInterval, drone_observer, observe_ranges
+from upwash.lab.observer import (
+    Observation,
+    ObservedJournal,
+    RangeInterval,
+    drone_observer,
+    observe_ranges,
+)
 from upwash.missions.bundled import is_bundled, load_mission, load_services, load_specs
 from upwash.ports import Camera, Dialer, Network
 from upwash.sim.autopilot import ModelAutopilot
@@ -296,7 +302,12 @@ def _ports(
         ),
         camera=_camera(config, drone.chance),
         notifier=journal,
-        journal=journal,
+        journal=ObservedJournal(
+            journal,
+            {waypoint.index: waypoint.position for waypoint in waypoints(config.mission)},
+            lambda: autopilot.true_position,
+            observe,
+        ),
     )
 
 

@@ -166,7 +166,7 @@ def pilot_wins(history: History) -> Iterator[Breach]:
 
 
 def arrived_truly(history: History) -> Iterator[Breach]:
-    """An arrival is counted only where the vehicle truly is at the place, at its altitude above the take-off.
+    """An arrival counts only where the vehicle truly is at the place, at its altitude above the take-off.
 
     A jump of its position within a silence may be a way that it has flown: what comes after it is not judged.
     """

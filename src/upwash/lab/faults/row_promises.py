@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from upwash.config import waypoints
@@ -20,6 +21,7 @@ from upwash.lab.faults.history import (
 )
 
 _AT_SPOT_M = 1.0
+_BESIDE_M = 5.0  # as a vehicle whose position jumped to and fro may pass a spot
 _LATE_S = 0.5  # of flight, after which a spot that was missed is flown back to
 
 
@@ -28,7 +30,7 @@ def on_the_move(history: History) -> Iterator[Breach]:
     if not flies_rows(history.config):
         return
     led_away = any(fault.kind == "diverted" for fault in history.config.faults)  # perhaps in a silence
-    if not (led_away or position_jumps(history.config)):
+    if not led_away:
         yield from _photos_elsewhere(history)
     yield from _too_many_open(history)
     yield from _two_at_a_place(history)
@@ -38,18 +40,28 @@ def on_the_move(history: History) -> Iterator[Breach]:
 
 
 def _photos_elsewhere(history: History) -> Iterator[Breach]:
-    """Each photo is of the waypoint that the drone has just reached, and each waypoint has one."""
+    """Each photo is of the waypoint that the drone has just reached, and each waypoint has one.
+
+    The place is not judged where the position jumped since, nor after a jump within a silence.
+    """
     config = history.config
+    unheard_s = next((fact.t for fact in history.own("jumped_unheard")), math.inf)
     spots = {waypoint.index: waypoint for waypoint in waypoints(config.mission)}
     late_m = max(_AT_SPOT_M, _LATE_S * config.mission.ground_speed_m_s) + 0.1
+    near_m = _BESIDE_M if position_jumps(config) else late_m
     here: int | None = None
+    jumped = False
     photos = set[int]()
     for event in history.run.events:
         if isinstance(event, schema.Arrived):
-            here = event.waypoint
+            here, jumped = event.waypoint, False
+        elif isinstance(event, schema.PositionDoubted):
+            jumped = True
         elif isinstance(event, schema.PhotoTaken) and here is not None:
             photos.add(here)
-            if (off_m := distance_m(event.position, spots[here].position)) > late_m:
+            if jumped or event.t >= unheard_s:
+                continue
+            if (off_m := distance_m(event.position, spots[here].position)) > near_m:
                 yield event, f"the photo of waypoint {here} was taken {off_m:.1f} m from there"
     if history.run.result.completed and len(photos) < len(spots):
         yield None, f"waypoints {sorted(spots.keys() - photos)} have no photo"

@@ -177,7 +177,7 @@ PX4 = FirmwareProfile(
     failsafe=failsafe,
     take=_take,
     streams_hz={
-        CURRENT_MODE: 50.0,  # sent when the mode changes, and twice a second
+        CURRENT_MODE: 50.0,  # so that a change is sent at once
         **STREAMS_HZ,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
@@ -186,7 +186,12 @@ PX4 = FirmwareProfile(
     oldest=Version(1, 15),
     needs="CURRENT_MODE over MAVLink 2",
     sent_at_times=frozenset(
-        {mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_RC_CHANNELS}
+        {
+            CURRENT_MODE,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+            mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
+        }
     ),
+    sent_anyway_hz={CURRENT_MODE: 2.0},
     sends_parameters_as_bytes=True,
 )

@@ -4,6 +4,9 @@ A rate that is too low has one of two causes, and the vehicle's MESSAGE_INTERVAL
 interval differs from the request, another program or the vehicle changed it: the driver repeats the request, ever
 more rarely. If the interval agrees with the request, or no answer gets through, the link carries less: the driver
 requests less. Reports that the radio lost count as sent.
+
+Some reports have rates of their own, whatever is asked: they say nothing of the link, and only show whether another
+program asked for less. While an ArduPilot serves parameters, a mission or files, it sends all reports more rarely.
 """
 
 from __future__ import annotations
@@ -33,6 +36,8 @@ _TOLD_AFTER = 3  # requests
 _AS_ASKED = 0.8  # of a rate, which the vehicle may round
 _CONFIRMED_TIMES = 2  # until the link is believed to carry no more
 _LEAST_SHARE, _LEAST_HZ = 0.25, 0.5
+_TRANSFERS = ("PARAM_VALUE", "MISSION_REQUEST", "MISSION_REQUEST_INT", "FILE_TRANSFER_PROTOCOL")
+_TRANSFER_S, _TRANSFER_MESSAGES = 1.0, 5  # in that time; a question for one parameter is no transfer
 _KEPT = 256  # times of arrival: some seconds of the fastest report
 
 
@@ -75,6 +80,7 @@ class Streams:
         self._forgiven_s = _FORGIVEN_S
         self._due: list[int] = []  # the reports whose request was not sent yet
         self._asked_s = -math.inf  # when a report was last asked for with all others
+        self._transferred_s = -math.inf  # when it last served parameters, a mission or files
 
     def heard(self, message: Message, now_s: float) -> None:
         """Note that a message has come."""
@@ -82,6 +88,8 @@ class Streams:
         if now_s - stream.heard_s > self._quiet_after_s:
             stream.began_s = now_s
         stream.came_s.append(now_s)
+        if message.get_type() in _TRANSFERS and stream.came_since(now_s - _TRANSFER_S) >= _TRANSFER_MESSAGES:
+            self._transferred_s = now_s
         if message.get_type() == "COMMAND_ACK" and message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
             self._is_answered = True
         elif message.get_type() == "MESSAGE_INTERVAL" and (asked := self._streams.get(message.message_id)):
@@ -149,18 +157,26 @@ class Streams:
 
     def _too_rare(self, now_s: float, received_share: float) -> int | None:
         """The number of the first report that comes too rarely; None if all come often enough."""
-        for number in self._firmware.streams_hz:
-            stream, wanted_hz = self._streams[number], self._wanted_hz(number)
-            if number in self._firmware.sent_at_times or now_s - stream.heard_s > self._quiet_after_s:
+        not_before_s = max(self._asked_s + _SETTLING_S, self._transferred_s + _TRANSFER_S)
+        for number, expected_hz in self._expected_hz().items():
+            stream = self._streams[number]
+            if now_s - stream.heard_s > self._quiet_after_s:
                 continue
-            measured_s = max(_MEASURED_S, _MEASURED_REPORTS / wanted_hz)
+            measured_s = max(_MEASURED_S, _MEASURED_REPORTS / expected_hz)
             since_s = now_s - measured_s
-            if since_s < max(stream.began_s, self._asked_s + _SETTLING_S):
+            if since_s < max(stream.began_s, not_before_s):
                 continue
-            if stream.came_since(since_s) < _fewest(wanted_hz * measured_s, received_share):
+            if stream.came_since(since_s) < _fewest(expected_hz * measured_s, received_share):
                 return number
             stream.was_right = True
         return None
+
+    def _expected_hz(self) -> dict[int, float]:
+        """The rates that show whether the vehicle was asked for less, and before these those that show the link's."""
+        firmware = self._firmware
+        asked = {number: self._wanted_hz(number) for number in firmware.streams_hz}
+        of_link = {number: hz for number, hz in asked.items() if number not in firmware.sent_at_times}
+        return of_link | {number: min(asked[number], hz) for number, hz in firmware.sent_anyway_hz.items()}
 
     def _ask_again(self, rare: int, now_s: float) -> None:
         """Ask again for a rare report: at once the first time, later after a question for its present interval."""
@@ -187,6 +203,8 @@ class Streams:
 
     def _settle(self, number: int, now_s: float) -> None:
         """Request fewer reports, as the link carries fewer than the vehicle was set to send."""
+        if number in self._firmware.sent_at_times:
+            return
         self._confirmed_times += 1
         if self._confirmed_times < _CONFIRMED_TIMES or self._share <= _LEAST_SHARE:
             return

@@ -306,7 +306,8 @@ class FirmwareProfile:
 
     `mode_name` names a custom mode; the program steers in `own_mode`. `failsafe` returns why a fail-safe may have
     chosen the mode of that name, or "". `streams_hz` has the rates of the reports that the driver needs, by message;
-    the vehicle sends those in `sent_at_times` only on occasion. All versions have the parameter `always_has`.
+    the vehicle sends those in `sent_at_times` only on occasion, and some of them at the rate of `sent_anyway_hz` too,
+    unless it was asked for less. All versions have the parameter `always_has`.
     `oldest` is the oldest version that can be flown: older versions lack what upwash `needs`. `take` takes in reports
     that only this firmware sends.
     """
@@ -323,5 +324,6 @@ class FirmwareProfile:
     ranges: Ranges = field(default_factory=lambda: RANGES)
     keeps_targets: bool = False  # in `own_mode` it reports the last target that it was sent to
     sent_at_times: frozenset[int] = frozenset()
+    sent_anyway_hz: Mapping[int, float] = field(default_factory=dict)
     take: Callable[[VehicleTelemetry, Message, float], None] = _nothing_more
     sends_parameters_as_bytes: bool = False  # an integer's bytes lie in the float that carries a parameter

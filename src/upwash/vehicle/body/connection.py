@@ -167,9 +167,12 @@ class PeerConnection:
         return True
 
     async def _repeat(self, number: float, interval_s: float) -> None:
-        next_s = self._vehicle.now_s()
+        next_s, sent = self._vehicle.now_s(), None
         while True:
-            self._tell(number)
+            update = self._firmware.update_of(self._vehicle.now_s(), number)
+            if update is None or update != sent:
+                sent = update
+                self._tell(number)
             next_s += interval_s
             if next_s < self._vehicle.now_s() - _BEHIND_S:
                 next_s = self._vehicle.now_s()

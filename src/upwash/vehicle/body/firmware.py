@@ -94,6 +94,10 @@ class StandInFirmware(ABC, Generic[AnyCopter]):
         message = report(now_s) if report else None
         return () if message is None else (message,)
 
+    def update_of(self, now_s: float, number: float) -> object:
+        """The present update of a report that is sent once for each update; None for reports at fixed intervals."""
+        return None
+
     def requested(self, now_s: float, message: Message) -> Iterable[Message]:
         """The reports that a REQUEST_MESSAGE asks for; none if it has no such reports now."""
         return self.report(now_s, message.param1)

@@ -26,7 +26,7 @@ from upwash.vehicle.px4.navigator import LOWEST_M
 from upwash.vehicle.px4.telemetry import UNASKED_S, UNMODELLED, Px4Telemetry, available_modes
 from upwash.vehicle.px4.vehicle import Quadrotor
 
-_HEARTBEAT_S = 1.0
+_HEARTBEAT_S, _STATUS_S = 1.0, 0.5
 _CHECKS_AT_MOST_EVERY_S = 2.0
 _SEVERITY_OF_PROGRAMS = 8
 _NO_EAST_NORTH, _NO_ALTITUDE, _NO_VELOCITY, _NO_YAW = 0b11, 0b100, 0b111_000, 1 << 10
@@ -75,6 +75,13 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         if message.command == mavlink.MAV_CMD_RUN_PREARM_CHECKS and results[0] == 0:
             self._tell_checks(now_s)
         return results
+
+    def update_of(self, now_s: float, number: float) -> object:
+        """CURRENT_MODE is sent when a mode changes, and twice a second (vehicle_status of Commander.cpp)."""
+        if number != CURRENT_MODE:
+            return None
+        self.copter.advance(now_s)
+        return self.copter.mode, self.copter.intended, math.floor(now_s / _STATUS_S)
 
     def requested(self, now_s: float, message: Message) -> Iterable[Message]:
         """The report of that number; AVAILABLE_MODES by index, 0 for all."""
