@@ -38,6 +38,7 @@ from upwash.sim.vehicle import Manner
 from upwash.sim.world import DroneComputer, Joining
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.px4 import airframe as px4
 from upwash.vehicle.px4.inputs import Sticks
 from upwash.vehicle.px4.settings import Px4Settings
@@ -49,9 +50,11 @@ ROW_ENDS = (0, 4, 5, 9, 10, 14)
 HEARD_S = 0.2  # after its change, a mode is reported
 
 
-def config_of(firmware: Firmware, speed_m_s: float, *, local_s: float = 1.5) -> DroneConfig:
+def config_of(
+    firmware: Firmware, speed_m_s: float, *, local_s: float = 1.5, at_most: int = 100
+) -> DroneConfig:
     home = {"latitude_deg": HOME.latitude_deg, "longitude_deg": HOME.longitude_deg}
-    rows = {"grid": None, "waypoints_m": ROWS_M, "photos": {"every_m": 20.0}}
+    rows = {"grid": None, "waypoints_m": ROWS_M, "photos": {"every_m": 20.0, "at_most": at_most}}
     return scenario(
         mission={"home": home, "ground_speed_m_s": speed_m_s, "action_s": 5.0, **rows},
         event={"every": 100, "offset": DEMANDING},
@@ -242,6 +245,34 @@ def test_a_pilot_takes_it_on_a_row_with_answers_open(firmware: Firmware) -> None
 
 
 @pytest.mark.parametrize("firmware", ["arducopter", "px4"])
+@pytest.mark.parametrize("when", ["brake", "detour", "action", "wait"])
+def test_a_pilot_takes_it_off_its_row_and_gets_it(firmware: Firmware, when: str) -> None:
+    """After a photo with a demand: in the brake, on the way back, in the action; and in a wait for answers."""
+    after_s = {"brake": 3.0, "detour": 7.0, "action": 15.0, "wait": 10.0}[when]
+    taken_s: list[float] = []
+
+    def takes(sky: Bench) -> None:
+        pilot_lands(sky)
+        taken_s.append(sky.now_s + HEARD_S)
+
+    config = config_of(firmware, 4.0)
+    if when == "wait":
+        config = config_of(firmware, 4.0, local_s=60.0, at_most=3)
+    flown = fly(config, **{"photo2" if when == "wait" else f"photo{DEMANDING}": later(after_s, takes)})
+    assert isinstance(flown.error, AutopilotOverruled), flown.error
+    assert flown.sky.commands(*taken_s) == []
+    assert flown.sky.setpoints(*taken_s) == 0
+    was_there = {
+        "brake": [event.waypoint for event in flown.of(schema.Demanded)] == [DEMANDING],
+        "detour": [event.back for event in flown.of(schema.SetOff)][-1],
+        "action": [event.waypoint for event in flown.of(schema.Arrived)][-1] == DEMANDING,
+        "wait": [event.waiting for event in flown.of(schema.PhotosWait)] == [3],
+    }
+    assert was_there[when]
+    assert not flown.of(schema.Acted)
+
+
+@pytest.mark.parametrize("firmware", ["arducopter", "px4"])
 def test_a_link_that_stays_silent_on_a_row_ends_the_flight(firmware: Firmware) -> None:
     flown = fly(config_of(firmware, 4.0, local_s=60.0), photo6=silent_for(math.inf))
     assert isinstance(flown.error, AutopilotLost), flown.error
@@ -251,7 +282,44 @@ def test_a_link_that_stays_silent_on_a_row_ends_the_flight(firmware: Firmware) -
     assert flown.result.not_looked_at == [*range(2, 7)]
 
 
-@pytest.mark.parametrize("silent_s", [4.0, 8.0])
+def test_a_px4_that_hears_nothing_on_a_row_goes_home_and_is_left_alone() -> None:
+    """It leaves OFFBOARD a second after the last setpoint."""
+    taken_s: list[float] = []
+
+    def falls_silent(sky: Bench) -> None:
+        taken_s.append(sky.now_s + 5.0)
+        silent_for(5.0)(sky)
+
+    flown = fly(config_of("px4", 4.0), photo6=falls_silent)
+    assert isinstance(flown.error, AutopilotOverruled), flown.error
+    assert "fail-safe" in str(flown.error)
+    assert flown.sky.commands(*taken_s) == []
+    assert flown.sky.setpoints(*taken_s) == 0
+    assert [event.waypoint for event in flown.of(schema.Arrived)][-1] == 6
+
+
+@pytest.mark.parametrize("lasts_s", [6.0, 12.0, 40.0])
+@pytest.mark.parametrize("photo", [4, 6, DEMANDING])
+def test_no_spot_counts_while_the_vehicle_doubts_its_gps(photo: int, lasts_s: float) -> None:
+    """It doubts its receiver after 1.4 s, and takes the glitch of 56 m for true after 10.2 s."""
+    doubted_s = []
+
+    def glitches(sky: Bench) -> None:
+        sky.fail(FaultKind.GLITCH)
+        doubted_s.append(sky.now_s + 2.5)
+        later(lasts_s, lambda sky: sky.mend(FaultKind.GLITCH))(sky)
+
+    config = config_of("arducopter", 4.0)
+    flown = fly(config, **{f"photo{photo}": glitches})
+    assert flown.result.completed, flown.error
+    for shot, spot in zip(flown.shots, waypoints(config.mission), strict=True):
+        at = shot.place.east_m, shot.place.north_m
+        assert math.dist(at, (spot.position.east_m, spot.position.north_m)) < 1.1, spot.index
+    (since_s,) = doubted_s
+    assert not [event for event in flown.of(schema.Arrived) if since_s < event.t < since_s + lasts_s - 2.5]
+
+
+@pytest.mark.parametrize("silent_s", [4.0, 5.0, 8.0])
 def test_spots_that_were_passed_in_a_silence_are_flown_back_to(silent_s: float) -> None:
     config = config_of("arducopter", 8.0)
     flown = fly(config, photo6=silent_for(silent_s))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from typing import Any
+from unittest.mock import patch
 
 from msgspec.structs import replace
-from tests.sim.planting import plant, planted
+from tests.sim.planting import Planting, plant, planted, planting
 
 from upwash.config import DroneConfig
 from upwash.core.geo import Position
@@ -55,12 +57,19 @@ def takes_twice(taken: Any, self: Rows, waited_s: float = 0.0) -> Any:
 
 
 plant("a spot that was passed during a call is not flown back to", Legs, "_misses", lambda *_, **__: False)
-plant("on a row a spot counts in doubt of the position", ModelAutopilot, "position_is_sure", True)
 
 
 @planted("on a row a spot counts however far beside it the drone passes", legs, "is_missed")
 def counts_beside(_: Any, spot: Position, here: Position, *, speed_m_s: float, **leg: Position) -> bool:
     return -ahead_m(spot, here, **leg) > max(1.0, 0.5 * speed_m_s)
+
+
+@planting("on a row a spot counts in doubt of the position")
+def counts_in_doubt() -> Planting:
+    planted = contextlib.ExitStack()
+    planted.enter_context(patch.object(ModelAutopilot, "position_is_sure", True))
+    planted.enter_context(counts_beside())  # the place in the report is that of the doubt
+    return planted
 
 
 plant(

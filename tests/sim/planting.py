@@ -71,6 +71,8 @@ FOUND_BY_SEED = {
     "the line is left from its other end": 37,
     "the line knows no busy place": 37,
     "a spot that was passed during a call is not flown back to": 37,
+    "on a row a spot counts however far beside it the drone passes": 212,
+    "on a row a spot counts in doubt of the position": 212,
     "of several demands on a row one is met": 37,
     "on a row an action is done where the drone is": 37,
 }

@@ -11,6 +11,7 @@ from tests.played import played
 from tests.ports.memory import AGILE, HASTY, HOME, driven
 from tests.ports.steps import take_off
 
+from upwash.config import FaultConfig
 from upwash.core.geo import Circle, LocalFrame, Position, distance_m, ground_distance_m
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.ports import Autopilot
@@ -19,6 +20,7 @@ from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.sim.vehicle import Manner, Plain
 from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.px4.settings import Px4Settings
 
 SPEED_M_S = 60.0
@@ -40,11 +42,30 @@ async def mavlink_autopilot() -> AsyncIterator[Autopilot]:
         yield autopilot
 
 
-def model(manner: Manner) -> Callable[[], AbstractAsyncContextManager[Autopilot]]:
+DOUBT_FROM_S, DOUBT_UNTIL_S = 20.0, 45.0
+DOUBT = FaultConfig(
+    target="autopilot", kind="jump", from_s=DOUBT_FROM_S, to_s=DOUBT_UNTIL_S, moved_m=(0.0, 50.0, 0.0)
+)
+
+
+@asynccontextmanager
+async def doubting_mavlink_autopilot() -> AsyncIterator[Autopilot]:
+    async with driven(AGILE, HASTY, SPEED_M_S) as (sky, autopilot):
+        loop = asyncio.get_running_loop()
+        loop.call_at(DOUBT_FROM_S - 12.0, sky.fail, FaultKind.GLITCH)  # its filter believes it 10 s later
+        loop.call_at(DOUBT_UNTIL_S, sky.mend, FaultKind.GLITCH)
+        yield autopilot
+
+
+def model(manner: Manner, *incidents: FaultConfig) -> Callable[[], AbstractAsyncContextManager[Autopilot]]:
     @asynccontextmanager
     async def made() -> AsyncIterator[Autopilot]:
         autopilot = ModelAutopilot(
-            Position(0.0, 0.0), ground_speed_m_s=SPEED_M_S, manner=manner, frame=LocalFrame(HOME)
+            Position(0.0, 0.0),
+            ground_speed_m_s=SPEED_M_S,
+            manner=manner,
+            frame=LocalFrame(HOME),
+            incidents=incidents,
         )
         yield autopilot
         await autopilot.close()
@@ -65,6 +86,21 @@ def fly(request: pytest.FixtureRequest) -> Fly:
         "px4": px4_autopilot,
     }[request.param]
 
+    return flying(make)
+
+
+@pytest.fixture(params=["plain model", "arducopter model", "mavlink"])
+def fly_in_doubt(request: pytest.FixtureRequest) -> Fly:
+    """The same, where the reported position is off by 50 m for a while."""
+    make = {
+        "plain model": model(PLAIN, DOUBT),
+        "arducopter model": model(arducopter, DOUBT),
+        "mavlink": doubting_mavlink_autopilot,
+    }[request.param]
+    return flying(make)
+
+
+def flying(make: Callable[[], AbstractAsyncContextManager[Autopilot]]) -> Fly:
     def flown(flight: Flight) -> None:
         async def with_autopilot() -> None:
             async with make() as autopilot:
@@ -73,6 +109,23 @@ def fly(request: pytest.FixtureRequest) -> Fly:
         run_virtually(with_autopilot())
 
     return flown
+
+
+@played("fly_in_doubt")
+async def test_it_says_whether_its_position_is_sure_and_arrives_nowhere_in_doubt(
+    autopilot: Autopilot,
+) -> None:
+    loop = asyncio.get_running_loop()
+    await take_off(autopilot)
+    assert autopilot.position_is_sure
+    await asyncio.sleep(DOUBT_FROM_S + 1.0 - loop.time())
+    assert not autopilot.position_is_sure
+    leg = asyncio.create_task(autopilot.goto(Position(20.0, 0.0, 5.0)))
+    await asyncio.sleep(DOUBT_UNTIL_S - 1.0 - loop.time())
+    assert not autopilot.position_is_sure and not leg.done()
+    await leg
+    assert autopilot.position_is_sure
+    assert distance_m(autopilot.position, Position(20.0, 0.0, 5.0)) <= 1.01
 
 
 @played("fly")
