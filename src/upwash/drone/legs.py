@@ -17,7 +17,7 @@ from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal, VehicleLimits
 from upwash.support.background import begin, first
 
-_SHORT_M = 1.0  # a leg on which no spot is seen to be passed
+_SHORT_M = 1.0  # a leg without a spot to pass
 
 
 class Legs:
@@ -137,7 +137,7 @@ class Legs:
         return not self._misses(spot, start=start, end=end)
 
     def left(self) -> Position:
-        """The place of the last leg that is nearest to where it is; without a leg, where it is."""
+        """The place of the last leg that is nearest to the vehicle; the vehicle's place before the first leg."""
         start, end, here = self._leg_start, self._leg_end, self._autopilot.position
         return here if start is None or end is None else nearest_on(start, end, here)
 

@@ -42,7 +42,7 @@ def on_the_move(history: History) -> Iterator[Breach]:
 def _photos_elsewhere(history: History) -> Iterator[Breach]:
     """Each photo is of the waypoint that the drone has just reached, and each waypoint has one.
 
-    The place is not judged where the position jumped since, nor after a jump within a silence.
+    Places are not judged if the position jumped between arrival and photo, or before that within a silence.
     """
     config = history.config
     unheard_s = next((fact.t for fact in history.own("jumped_unheard")), math.inf)

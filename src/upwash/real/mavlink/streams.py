@@ -5,8 +5,8 @@ interval differs from the request, another program or the vehicle changed it: th
 more rarely. If the interval agrees with the request, or no answer gets through, the link carries less: the driver
 requests less. Reports that the radio lost count as sent.
 
-Some reports have rates of their own, whatever is asked: they say nothing of the link, and only show whether another
-program asked for less. While an ArduPilot serves parameters, a mission or files, it sends all reports more rarely.
+The rates of some reports do not follow the request. These rates only show whether another program lowered them. While
+an ArduPilot serves parameters, a mission or files, it sends all reports more rarely: no rate is judged then.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class Streams:
         return None
 
     def _expected_hz(self) -> dict[int, float]:
-        """The rates that show whether the vehicle was asked for less, and before these those that show the link's."""
+        """The rates that a good link brings, and after them those of reports that come anyway."""
         firmware = self._firmware
         asked = {number: self._wanted_hz(number) for number in firmware.streams_hz}
         of_link = {number: hz for number, hz in asked.items() if number not in firmware.sent_at_times}

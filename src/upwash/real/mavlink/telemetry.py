@@ -306,10 +306,9 @@ class FirmwareProfile:
 
     `mode_name` names a custom mode; the program steers in `own_mode`. `failsafe` returns why a fail-safe may have
     chosen the mode of that name, or "". `streams_hz` has the rates of the reports that the driver needs, by message;
-    the vehicle sends those in `sent_at_times` only on occasion, and some of them at the rate of `sent_anyway_hz` too,
-    unless it was asked for less. All versions have the parameter `always_has`.
-    `oldest` is the oldest version that can be flown: older versions lack what upwash `needs`. `take` takes in reports
-    that only this firmware sends.
+    the vehicle sends those in `sent_at_times` only on occasion, some also at the rate of `sent_anyway_hz` unless the
+    requested rate is lower. All versions have the parameter `always_has`. `oldest` is the oldest version that can be
+    flown: older versions lack what upwash `needs`. `take` takes in reports that only this firmware sends.
     """
 
     name: str
