@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
+from tests.drone.test_pending import in_the_air
+from tests.drone.test_resume import fly
+from tests.drone.test_resume import scenario as resumable
 from tests.scenarios import scenario
 from tests.surveys import transects, written
 
+from upwash import Drone
 from upwash.config import DroneConfig, FaultConfig, read_drone_config, waypoints
 from upwash.core.geo import Position
 from upwash.drone.rows import is_missed, nearest_on
 from upwash.eventlog import schema
 from upwash.lab.observer import Observation
 from upwash.lab.run import Run, simulate_fleet
+from upwash.services import Detector
+from upwash.sim.autopilot import ModelAutopilot
 
 # Three rows of 100 m, 20 m apart, a photo each 20 m at 4 m/s.
 ROWS = [[0, 0], [100, 0], [100, 20], [0, 20], [0, 40], [100, 40]]
@@ -48,16 +56,21 @@ def judge(config: DroneConfig, *faults: FaultConfig) -> None:
     run, offs_m = flown(config, *faults)
     assert run.result.completed, run.failure
     assert max(offs_m) < 5.0, max(offs_m)
-    doubted, counted = False, set()
-    for event in run.events:
-        if isinstance(event, schema.PositionDoubted):
-            doubted = event.jumped_m > 0
-        elif isinstance(event, schema.Arrived):
-            assert not doubted, f"waypoint {event.waypoint} counted at {event.t} s"
-            counted.add(event.waypoint)
+    assert arrived_in_doubt(run.events) == []
+    counted = {event.waypoint for event in run.events if isinstance(event, schema.Arrived)}
     assert counted >= {waypoint.index for waypoint in waypoints(config.mission)}
     calls = sorted(call.waypoint for call in run.result.calls if call.waypoint is not None)
     assert calls == [waypoint.index for waypoint in waypoints(config.mission)]
+
+
+def arrived_in_doubt(events: Sequence[Any]) -> list[schema.Arrived]:
+    doubted, counted = False, []
+    for event in events:
+        if isinstance(event, schema.PositionDoubted):
+            doubted = event.jumped_m > 0
+        elif isinstance(event, schema.Arrived) and doubted:
+            counted.append(event)
+    return counted
 
 
 @pytest.mark.parametrize("moved_m", [SIDEWAYS, ALONG, ASKEW])
@@ -93,6 +106,23 @@ def test_a_doubt_that_never_ends_ends_the_flight_as_at_a_stop(moved_m: tuple[flo
     assert not [event for event in run.events if isinstance(event, schema.PhotoTaken) and event.t > doubted.t]
     assert [event.action for event in run.events if isinstance(event, schema.SafeEnd)] == ["return"]
     assert max(offs_m) < 1.0
+
+
+def test_a_leg_that_ended_before_the_doubt_does_not_count_in_it() -> None:
+    """A call of 10 s flies the drone on to the row's end, 2 m beyond the last spot; the position jumps meanwhile."""
+
+    def program(drone: Drone, detector: Detector) -> None:
+        for waypoint in drone.plan:
+            drone.autopilot.goto(waypoint)
+            detector.process_photo(drone.camera.take_photo(), mode="heavy")
+
+    for waypoints_m in ([[0, 0], [42, 0]], [[0, 0], [40, 0]]):
+        config = resumable(waypoints_m=waypoints_m, photos={"every_m": 20.0}, ground_speed_m_s=3.0)
+        for from_s in range(25, 65):
+            vehicle = partial(ModelAutopilot, incidents=[jump(float(from_s), 8.0, SIDEWAYS)])
+            part = fly(config, mission=in_the_air(program), autopilot=vehicle)
+            assert part.error is None
+            assert arrived_in_doubt(part.events) == [], from_s
 
 
 def test_a_spot_counts_near_the_row_only() -> None:

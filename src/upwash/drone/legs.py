@@ -10,7 +10,7 @@ from typing import Any
 from upwash.core.geo import Position, Via, Waypoint, distance_m
 from upwash.core.selection.events import LegBegun, LegEnded, SelectionEvent
 from upwash.drone.pending import AnswerAction, Demand, index_of, one_answered, position_of
-from upwash.drone.rows import is_missed, lies_on, nearest_on, passed
+from upwash.drone.rows import is_far, is_missed, lies_on, nearest_on, passed
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError
 from upwash.eventlog import schema
@@ -204,11 +204,14 @@ class Legs:
     def _misses(self, spot: Position, *, start: Position, end: Position) -> bool:
         """Whether it is sure to have passed a spot too far away, or long ago, as in a silence of its link.
 
-        The end of the leg is not missed, as the leg ends there.
+        A leg that is flown reaches its end. At rest only a spot where the vehicle surely is counts as reached.
         """
-        if end in (spot, start) or not self._autopilot.position_is_sure:
+        here, is_sure = self._autopilot.position, self._autopilot.position_is_sure
+        if self.rests and (not is_sure or is_far(spot, here)):
+            return True
+        if end in (spot, start) or not is_sure:
             return False
-        here, speed_m_s = self._autopilot.position, self.ground_speed_m_s or self._default_m_s
+        speed_m_s = self.ground_speed_m_s or self._default_m_s
         return is_missed(spot, here, start=start, end=end, speed_m_s=speed_m_s)
 
     async def stop(self) -> None:

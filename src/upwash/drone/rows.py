@@ -76,7 +76,12 @@ def is_missed(spot: Position, here: Position, *, start: Position, end: Position,
     """Whether a vehicle with this speed has passed a spot of a leg too far away, or is too far beyond it by now."""
     beyond_m = -ahead_m(spot, here, start=start, end=end)
     is_late = beyond_m > max(_LATE_M, _LATE_S * speed_m_s)
-    return is_late or (beyond_m >= 0 and distance_m(here, spot) > _NEAR_M)
+    return is_late or (beyond_m >= 0 and is_far(spot, here))
+
+
+def is_far(spot: Position, here: Position) -> bool:
+    """Whether the spot is too far from here to count as reached, altitude included."""
+    return distance_m(here, spot) > _NEAR_M
 
 
 def nearest_on(start: Position, end: Position, here: Position) -> Position:
@@ -494,13 +499,14 @@ class Rows:
         return demanding
 
     def _fly_back(self, spot: Place) -> None:
-        """Brake, fly to a spot that was missed, and set off again."""
+        """Brake, fly to a spot that was missed, and set off again for the end of the leg."""
         end = self._end
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
         self.fly_around(position_of(spot))
         self._vehicle.fly(spot)
-        self._set_off(end, self._leg_m_s)
+        if position_of(spot) != end:
+            self._set_off(end, self._leg_m_s)
 
     def _detour(
         self, demanding: list[AnswerAction[Any]], spot: Position, goes_on: Callable[[], None]
