@@ -47,9 +47,7 @@ _THERE_M = 1.0  # from a photo's place, at rest
 _BESIDE_M = 2.0  # by wind and GPS
 _LATER = 2.0  # times what an answer is expected to take that the drone waits for
 _LATE_M, _LATE_S = 1.0, 0.5  # a spot that was passed by more, at the speed of the row, is flown back to
-_NEAR_M = (
-    4.0  # of a spot that counts: less than the 5 m of an arrival, as the truth may lie beside the report
-)
+_NEAR_M = 4.0  # of a spot that counts: an arrival is promised within 5 m, and a report may be a metre off
 _UNSURE_S = 0.1  # between two looks while the position is in doubt
 
 
