@@ -16,6 +16,7 @@ from upwash.core.geo import Circle, EarthPosition, Position, Velocity
 from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.geofence import Fence
+from upwash.core.vehicle.return_place import NO_RALLY_POINTS, RallyPoints
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.eventlog import schema
@@ -47,7 +48,7 @@ class FenceNames:
 
 @dataclass(frozen=True, slots=True)
 class VehicleLimits:
-    """The vehicle's home and its own fence, relative to the mission's home.
+    """The vehicle's home, its own fence and its rally points, relative to the mission's home.
 
     `home` and `home_above_sea_m` are None while the vehicle does not report them. At the altitudes `highest_m` and
     `lowest_m`, above home, the fence is breached; None without such a limit. The vehicle may overshoot by `margin_m`.
@@ -64,6 +65,7 @@ class VehicleLimits:
     home_above_sea_m: float | None = None
     names: FenceNames = FenceNames()
     untold: Sequence[str] = ()
+    rally: RallyPoints = NO_RALLY_POINTS
 
 
 DeadManAction: TypeAlias = Literal["return", "land"]
@@ -169,7 +171,7 @@ class Autopilot(Whereabouts, Protocol):
         """Waits until the vehicle stands disarmed, with any owner; AutopilotLost if it falls silent."""
 
     async def limits(self) -> VehicleLimits:
-        """The vehicle's home and its own fence."""
+        """The vehicle's home, its own fence and its rally points."""
 
     async def ready(self) -> None:
         """Waits until the vehicle can be armed; raises AutopilotRefused, with its reasons, if that takes too long."""
@@ -199,7 +201,10 @@ class Autopilot(Whereabouts, Protocol):
         """Stops the vehicle; returns when it hovers."""
 
     async def return_home_and_land(self) -> None:
-        """Flies back to the vehicle's home and lands; returns on touchdown."""
+        """Flies back to the vehicle's home or rally point and lands; returns on touchdown.
+
+        A vehicle whose return ends in a hover is not landed: the verb goes on until it fails.
+        """
 
     async def land(self) -> None:
         """Lands where the vehicle is; returns on touchdown."""

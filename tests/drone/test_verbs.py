@@ -12,6 +12,7 @@ from upwash.core.geo import Position, Waypoint
 from upwash.core.selection import events
 from upwash.core.vehicle.geofence import Fence, Polygon
 from upwash.core.vehicle.way_home import EnergyFacts
+from upwash.drone.homecoming import Homecoming
 from upwash.drone.site import Site
 from upwash.drone.vehicle import Vehicle, VehicleHandle
 from upwash.errors import AutopilotRefused
@@ -47,7 +48,14 @@ class Field:
         }
         this: Any = self
         journal: Any = SimpleNamespace(record=self.log.append)
-        self.vehicle = Vehicle(this, this, journal, site=Site(**(facts | site)), tell=self.told.append)
+        self.vehicle = Vehicle(
+            this,
+            this,
+            journal,
+            site=Site(**(facts | site)),
+            homecoming=Homecoming(this, journal),
+            tell=self.told.append,
+        )
 
     def call(self, verb: Any) -> Any:
         async def timed() -> Any:

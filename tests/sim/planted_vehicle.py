@@ -14,6 +14,7 @@ from upwash.core.vehicle.continuity import Continuity, Track
 from upwash.core.vehicle.control import Control, ControlChange, Heartbeat, Latch, Owner
 from upwash.drone import coming_down as safety
 from upwash.drone import flight as drone
+from upwash.drone.homecoming import Homecoming
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.vehicle_link import ModelVehicleLink
 
@@ -43,7 +44,8 @@ def failsafe_overlooked(report: Any, self: Latch, heard: Heartbeat, now_s: float
 @planting("a lost vehicle is commanded to end safely")
 def ended_safely_all_the_same() -> Planting:
     async def end(autopilot: Any, journal: Any, **_: Any) -> None:
-        await safety.end_safely(autopilot, "return", journal, why="lost")
+        homecoming = Homecoming(autopilot, journal)
+        await safety.end_safely(autopilot, "return", journal, why="lost", homecoming=homecoming)
 
     planted = contextlib.ExitStack()
     planted.enter_context(patch.object(Latch, "require", lambda *_: None))

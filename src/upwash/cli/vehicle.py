@@ -31,6 +31,21 @@ def _place(text: str) -> GeoPosition:
     return GeoPosition(latitude_deg, longitude_deg)
 
 
+def _rally_point(text: str) -> GeoPosition:
+    place, _, altitude = text.rpartition(",")
+    try:
+        where, altitude_m = _place(place), float(altitude)
+    except (ValueError, argparse.ArgumentTypeError):
+        raise UsageError(
+            f'"{text}" is no rally point: write LAT,LON,ALT in degrees and metres, such as 39.3670,22.9511,30'
+        ) from None
+    if not -_RALLY_WITHIN_M <= altitude_m <= _RALLY_WITHIN_M:
+        raise UsageError(
+            f'"{text}" is no rally point: its altitude is not within {_RALLY_WITHIN_M:g} m of home'
+        )
+    return GeoPosition(where.latitude_deg, where.longitude_deg, altitude_m)
+
+
 def _glitch(text: str) -> dict[str, float]:
     size, _, cleared = text.partition(":")
     try:
@@ -42,6 +57,7 @@ def _glitch(text: str) -> dict[str, float]:
         ) from None
 
 
+_RALLY_WITHIN_M = 1_000.0
 _GLITCH = (
     'arducopter: what the fault glitch is: how far GPS is off, and after how many seconds it says "Glitch cleared" '
     "though it still is (default: 55.66:20; inf: never)"
@@ -59,6 +75,7 @@ ARGUMENTS = {
     "--armable-after S": option("after boot, in seconds (default: 41.4, PX4: 4)", type=float),
     "--battery PERCENT": option("how full it is at boot", type=float, default=100.0),
     "--param NAME=VALUE": repeated("a parameter at boot, such as FENCE_RADIUS=60", "parameters"),
+    "--rally LAT,LON,ALT": repeated("a rally point, at an altitude in metres above home", "rally"),
     # how it flies, how its time passes, and what goes wrong
     "--speedup N": option("run its clock N times as fast", type=float, default=1.0),
     "--acceleration M_S2": option(
@@ -112,6 +129,7 @@ def _of_both(options: argparse.Namespace) -> dict[str, Any]:
         "speedup": options.speedup,
         "parameters": dict(read_setting(text) for text in options.parameters),
         "faults": tuple(read_fault(text) for text in options.faults),
+        "rally": tuple(_rally_point(text) for text in options.rally),
     }
     if options.armable_after is not None:
         settings["armable_after_s"] = options.armable_after

@@ -1,4 +1,4 @@
-"""How a flight that cannot go on ends, and how much longer a return or a landing takes."""
+"""How a flight that cannot go on ends: by its safe end, or for a lost vehicle by whoever has it."""
 
 from __future__ import annotations
 
@@ -7,25 +7,20 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Literal
 
 from upwash.config import SafeEnd
-from upwash.core.geo import Position
-from upwash.core.vehicle.way_home import UNKNOWN, WayDown
+from upwash.drone.homecoming import Homecoming
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 from upwash.support.background import first
 
 _Action = SafeEnd | Literal["disarm"]
-_ENDED: Mapping[_Action, type[schema.Landed | schema.LeftHovering | schema.Disarmed]] = {
-    "return": schema.Landed,
-    "land": schema.Landed,
-    "hold": schema.LeftHovering,
-    "disarm": schema.Disarmed,
-}
 _KEEP_TRYING_S = 600.0  # about what a battery lasts that the mission has already used half of
 _PAUSE_S = 2.0
 
 
-async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *, why: str) -> None:
+async def end_safely(
+    autopilot: Autopilot, action: SafeEnd, journal: Journal, *, why: str, homecoming: Homecoming
+) -> None:
     """Commands the vehicle to return and land, to land or to hold, again and again until it obeys.
 
     A vehicle on the ground is disarmed instead. Returns when the action is done, when the program no longer has the
@@ -34,9 +29,15 @@ async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *,
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + _KEEP_TRYING_S
     told, begun = "", ""
+    ended: Mapping[_Action, Callable[[], schema.Landed | schema.LeftHovering | schema.Disarmed]] = {
+        "return": homecoming.landed,
+        "land": homecoming.landed,
+        "hold": schema.LeftHovering,
+        "disarm": schema.Disarmed,
+    }
     verbs: Mapping[_Action, Callable[[], Awaitable[None]]] = {
-        "return": autopilot.return_home_and_land,
-        "land": autopilot.land,
+        "return": homecoming.return_and_land,
+        "land": homecoming.land,
         "hold": autopilot.hold,
         "disarm": autopilot.disarm,
     }
@@ -55,7 +56,7 @@ async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *,
                 journal.record(schema.SafeEndFailed(action=doing, why=told))
             await asyncio.sleep(_PAUSE_S)
         else:
-            journal.record(_ENDED[doing]())
+            journal.record(ended[doing]())
             return
     why = f"the vehicle has not obeyed for {_KEEP_TRYING_S:.0f} s; only the pilot and its fail-safes can end this"
     journal.record(schema.LeftToPilot(why=why))
@@ -76,33 +77,3 @@ async def follow(autopilot: Autopilot, journal: Journal, *, until: asyncio.Event
         journal.record(schema.FollowingEnded(why="the program was stopped"))
     else:
         journal.record(schema.Stood(position=autopilot.position))
-
-
-ComingDown = Literal["return", "land"]
-_HOME = Position(0.0, 0.0)
-
-
-class Descent:
-    """Follows the vehicle's way down; `doing` returns whether the program returns, lands, or does neither."""
-
-    def __init__(self, autopilot: Autopilot, *, doing: Callable[[], ComingDown | None]) -> None:
-        self._autopilot = autopilot
-        self._doing = doing
-        self._begun: ComingDown | None = None
-        self._way: WayDown | None = None
-
-    @property
-    def left_s(self) -> float | None:
-        """Seconds to the ground; None unless the program has the vehicle and brings it down."""
-        vehicle = self._autopilot
-        doing = self._doing() if vehicle.control.is_ours and not vehicle.stands else None
-        if doing != self._begun:
-            self._begun, self._way = doing, None if doing is None else self._begin(doing)
-        if self._way is None:
-            return None
-        return self._way.left_s(vehicle.position, now_s=asyncio.get_running_loop().time())
-
-    def _begin(self, doing: ComingDown) -> WayDown:
-        facts, here = self._autopilot.energy, self._autopilot.position
-        home = None if doing == "land" else facts.home or _HOME
-        return WayDown(facts.way_home or UNKNOWN, here, home)

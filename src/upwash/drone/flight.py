@@ -29,9 +29,10 @@ from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
 from upwash.drone.api import Drone, Mission, User
-from upwash.drone.coming_down import ComingDown, Descent, end_safely, follow
+from upwash.drone.coming_down import end_safely, follow
 from upwash.drone.deadlines import require_deadlines
 from upwash.drone.home import planned_home
+from upwash.drone.homecoming import Homecoming
 from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.payload import Payload
 from upwash.drone.pending import AnswerActions, Calls
@@ -75,6 +76,7 @@ from upwash.rpc.service import ServiceSpec, spec_of
 from upwash.support.background import end, start
 from upwash.support.text import message_of, worded
 
+_LOOKS_AGAIN_S = 1.0  # at the battery, on the way down
 _AT_ONCE_S = 1.0  # a person cannot have read of the reserve before
 _WORDS_KEPT = 8  # of the vehicle, as a reason of a loss
 _WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
@@ -135,6 +137,7 @@ class Flight:
         )
         self._stopped: MissionStopped | None = None  # why, once it is
         self._stopped_s = 0.0
+        self._ends_safely = False
         self._follows = False  # a vehicle that is not the program's, to the ground
         self.has_ended = False  # its last event is logged
         self._stop_following = asyncio.Event()
@@ -150,6 +153,7 @@ class Flight:
         self._offloading = make_offloading(
             config, specs, selection, ports, self._onboard, before_sending=self._before_sending
         )
+        self._homecoming = Homecoming(ports.autopilot, ports.journal)
         self._watch = self._reserve_watch()
         self._vehicle = Vehicle(
             ports.autopilot,
@@ -165,12 +169,11 @@ class Flight:
                 way=planned_way(config.mission),
                 home=planned_home(config.mission),
             ),
+            homecoming=self._homecoming,
             tell=self._offloading.tell,
             rows=self._row_rules(specs, selection),
         )
         self._handle = VehicleHandle(self._vehicle)
-        self._ends: ComingDown | None = None  # how the flight is ended safely, while it is
-        self._descent = Descent(ports.autopilot, doing=lambda: self._ends or self._vehicle.coming_down)
         self._calls = Calls(
             self._thread,
             self._offloading.invoke,
@@ -237,7 +240,7 @@ class Flight:
                 if isinstance(area, Circle) and config.policy.name != "local-only"
             },
             plan=self._plan,
-            home=lambda: (autopilot.energy.home or Position(0.0, 0.0)) if returns else None,
+            home=lambda: autopilot.energy.returns_to(autopilot.position).position if returns else None,
             ground_speed_m_s=config.mission.ground_speed_m_s,
             detour_s=config.policy.detour_s,
             spare_s=self._watch.spare_s,
@@ -280,7 +283,7 @@ class Flight:
         vehicle, (server, round_trip_s) = self._ports.autopilot, self._offloading.link
         here, told = rounded(vehicle.position), vehicle.telemetry
         speed_m_s, heading_deg, percent = told.ground_speed_m_s, told.heading_deg, told.battery_percent
-        down_s, wind = self._descent.left_s, vehicle.wind
+        down_s, wind = self._homecoming.left_s, vehicle.wind
         return schema.PositionReport(
             east_m=here.east_m,
             north_m=here.north_m,
@@ -378,11 +381,15 @@ class Flight:
             raise
 
     async def _fly(self) -> None:
-        async with self._ending_safely():
-            await self._run_mission()
-        if not await self._stands_disarmed():
-            where = "in the air" if self._vehicle.in_the_air else "with running motors"
-            await self._end(f"the mission ended {where}")
+        watch = start(self._watch_battery(), name="the watch of the reserve", failed=self._end_unwatched)
+        try:
+            async with self._ending_safely():
+                await self._run_mission()
+            if not await self._stands_disarmed():
+                where = "in the air" if self._vehicle.in_the_air else "with running motors"
+                await self._end(f"the mission ended {where}")
+        finally:
+            await end(watch)
 
     async def _stands_disarmed(self) -> bool:
         """Disarm a vehicle that the mission left armed on the ground; return whether it stands disarmed."""
@@ -398,7 +405,6 @@ class Flight:
         return True
 
     async def _run_mission(self) -> None:
-        watch = start(self._watch_battery(), name="the watch of the reserve", failed=self._end_unwatched)
         try:
             await self._thread.run(self._fly_program)
         except UpwashError as error:
@@ -409,7 +415,6 @@ class Flight:
         except Exception as error:
             raise mission_failed(error) from error
         finally:
-            await end(watch)
             await self._handle.end_leg()
             await self._calls.close()
         self._require_control()
@@ -437,12 +442,9 @@ class Flight:
         autopilot, journal = self._ports.autopilot, self._ports.journal
         if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.armed):
             self._stop_following.clear()
+            self._ends_safely = True
             action = self._config.autopilot.on_failure
-            self._ends = None if action == "hold" else action
-            try:
-                await end_safely(autopilot, action, journal, why=why)
-            finally:
-                self._ends = None
+            await end_safely(autopilot, action, journal, why=why, homecoming=self._homecoming)
         if not autopilot.control.is_ours:
             self._follows = True
             await follow(autopilot, journal, until=self._stop_following)
@@ -458,21 +460,27 @@ class Flight:
             self._ports.journal,
             flying=lambda: self._vehicle.in_the_air,
             leg_speed_m_s=leg_speed_m_s,
-            down_s=lambda: self._descent.left_s,
+            down_s=lambda: self._homecoming.left_s,
         )
 
     async def _watch_battery(self) -> None:
-        self._end_at_reserve(await self._watch.reached())
+        while True:
+            self._end_at_reserve(await self._watch.reached())
+            await asyncio.sleep(_LOOKS_AGAIN_S)
 
     def _end_unwatched(self, defect: Exception) -> None:
         """End the mission as at the reserve, because the watch of the reserve failed."""
         why = f"a defect has ended the watch of the reserve: {worded(defect)}"
         trace = "".join(traceback.format_exception(defect))
         self._ports.journal.record(schema.BatteryWatchFailed(why=why, trace=trace))
-        self._end_at_reserve(why)
+        if self._homecoming.doing is None:
+            self._end_at_reserve(why)
 
     def _end_at_reserve(self, why: str) -> None:
-        if not self._vehicle.coming_down:
+        """End a mission in flight; a vehicle that comes down already is only hurried."""
+        if self._homecoming.doing is not None:
+            self._homecoming.hurry(why)
+        elif self._stopped is None and not self._ends_safely:
             self._end_mission(ReserveReached(why))
 
     def _drone(self) -> Drone:

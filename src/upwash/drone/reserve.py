@@ -21,7 +21,7 @@ _HOME = Position(0.0, 0.0)
 
 
 class ReserveWatch:
-    """Checks the battery every second, on the ground and in the air.
+    """Checks the battery every second, on the ground and in the air, and on the way down.
 
     `flying` returns whether the mission has the vehicle in the air, `leg_speed_m_s` the commanded speed of its leg,
     and `down_s` the seconds left of a return or landing.
@@ -53,7 +53,7 @@ class ReserveWatch:
         self._down_s = down_s
         self._home = _HOME  # where it was last seen before it took off
         self._has_flown = False
-        self._told: tuple[float, float] | None = None  # when, and the margin
+        self._told: tuple[float, Margin] | None = None  # when, and what
         self._now: Margin | None = None
 
     def spare_s(self) -> float | None:
@@ -128,12 +128,12 @@ class ReserveWatch:
         """Log the margin when it is first known, when it has changed, each minute, and when it is used up."""
         if now.rate_percent_s is None:
             return
-        if self._told is not None and not now.turn_back:
-            told_s, told_percent = self._told
-            is_news = abs(now.percent - told_percent) > _TELL_AGAIN_PERCENT
+        if self._told is not None:
+            told_s, told = self._told
+            is_news = abs(now.percent - told.percent) > _TELL_AGAIN_PERCENT or now.turn_back > told.turn_back
             if not is_news and time_s - told_s < _TELL_AGAIN_S:
                 return
-        self._told = time_s, now.percent
+        self._told = time_s, now
         self._journal.record(
             schema.Energy(
                 left_percent=round(now.left_percent, 1),

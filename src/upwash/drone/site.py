@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from upwash.core.geo import Circle, Position, Via, Waypoint, ground_distance_m
 from upwash.core.vehicle.geofence import Fence, breached_by_leg, breached_by_move, breached_by_position
+from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.drone.home import NO_PLANNED_HOME, PlannedHome
 from upwash.errors import AutopilotRefused
 from upwash.plans import Ending
@@ -95,10 +96,12 @@ class Site(Struct, frozen=True):
             )
         yield from itertools.islice(self._too_near(limits), 1)
         home = _home(limits, vehicle)
+        yield from self._returns_elsewhere(limits.rally, home)
         crossing = [
             (waypoint.index, fence)
             for waypoint in self.waypoints
-            if (fence := breached_by_leg(limits.fences, waypoint.position, home)) is not None
+            for end in (limits.rally.chosen(waypoint.position, home).position,)
+            if (fence := breached_by_leg(limits.fences, waypoint.position, end)) is not None
         ]
         if crossing:
             indices, (_, fence) = [index for index, _ in crossing], crossing[0]
@@ -107,6 +110,17 @@ class Site(Struct, frozen=True):
                 if fence.inclusion
                 else f"a straight way home from {_waypoints(indices)} crosses {fence.name}"
             ) + ": a return that begins there, by a fail-safe too, breaches the vehicle's own fence"
+
+    def _returns_elsewhere(self, rally: RallyPoints, home: Position) -> Iterator[str]:
+        """Warnings about rally points, where returns end instead of at home."""
+        ends: dict[ReturnPlace, list[int]] = {}
+        for waypoint in self.waypoints:
+            end = rally.chosen(waypoint.position, home)
+            if end.name != "home":
+                ends.setdefault(end, []).append(waypoint.index)
+        for end, indices in ends.items():
+            away = _far(ground_distance_m(end.position, home))
+            yield f"a return from {_waypoints(indices)} ends at the vehicle's {end.name}, {away} from home"
 
     def _at_the_start(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
         if why := _outside_areas(limits, vehicle):
@@ -136,17 +150,18 @@ class Site(Struct, frozen=True):
             yield f"a place after the last photo ({_place(via.position)})", via.position
 
     def _at_the_end(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
-        names, home = limits.names, _home(limits, vehicle)
+        names = limits.names
         if limits.highest_m is not None and limits.returns_at_m >= limits.highest_m:
             why = f"it ends at {names.highest} = {limits.highest_m:g} m; lower {names.returns_at}"
             yield f"the way home at {names.returns_at} = {limits.returns_at_m:g} m", why
         if self.ending != "return" or not self.waypoints:
             return
-        if why := _outside_areas(limits, home):
-            yield f"the landing at the vehicle's home ({_place(home)})", why
         *_, (last, place) = self._places()
-        if why := _crossed_areas(limits, place, home):
-            yield f"the way home from {last}", f"it {why}"
+        end = limits.rally.chosen(place, _home(limits, vehicle))
+        if why := _outside_areas(limits, end.position):
+            yield f"the landing at the vehicle's {end.name} ({_place(end.position)})", why
+        if why := _crossed_areas(limits, place, end.position):
+            yield f"the way {'home' if end.name == 'home' else f'to {end.name}'} from {last}", f"it {why}"
 
     def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
         """Warnings about places nearer to the fence than the vehicle's margin, where it may overshoot."""

@@ -15,7 +15,7 @@ from upwash.core.selection.events import (
     TargetUnknown,
 )
 from upwash.core.vehicle.telemetry import Telemetry
-from upwash.drone.coming_down import ComingDown
+from upwash.drone.homecoming import ComingDown, Homecoming
 from upwash.drone.legs import Legs
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
@@ -29,9 +29,7 @@ from upwash.support.text import printable
 
 Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]
 _LONGEST_TEXT_BYTES = 200  # four chunks of STATUSTEXT
-_AtPlace = type[
-    schema.Armed | schema.Holding | schema.Returning | schema.Landing | schema.Landed | schema.Disarmed
-]
+_AtPlace = type[schema.Armed | schema.Holding | schema.Disarmed]
 
 
 class Vehicle:
@@ -44,10 +42,12 @@ class Vehicle:
         journal: Journal,
         *,
         site: Site,
+        homecoming: Homecoming,
         tell: Callable[[SelectionEvent], None],
         rows: RowRules | None = None,
     ) -> None:
         self._autopilot = autopilot
+        self._homecoming = homecoming
         self._thread = thread
         self._journal = journal
         self._site = site
@@ -57,7 +57,6 @@ class Vehicle:
         )
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
-        self._coming_down: ComingDown | None = None
         self._open: AnswerAction[Any] | None = None
         self._rows = (
             Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, way=site.way, rules=rows)
@@ -83,11 +82,6 @@ class Vehicle:
     def in_the_air(self) -> bool:
         """Whether the mission has taken off and not landed since."""
         return self._in_the_air
-
-    @property
-    def coming_down(self) -> ComingDown | None:
-        """Whether the mission returns or lands now, and which; None otherwise."""
-        return self._coming_down
 
     @property
     def battery_percent(self) -> float | None:
@@ -201,12 +195,12 @@ class Vehicle:
         self._thread.call(self._logged(self._autopilot.hold, schema.Holding))
 
     def return_home_and_land(self) -> None:
-        """Flies back to where the vehicle took off, lands, and returns when it has landed."""
-        self._come_down("return", self._autopilot.return_home_and_land, schema.Returning)
+        """Flies back to the vehicle's home or rally point, lands, and returns when it has landed."""
+        self._come_down("return", self._homecoming.return_and_land, schema.Returning)
 
     def land(self) -> None:
         """Lands where the vehicle is, and returns when it has landed."""
-        self._come_down("land", self._autopilot.land, schema.Landing)
+        self._come_down("land", self._homecoming.land, schema.Landing)
 
     def disarm(self) -> None:
         """Stops the motors of the landed vehicle."""
@@ -279,21 +273,28 @@ class Vehicle:
                 self._open = answer
 
     def _come_down(
-        self, how: ComingDown, verb: Callable[[], Coroutine[Any, Any, None]], doing: _AtPlace
+        self,
+        how: ComingDown,
+        verb: Callable[[], Coroutine[Any, Any, None]],
+        doing: type[schema.Returning | schema.Landing],
     ) -> None:
         if self._rows is not None:
             self._rows.settle(comes_back=how == "land")
             self._rows.seek_answers()
         else:
             self._settle()
-        self._coming_down = how
-        try:
-            self._thread.call(self._logged(verb, schema.Landed, begun=DescentBegun, before=doing))
-            self._in_the_air = self._found_flying = False
-        finally:
-            self._coming_down = None
+        self._thread.call(self._descend(verb, doing))
+        self._in_the_air = self._found_flying = False
         if self._rows is not None:
             self._rows.after_landing()
+
+    async def _descend(
+        self, verb: Callable[[], Coroutine[Any, Any, None]], doing: type[schema.Returning | schema.Landing]
+    ) -> None:
+        self._tell(DescentBegun())
+        self._journal.record(doing(position=rounded(self._autopilot.position)))
+        await verb()
+        self._journal.record(self._homecoming.landed())
 
     async def _turn_to(self, heading_deg: float) -> None:
         await self._autopilot.turn_to(heading_deg)
@@ -328,6 +329,7 @@ class Vehicle:
                 fences=[fence.name for fence in limits.fences],
                 low_percent=battery.low_percent,
                 critical_percent=battery.critical_percent,
+                rally=[rounded(point.position) for point in limits.rally.points],
             )
         )
 
@@ -346,17 +348,8 @@ class Vehicle:
             require_altitude(self._legs.limits, altitude_m, step=f"climb to {altitude_m:g} m")
             await self._autopilot.goto(Position(here.east_m, here.north_m, altitude_m))
 
-    async def _logged(
-        self,
-        verb: Callable[[], Coroutine[Any, Any, None]],
-        after: _AtPlace,
-        *,
-        begun: type[TargetUnknown | DescentBegun] = TargetUnknown,
-        before: _AtPlace | None = None,
-    ) -> None:
-        self._tell(begun())
-        if before is not None:
-            self._journal.record(before(position=rounded(self._autopilot.position)))
+    async def _logged(self, verb: Callable[[], Coroutine[Any, Any, None]], after: _AtPlace) -> None:
+        self._tell(TargetUnknown())
         await verb()
         self._journal.record(after(position=rounded(self._autopilot.position)))
 

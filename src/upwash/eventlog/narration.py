@@ -214,7 +214,6 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
     Tone.PLAIN: {
         schema.LocalReady: "{event.service} is ready on the drone",
         schema.Returning: "returning home to land",
-        schema.Landed: "landed",
         schema.Arming: "arming",
         schema.Armed: "armed",
         schema.Turned: "turned to {event.heading_deg:g}°",
@@ -258,6 +257,9 @@ _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
     Tone.ALARM: {
         schema.SafeEnd: "{now.doing}: {event.why}",
         schema.LeftHovering: LEFT_HOVERING,
+        schema.ReturnHovers: "{event.why}; landing there",
+        schema.NoNearer: "the return comes no nearer: {event.away_m:.0f} m from {event.to} for {event.for_s:.0f} s",
+        schema.ReserveOnTheWayDown: "the reserve is used up on the way down: {event.why}",
         schema.Stopping: "stopping: {event.why} (Ctrl-C from now on ends the program at once, and leaves "
         "the vehicle to itself)",
         schema.LeftToPilot: "nothing more is sent to the vehicle: {event.why}",
@@ -353,10 +355,21 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
             doing = "returns" if action == "return" else "lands"
             said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
             return Sentence(said, Tone.ASIDE)
+        case schema.Landed(at=at, from_home_m=from_home_m):
+            return Sentence(landed(at, from_home_m))
         case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare, guessed=guessed):
             said = f"battery {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % to spare"
             return Sentence(f"{said} ({in_words(guessed)})" if guessed else said, Tone.ASIDE)
     return None
+
+
+def landed(at: str, from_home_m: float | None) -> str:
+    """A landing as text, with its place as far as known."""
+    where = f"landed at {at}" if at else "landed"
+    away = "" if from_home_m is None else f"{from_home_m:.0f} m from home"
+    if not away or at == "home":
+        return where
+    return f"{where}, {away}" if at else f"{where} {away}"
 
 
 def known(value: float | None) -> str:

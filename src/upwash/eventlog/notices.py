@@ -195,7 +195,7 @@ def _alarm(about: str, cause: str, action: str = "") -> Notice:
 
 
 _OF_ARMING = ("arming", "prearm")
-_OF_COMMANDS = ("hovering", "disobeys", "safe end", "left")
+_OF_COMMANDS = ("hovering", "disobeys", "safe end", "left", "return", "reserve")
 _OF_WORK = ("server", "late", "waiting")  # of the program's
 _OF_FLIGHTS = (*_OF_COMMANDS, "link", "position", "home", "control", "trouble", *_TEXTS)
 _OVER: Mapping[type[Event], Sequence[str]] = {  # what the notices are about that an event ends
@@ -215,6 +215,15 @@ _OVER: Mapping[type[Event], Sequence[str]] = {  # what the notices are about tha
 _BEGUN: Mapping[type[Event], Notice] = {  # the notice that an event begins, with fields of the event in it
     schema.LeftHovering: _alarm(
         "hovering", "The vehicle hovers where it is, and nobody flies it", _TAKE_OVER
+    ),
+    schema.ReturnHovers: Notice("return", "{event.why}; the program lands it there"),
+    schema.NoNearer: _alarm(
+        "return",
+        "The return comes no nearer: {event.away_m:.0f} m from {event.to} for {event.for_s:.0f} s",
+        _TAKE_OVER,
+    ),
+    schema.ReserveOnTheWayDown: _alarm(
+        "reserve", "The reserve is used up on the way down: {event.why}", _BE_READY
     ),
     schema.SafeEndFailed: _alarm(
         "disobeys", "The vehicle did not do as told ({event.action}): {event.why}", _TAKE_OVER

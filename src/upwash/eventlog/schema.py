@@ -575,7 +575,9 @@ class ArmingDelayed(Event, frozen=True, kw_only=True):
 
 
 class LimitsRead(Event, frozen=True, kw_only=True, omit_defaults=True, tag="vehicle_limits"):
-    """The vehicle's home, the altitudes between which it may fly, and its fences by name, as read before arming.
+    """The vehicle's home and rally points, the altitudes between which it may fly, and its fences by name.
+
+    They are read before arming.
 
     At `low_percent` and `critical_percent` of its battery the vehicle itself warns or acts; absent where unknown.
     """
@@ -587,6 +589,7 @@ class LimitsRead(Event, frozen=True, kw_only=True, omit_defaults=True, tag="vehi
     home_above_sea_m: Number | None = None
     low_percent: Number | None = None
     critical_percent: Number | None = None
+    rally: _Few[Position] = []
 
 
 class SiteDoubt(_Explained, frozen=True, kw_only=True):
@@ -662,7 +665,28 @@ class Landing(_AtPlace, frozen=True, kw_only=True):
 
 
 class Landed(_AtPlace, frozen=True, kw_only=True):
-    """The vehicle is on the ground; after a safe end there is no position."""
+    """The vehicle is on the ground, `from_home_m` from its home, and `at` its home or one of its rally points."""
+
+    at: Text = ""
+    from_home_m: Number | None = None
+
+
+class ReturnHovers(_Explained, frozen=True, kw_only=True):
+    """A return has brought the vehicle to its end and does not land it; the program lands it there."""
+
+    position: Position
+
+
+class NoNearer(Event, frozen=True, kw_only=True):
+    """A return has not brought the vehicle nearer to its end for `for_s`, as in strong wind; repeated each minute."""
+
+    to: Text
+    away_m: Number
+    for_s: Number
+
+
+class ReserveOnTheWayDown(_Explained, frozen=True, kw_only=True):
+    """The battery has reached the reserve on the way down, and why; a vehicle that hovers is landed at once."""
 
 
 class Disarmed(_AtPlace, frozen=True, kw_only=True):

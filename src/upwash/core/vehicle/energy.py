@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Velocity, ground_distance_m
+from upwash.core.geo import Position, Velocity, ahead, ground_distance_m
+from upwash.core.vehicle.return_place import ReturnPlace
 from upwash.core.vehicle.way_home import (
     LOOK_S,
     STILL,
@@ -256,24 +257,33 @@ class FlightEnergy:
         """The margin now; None before the first battery report. `home` stands in for an unreported home."""
         if self._reported is None:
             return None
-        way, rate = facts.way_home or UNKNOWN, self.rate_percent_s
+        rate = self.rate_percent_s
         reported_s, percent = self._reported
         return Margin(
             percent - (rate or 0.0) * (report.time_s - reported_s),
             rate_percent_s=rate,
-            home_s=LOOK_S + self._down_s(report, facts.home or home, way),
+            home_s=LOOK_S + self._down_s(report, home, facts),
             reserve=self.reserve,
             low_percent=facts.low_percent,
             guessed=facts.guessed,
         )
 
-    def _down_s(self, report: FlightReport, home: Position, way: WayHome) -> float:
+    def _down_s(self, report: FlightReport, home: Position, facts: EnergyFacts) -> float:
+        """Seconds to the ground; a return ends at the farther of the places chosen here and where it could stop."""
         if self.lands:
+            way = facts.way_home or UNKNOWN
             return way.hover_s + descent_s(report.position.altitude_m, way)
+        velocity = report.velocity or STILL
+        stopping_s = LOOK_S + velocity.speed_m_s / (facts.way_home or UNKNOWN).acceleration_m_s2
+        beyond = ahead(report.position, velocity, stopping_s)
+        places = {facts.returns_to(here, otherwise=home) for here in (report.position, beyond)}
+        return max(self._return_s(report, place, facts.way_to(place)) for place in places)
+
+    def _return_s(self, report: FlightReport, place: ReturnPlace, way: WayHome) -> float:
         return time_home_s(
             report.position,
-            home,
+            place.position,
             way,
-            against_m_s=self._wind.against_m_s(report.position, home, way.speed_m_s),
+            against_m_s=self._wind.against_m_s(report.position, place.position, way.speed_m_s),
             velocity=report.velocity or STILL,
         )

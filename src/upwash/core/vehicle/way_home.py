@@ -1,7 +1,7 @@
 """The time of a vehicle's way home and down to the ground: before the return, and during it.
 
     home_s    turning round + climb to the altitude of returns + the way at the return's speed against the wind
-              + hovering above home + descent
+              + hovering above the place of return + descent, with a wait on it
 
 `WayDown` follows a return or a landing: the climb, the way, the hover above home, the descent. A part is over when
 the reports show that the next part has begun. At the start the whole is what `time_home_s` says without wind:
@@ -10,16 +10,22 @@ never too little.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from upwash.core.geo import Position, Velocity, ground_distance_m
 from upwash.core.planning.legs import Leg
+from upwash.core.vehicle.return_place import NO_RALLY_POINTS, RallyPoints, ReturnPlace
 
 STILL = Velocity()
+_HOME = Position(0.0, 0.0)
 _LEAST_SHARE = 1 / 3  # of the speed of returns: it flew out against the wind that it returns against
 LOOK_S = 2.0  # between two looks at the battery, and until the command
+LONGEST_WAIT_S = 60.0  # that a return may rest above its end: the program lands a vehicle that rests longer
+HOVER_SEEN_S = 10.0  # until a rest counts as a hover
 
 
 class WayHome(Struct, frozen=True):
@@ -33,6 +39,24 @@ class WayHome(Struct, frozen=True):
     descent_m_s: float
     slowly_below_m: float  # the last metres,
     landing_m_s: float  # ... which it descends at this speed
+    low_m: float = 0.0  # above the place of return: it stops there on its way down,
+    waits_s: float = 0.0  # ... for this time; inf: it does not land by itself
+
+    @property
+    def rests_s(self) -> float:
+        """The time above its end: the hover, and the wait lower down, until the program lands it."""
+        return self.hover_s + _at_most_waited(self.waits_s)
+
+    def to(self, place: ReturnPlace) -> WayHome:
+        """The same, as far as the place has altitudes of its own."""
+        altitude_m = self.altitude_m if place.altitude_m is None else place.altitude_m
+        low_m = self.low_m if place.low_m is None else place.low_m
+        return replace(self, altitude_m=altitude_m, low_m=low_m)
+
+
+def _at_most_waited(wait_s: float) -> float:
+    """The wait, or the time until the program lands a vehicle that waits longer."""
+    return HOVER_SEEN_S if math.isinf(wait_s) else min(wait_s, LONGEST_WAIT_S + HOVER_SEEN_S)
 
 
 # With the parameters that each is delivered with; tests hold both against recorded returns. The hover is ArduCopter's
@@ -45,7 +69,8 @@ UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
 class EnergyFacts(Struct, frozen=True):
     """A vehicle's reports of its battery's low stages and of its way home; None for what it has not reported.
 
-    `home` is where it returns. `guessed` names its parameters that are not known; a usual value replaces each.
+    It returns to its `home` or to one of its `rally` points. `guessed` names its parameters that are not known; a
+    usual value replaces each.
     """
 
     low_percent: float | None = None
@@ -53,11 +78,20 @@ class EnergyFacts(Struct, frozen=True):
     home: Position | None = None
     way_home: WayHome | None = None
     guessed: tuple[str, ...] = ()
+    rally: RallyPoints = NO_RALLY_POINTS
 
     @property
     def return_altitude_m(self) -> float:
         """The least altitude above home during a return; 0 if unknown."""
         return self.way_home.altitude_m if self.way_home is not None else 0.0
+
+    def returns_to(self, here: Position, *, otherwise: Position = _HOME) -> ReturnPlace:
+        """Where a return that begins `here` ends; `otherwise` stands in for an unreported home."""
+        return self.rally.chosen(here, self.home or otherwise)
+
+    def way_to(self, place: ReturnPlace) -> WayHome:
+        """How the vehicle returns to the place, slowly while it has not told how it returns."""
+        return (self.way_home or UNKNOWN).to(place)
 
 
 def in_words(guessed: Sequence[str]) -> str:
@@ -75,13 +109,15 @@ def time_home_s(
     stop_s = velocity.speed_m_s / way.acceleration_m_s2
     length_m = ground_distance_m(start, home) + velocity.speed_m_s * (LOOK_S + stop_s / 2)
     top_m = max(start.altitude_m, way.altitude_m)
+    last_m = max(top_m, way.low_m) if way.waits_s else top_m
     speed_m_s = max(way.speed_m_s - against_m_s, _LEAST_SHARE * way.speed_m_s)
     return (
         stop_s
         + Leg(top_m - start.altitude_m, way.climb_m_s, way.acceleration_m_s2).duration_s
         + Leg(length_m, speed_m_s, way.acceleration_m_s2).duration_s
-        + way.hover_s
-        + descent_s(top_m, way)
+        + way.rests_s
+        + (last_m - top_m) / way.climb_m_s
+        + descent_s(last_m - min(home.altitude_m, 0.0), way)
     )
 
 
@@ -106,7 +142,8 @@ class WayDown:
         self._leg = Leg(ground_distance_m(start, self._home), way.speed_m_s, way.acceleration_m_s2)
         self._above_home_s: float | None = None  # since when it is
         self._highest_m = start.altitude_m
-        self._sinks = home is None
+        self._sinks = self._is_landing = home is None
+        self._waited_from_s: float | None = None  # on its way down
 
     def left_s(self, position: Position, *, now_s: float) -> float:
         """Seconds to the ground, by a report; times never go back."""
@@ -114,11 +151,11 @@ class WayDown:
         self._highest_m = max(self._highest_m, position.altitude_m)
         self._take(position, now_s)
         if self._sinks:
-            return self._descent_s(position.altitude_m)
+            return self._waits_s(position, now_s) + self._descent_s(position.altitude_m)
         if self._above_home_s is not None:
-            hovers_s = max(0.0, way.hover_s - (now_s - self._above_home_s))
-            return hovers_s + self._descent_s(self._highest_m)
-        return self._to_home_s(position) + way.hover_s + descent_s(self._top_m, way)
+            rests_s = max(0.0, way.rests_s - (now_s - self._above_home_s))
+            return rests_s + self._descent_s(self._highest_m)
+        return self._to_home_s(position) + way.rests_s + descent_s(self._top_m, way)
 
     def _take(self, position: Position, now_s: float) -> None:
         if ground_distance_m(position, self._home) > _AT_HOME_M:
@@ -127,6 +164,16 @@ class WayDown:
         has_climbed = self._highest_m >= self._top_m - _SUNK_M
         if self._above_home_s is None and has_climbed:
             self._above_home_s = now_s
+
+    def _waits_s(self, position: Position, now_s: float) -> float:
+        """The seconds left of the wait on its way down; 0 for a landing below it."""
+        way = self._way
+        if self._is_landing or position.altitude_m < way.low_m - _SUNK_M:
+            return 0.0
+        if self._waited_from_s is None and position.altitude_m <= way.low_m + _SUNK_M:
+            self._waited_from_s = now_s
+        waited_s = 0.0 if self._waited_from_s is None else now_s - self._waited_from_s
+        return max(0.0, _at_most_waited(way.waits_s) - waited_s)
 
     def _to_home_s(self, position: Position) -> float:
         way, leg = self._way, self._leg

@@ -9,6 +9,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, ahead, distance_m
+from upwash.core.vehicle.return_place import RallyPoints
 from upwash.core.vehicle.way_home import ARDUCOPTER as ARDUCOPTER_WAY_HOME
 from upwash.errors import AutopilotRefused
 from upwash.eventlog.schema import VehicleSetting
@@ -20,8 +21,9 @@ from upwash.real.mavlink.fence import ARDUCOPTER_FENCE, arducopter_limits
 from upwash.real.mavlink.gate import ABOVE_SEA_M, LATITUDE_E7, LONGITUDE_E7, RANGES
 from upwash.real.mavlink.needs import require_reposition
 from upwash.real.mavlink.parameters import read_parameters, read_quantities
+from upwash.real.mavlink.rally import RallySite, arducopter_rally
 from upwash.real.mavlink.telemetry import STREAMS_HZ, FirmwareProfile, VehicleTelemetry
-from upwash.real.mavlink.way_home import ARDUCOPTER_QUANTITIES, arducopter_energy
+from upwash.real.mavlink.way_home import ARDUCOPTER_QUANTITIES, arducopter_ends, arducopter_energy
 
 _GUIDED, _RTL, _LAND = "GUIDED", "RTL", "LAND"
 _NUMBERS = {
@@ -134,8 +136,14 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         return self._dead_man
 
     async def learn(self) -> None:
-        """Reads the battery's stages and the way home from the vehicle's parameters."""
-        self._energy = arducopter_energy(await read_quantities(self.vehicle, ARDUCOPTER_QUANTITIES))
+        """Reads the battery's stages and the way home with its end from the vehicle's parameters."""
+        values = await read_quantities(self.vehicle, ARDUCOPTER_QUANTITIES)
+        self._energy = arducopter_energy(values)
+        for setting in arducopter_ends(values):
+            self.vehicle.news.tell(setting)
+
+    async def _rally(self, site: RallySite) -> RallyPoints:
+        return await arducopter_rally(self.vehicle, site)
 
     async def _fenced(self, limits: VehicleLimits) -> VehicleLimits:
         parameters = await read_parameters(self.vehicle, [*ARDUCOPTER_FENCE, _AVOIDANCE])

@@ -15,12 +15,12 @@ from typing import ClassVar
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, distance_m, ground_distance_m
-from upwash.errors import AutopilotRefused
-from upwash.eventlog.schema import ArmingDelayed
+from upwash.errors import AutopilotRefused, AutopilotTimeout
+from upwash.eventlog.schema import ArmingDelayed, VehicleSetting
+from upwash.ports import VehicleLimits
 from upwash.real.mavlink.needs import require_version
 from upwash.real.mavlink.reports import ReportingAutopilot, check_speed
 
-_HOME = Position(0.0, 0.0)
 _TURN_S = 20.0  # half a turn, of a vehicle that turns slowly
 _POINTS_WITHIN_DEG = 5.0
 _EXTENDED_SYS_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
@@ -43,6 +43,20 @@ class MavlinkAutopilot(ReportingAutopilot):
         if self._telemetry.armed:  # it flies already: `limits` is for a vehicle that stands
             self._tracker.fix_ground()
             await self.learn()
+            await self._learn_rally_in_flight()
+
+    async def _learn_rally_in_flight(self) -> None:
+        """Read the rally points of a vehicle in flight, which is not ended for what cannot be counted."""
+        try:
+            await self.learn_rally(
+                VehicleLimits(self._tracker.home, home_above_sea_m=self._home_above_sea_m())
+            )
+        except (AutopilotRefused, AutopilotTimeout) as error:
+            advice = f"{error}; the way home counts as ending at the vehicle's home"
+            self.vehicle.news.tell(VehicleSetting(name="list of rally points", value=None, advice=advice))
+
+    def _home_above_sea_m(self) -> float | None:
+        return self._telemetry.home.altitude_m if self._telemetry.home else None
 
     async def inspect(self) -> None:
         """Checks the vehicle by questions alone; raises AutopilotRefused if it cannot be flown."""
@@ -191,9 +205,10 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _stop(self) -> None: ...
 
     async def return_home_and_land(self) -> None:
-        """Flies back to the vehicle's home and lands; returns on touchdown."""
+        """Flies back to the vehicle's home or rally point and lands; returns on touchdown."""
         altitude_m = max(self.position.altitude_m, self._settings.return_altitude_m)
-        home_s = self._leg_s(self._tracker.home or _HOME) + 2 * self._vertical_s(altitude_m)
+        place = self.energy.returns_to(self.position)
+        home_s = self._leg_s(place.position) + 2 * self._vertical_s(altitude_m)
         await self._land_in("return home and land", self.return_mode, timeout_s=home_s)
 
     async def land(self) -> None:
@@ -203,7 +218,9 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
         begun_s = self.vehicle.now_s
         async with self.vehicle.limited(step, timeout_s):
-            await self._change_mode(step, mode)
+            await self.vehicle.confirm_control(step)
+            if self.vehicle.mode_name != mode:  # a safe end finds the mission's return under way
+                await self._change_mode(step, mode)
             await self._touch_down(step, begun_s)
 
     @abstractmethod

@@ -14,11 +14,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position
 from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
-from upwash.errors import AutopilotRefused, AutopilotTimeout
+from upwash.errors import AutopilotRefused
 from upwash.eventlog.schema import VehicleSetting
 from upwash.mavlink.packets import Message
 from upwash.ports import FenceNames, VehicleLimits
 from upwash.real.mavlink.gate import LATITUDE_E7, LONGITUDE_E7, Range
+from upwash.real.mavlink.mission_list import MOST_ITEMS, MissionList
 from upwash.real.mavlink.telemetry import place_of_e7
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.support.text import counted
@@ -35,11 +36,8 @@ _HOLDS, _TERMINATES = 2, 4  # of GF_ACTION
 _DRIFTS_M = 1.0  # of a PX4 in height, as recorded ones did
 _HOVERS = 5.0  # of COM_OBL_RC_ACT
 
-_TYPE = mavlink.MAV_MISSION_TYPE_FENCE
-_ATTEMPTS = 5
-_MOST_ITEMS = 1_000
-_LONGEST_S = 600.0
-_RADIUS_M, _CORNERS_EACH = Range(0.0, 1e6), Range(3, _MOST_ITEMS)
+_LIST = MissionList(mavlink.MAV_MISSION_TYPE_FENCE, "fence")
+_RADIUS_M, _CORNERS_EACH = Range(0.0, 1e6), Range(3, MOST_ITEMS)
 _INCLUSIONS = (mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
 _CORNERS = (
     mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
@@ -150,35 +148,8 @@ class _Item:
 
 async def _download_areas(vehicle: MavlinkVehicle, frame: LocalFrame) -> list[Fence]:
     """The areas of the vehicle's fence list; AutopilotError if the list is incomplete or has impossible items."""
-    async with vehicle.limited("fence", _LONGEST_S):
-        count = (await _asked(vehicle, None)).count
-        if count > _MOST_ITEMS:
-            problem = f"the vehicle's fence has {count} items, more than {_MOST_ITEMS}"
-            raise AutopilotTimeout("fence", problem)
-        items = [_item(number, await _asked(vehicle, number)) for number in range(count)]
-        accepted = mavlink.MAV_MISSION_ACCEPTED  # without this PX4 reports a failed transfer
-        vehicle.ask(mavlink.MAVLink_mission_ack_message(*vehicle.ids, accepted, _TYPE))
+    items = [_item(number, message) for number, message in enumerate(await _LIST.read(vehicle))]
     return _areas(items, frame)
-
-
-async def _asked(vehicle: MavlinkVehicle, number: int | None) -> Message:
-    """The vehicle's answer for the item of that number; for None, the count of items."""
-    kind, what = "MISSION_ITEM_INT", f"item {number}"
-    question = mavlink.MAVLink_mission_request_int_message(*vehicle.ids, number or 0, _TYPE)
-    if number is None:
-        kind, what = "MISSION_COUNT", "how many items it has"
-        question = mavlink.MAVLink_mission_request_list_message(*vehicle.ids, _TYPE)
-    answers: list[Message] = []
-
-    def hear(message: Message) -> None:
-        is_answer = message.get_type() == kind and message.mission_type == _TYPE
-        if is_answer and number in (None, getattr(message, "seq", None)):
-            answers.append(message)
-
-    with vehicle.listening(hear):
-        if await vehicle.answered("fence", lambda: vehicle.ask(question), lambda: answers, times=_ATTEMPTS):
-            return answers[0]
-    raise AutopilotTimeout("fence", f"the vehicle did not tell {what} of its fence", vehicle.said_lately)
 
 
 def _item(number: int, message: Message) -> _Item:
@@ -190,14 +161,8 @@ def _item(number: int, message: Message) -> _Item:
     )
     for what, value, span in numbers if message.command in (*_CORNERS, *_CIRCLES) else ():
         if not span.least <= value <= span.most:
-            raise _nonsense(f"item {number} has a {what} of {value:g}")
+            raise _LIST.nonsense(f"item {number} has a {what} of {value:g}")
     return _Item(message.command, message.param1, place_of_e7(message.x, message.y))
-
-
-def _nonsense(what: str) -> AutopilotRefused:
-    return AutopilotRefused(
-        "fence", f"the vehicle's fence makes no sense: {what}; upload the fence anew; nothing was sent"
-    )
 
 
 def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
@@ -210,13 +175,15 @@ def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
         elif item.command in _CORNERS:
             corners.append(item)
             if (item.command, item.size) != (corners[0].command, corners[0].size):
-                raise _nonsense(f"the corners of {name} belong to different areas")
+                raise _LIST.nonsense(f"the corners of {name} belong to different areas")
             if len(corners) >= item.size:
                 polygon = Polygon(tuple(frame.position(corner.place) for corner in corners))
                 fences.append(Fence(name, polygon, inclusion))
                 corners = []
     if corners:
-        raise _nonsense(f"its last area has {len(corners)} of {counted(round(corners[0].size), 'corner')}")
+        raise _LIST.nonsense(
+            f"its last area has {len(corners)} of {counted(round(corners[0].size), 'corner')}"
+        )
     return fences
 
 

@@ -96,6 +96,8 @@ class QuantityValues:
 
     values: Mapping[VehicleQuantity, float]
     guessed: tuple[str, ...]
+    told: Mapping[VehicleQuantity, tuple[str, float]] = field(default_factory=dict)
+    """The name and the value of each in the vehicle's own version."""
 
     def known(self, quantity: VehicleQuantity) -> float | None:
         """The vehicle's value; None if unknown."""
@@ -113,17 +115,19 @@ async def read_quantities(vehicle: MavlinkVehicle, quantities: Sequence[VehicleQ
     """Asks the vehicle for the quantities; reports each unknown quantity as a `VehicleSetting`."""
     reading = await read_parameters(vehicle, [tuple(quantity.names) for quantity in quantities])
     values: dict[VehicleQuantity, float] = {}
+    told: dict[VehicleQuantity, tuple[str, float]] = {}
     guessed: list[str] = []
     for quantity in quantities:
-        names = quantity.names
-        value = next((reading[name] * size for name, size in names.items() if name in reading), None)
+        names, value = quantity.names, None
+        if name := next((name for name in names if name in reading), ""):
+            told[quantity], value = (name, reading[name]), reading[name] * names[name]
         if value is not None and quantity.least <= value <= _MOST[quantity.unit]:
             values[quantity] = value
             continue
         why = reading.why_unknown(*names) if value is None else f"{value:g} {quantity.unit} makes no sense"
         vehicle.news.tell(VehicleSetting(name=quantity.name, value=None, advice=f"{why}; {quantity.instead}"))
         guessed.append(quantity.name)
-    return QuantityValues(values, tuple(guessed))
+    return QuantityValues(values, tuple(guessed), told)
 
 
 @dataclass(frozen=True, slots=True)

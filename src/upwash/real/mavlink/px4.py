@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, distance_m
 from upwash.core.vehicle.course import SetpointCourse
+from upwash.core.vehicle.return_place import RallyPoints
 from upwash.core.vehicle.way_home import PX4 as PX4_WAY_HOME
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.packets import Message
@@ -31,8 +32,9 @@ from upwash.real.mavlink.px4_firmware import (
     failsafe,
     words_of,
 )
+from upwash.real.mavlink.rally import RallySite, px4_rally
 from upwash.real.mavlink.setpoints import SetpointStream
-from upwash.real.mavlink.way_home import PX4_QUANTITIES, px4_abilities, px4_energy
+from upwash.real.mavlink.way_home import PX4_QUANTITIES, px4_abilities, px4_ends, px4_energy
 
 _POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _LEAST_BLOCKING = mavlink.MAV_SEVERITY_ERROR  # a less severe failed check does not keep it from being armed
@@ -91,6 +93,11 @@ class Px4Autopilot(MavlinkAutopilot):
         """Reads the battery's stages, the way home and the greatest speeds from the vehicle's parameters."""
         values = await read_quantities(self.vehicle, PX4_QUANTITIES)
         self._energy, self._stream.abilities = px4_energy(values), px4_abilities(values)
+        for setting in px4_ends(values):
+            self.vehicle.news.tell(setting)
+
+    async def _rally(self, site: RallySite) -> RallyPoints:
+        return await px4_rally(self.vehicle, site)
 
     async def _fenced(self, limits: VehicleLimits) -> VehicleLimits:
         parameters = await read_parameters(self.vehicle, PX4_FENCE)

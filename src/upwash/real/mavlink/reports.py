@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 from msgspec import structs
@@ -13,11 +14,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity
 from upwash.core.planning.legs import PACES, Pace
 from upwash.core.vehicle.control import Control
+from upwash.core.vehicle.return_place import RallyPoints
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.ports import DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
+from upwash.real.mavlink.rally import RallySite
 from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.shutter import ShutterReports
 from upwash.real.mavlink.tracker import PositionTracker
@@ -221,19 +224,31 @@ class ReportingAutopilot(ABC):
         )
 
     async def limits(self) -> VehicleLimits:
-        """The vehicle's limits, from its home, its parameters and its fence list."""
+        """The vehicle's limits, from its home, its parameters, its fence list and its rally points."""
         await self._know_home()
         await self.learn()
         home = self._telemetry.home
         above_sea_m = round(home.altitude_m, 2) if home else None
         returns_at_m = self._energy.return_altitude_m
-        return await self._fenced(
+        limits = await self._fenced(
             VehicleLimits(self._tracker.home, returns_at_m=returns_at_m, home_above_sea_m=above_sea_m)
         )
+        return replace(limits, rally=await self.learn_rally(limits))
+
+    async def learn_rally(self, limits: VehicleLimits) -> RallyPoints:
+        """Reads the vehicle's rally points, and has the way home count them; raises AutopilotError."""
+        site = RallySite(self._frame, limits, self._energy.way_home or self.usual_way_home)
+        rally = await self._rally(site)
+        self._energy = structs.replace(self._energy, rally=rally)
+        return rally
 
     @abstractmethod
     async def learn(self) -> None:
         """Read the parameters of the battery's stages, the way home and the greatest speeds."""
+
+    @abstractmethod
+    async def _rally(self, site: RallySite) -> RallyPoints:
+        """The vehicle's rally points."""
 
     @abstractmethod
     async def _fenced(self, limits: VehicleLimits) -> VehicleLimits:

@@ -1,4 +1,4 @@
-"""A vehicle's parameters for its battery's stages, its way home and its legs.
+"""A vehicle's parameters for its battery's stages, its way home with its end, and its legs.
 
 Up to version 4.6, ArduCopter's parameters are in cm, cm/s, cm/s² and ms. Version 4.7.0 renamed most of them, and
 counts in metres. PX4's parameters are in metres and in shares of a full battery.
@@ -6,16 +6,19 @@ counts in metres. PX4's parameters are in metres and in shares of a full battery
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 
 from msgspec.structs import replace
 
 from upwash.core.vehicle.course import Abilities
-from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
+from upwash.core.vehicle.way_home import ARDUCOPTER, LONGEST_WAIT_S, PX4, EnergyFacts, WayHome
+from upwash.eventlog.schema import VehicleSetting
 from upwash.real.mavlink.parameters import QuantityValues, VehicleQuantity
 
 _CENTI = 0.01
 _SLOWEST_M_S, _WEAKEST_M_S2 = 0.01, 0.01
+_LOWEST_M = 1_000.0  # below home
 _USUAL_LOITER_S = 5.0
 _SETTLES_S = ARDUCOPTER.hover_s - _USUAL_LOITER_S
 _USUAL = Abilities()
@@ -53,6 +56,13 @@ _ACCELERATION = VehicleQuantity(
     _WEAKEST_M_S2,
 )
 _LOITER = VehicleQuantity("the wait above home", {"RTL_LOIT_TIME": 1e-3}, "s", _USUAL_LOITER_S)
+_FINAL = VehicleQuantity(
+    "the altitude where returns end (0 or less: they land)",
+    {"RTL_ALT_FINAL": _CENTI, "RTL_ALT_FINAL_M": 1.0},
+    "m",
+    0.0,
+    -_LOWEST_M,
+)
 _HIGH_LANDING = _speed(
     "the speed of a landing's first part (0: that of descents)",
     {"LAND_SPEED_HIGH": _CENTI, "LAND_SPD_HIGH_MS": 1.0},
@@ -69,8 +79,8 @@ _LANDING = _speed(
     "the speed of a landing's last part", {"LAND_SPEED": _CENTI, "LAND_SPD_MS": 1.0}, ARDUCOPTER.landing_m_s
 )
 ARDUCOPTER_QUANTITIES = (
-    _CAPACITY, _LOW, _CRITICAL, _ALTITUDE, _RETURN, _LEGS, _CLIMB, _DESCENT, _ACCELERATION, _LOITER, _HIGH_LANDING,
-    _SLOWLY_BELOW, _LANDING,
+    _CAPACITY, _LOW, _CRITICAL, _ALTITUDE, _RETURN, _LEGS, _CLIMB, _DESCENT, _ACCELERATION, _LOITER, _FINAL,
+    _HIGH_LANDING, _SLOWLY_BELOW, _LANDING,
 )  # fmt: skip
 
 
@@ -88,9 +98,39 @@ def arducopter_energy(values: QuantityValues) -> EnergyFacts:
             descent_m_s=values[_HIGH_LANDING] or values[_DESCENT],
             slowly_below_m=values[_SLOWLY_BELOW],
             landing_m_s=values[_LANDING],
+            low_m=max(0.0, values[_FINAL]),
+            waits_s=math.inf if values[_FINAL] > 0 else 0.0,
         ),
         guessed=values.guessed,
     )
+
+
+def arducopter_ends(values: QuantityValues) -> Iterator[VehicleSetting]:
+    """What a person should know of the end of an ArduCopter's returns."""
+    if values[_FINAL] > 0:
+        yield _hover(
+            values, _FINAL, f"a return does not land: it hovers {values[_FINAL]:g} m above its end", "0"
+        )
+    if values[_LOITER] > LONGEST_WAIT_S:
+        yield _long_wait(values, _LOITER, LONGEST_WAIT_S * 1e3)
+
+
+def _hover(values: QuantityValues, quantity: VehicleQuantity, what: str, remedy: str) -> VehicleSetting:
+    name, value = values.told[quantity]
+    advice = (
+        f"{what}; this program lands a mission's return there, and nobody lands the return of a fail-safe or of the "
+        f"pilot; set it to {remedy} to have returns land"
+    )
+    return VehicleSetting(name=name, value=value, advice=advice)
+
+
+def _long_wait(values: QuantityValues, quantity: VehicleQuantity, most: float) -> VehicleSetting:
+    name, value = values.told[quantity]
+    advice = (
+        f"a return hovers for {values[quantity]:g} s above its end before it lands; this program lands the vehicle "
+        f"after {LONGEST_WAIT_S:g} s there; set it to {most:g} at most"
+    )
+    return VehicleSetting(name=name, value=value, advice=advice)
 
 
 def _stage_percent(values: QuantityValues, stage: VehicleQuantity) -> float | None:
@@ -104,6 +144,14 @@ def _stage_percent(values: QuantityValues, stage: VehicleQuantity) -> float | No
 _LOW_SHARE = VehicleQuantity("", {"BAT_LOW_THR": 100.0}, "%", None, without=_NO_STAGE)
 _CRITICAL_SHARE = VehicleQuantity("", {"BAT_CRIT_THR": 100.0}, "%", None, without=_NO_STAGE)
 _PX4_ALTITUDE = VehicleQuantity("the altitude of returns", {"RTL_RETURN_ALT": 1.0}, "m", PX4.altitude_m)
+_DELAY = VehicleQuantity(
+    "the wait of returns before they land (below 0: they do not land)",
+    {"RTL_LAND_DELAY": 1.0},
+    "s",
+    0.0,
+    -3_600.0,
+)
+_WAITS_AT = VehicleQuantity("the altitude of that wait", {"RTL_DESCEND_ALT": 1.0}, "m", 30.0)
 _CRUISE = _speed("the speed of returns", {"MPC_XY_CRUISE": 1.0}, PX4.speed_m_s)
 _FASTEST = _speed("the highest speed of legs", {"MPC_XY_VEL_MAX": 1.0}, _USUAL.ground_speed_m_s)
 _PX4_CLIMB = _speed("the speed of climbs", {"MPC_Z_V_AUTO_UP": 1.0}, _USUAL.climb_m_s)
@@ -112,7 +160,8 @@ _PX4_ACCELERATION = VehicleQuantity(
     "the acceleration of legs", {"MPC_ACC_HOR": 1.0}, "m/s²", _USUAL.acceleration_m_s2, _WEAKEST_M_S2
 )
 PX4_QUANTITIES = (
-    _LOW_SHARE, _CRITICAL_SHARE, _PX4_ALTITUDE, _CRUISE, _FASTEST, _PX4_CLIMB, _PX4_DESCENT, _PX4_ACCELERATION,
+    _LOW_SHARE, _CRITICAL_SHARE, _PX4_ALTITUDE, _DELAY, _WAITS_AT, _CRUISE, _FASTEST, _PX4_CLIMB, _PX4_DESCENT,
+    _PX4_ACCELERATION,
 )  # fmt: skip
 
 
@@ -122,10 +171,24 @@ def px4_energy(values: QuantityValues) -> EnergyFacts:
         low_percent=values.known(_LOW_SHARE) or None,  # 0 stands for none
         critical_percent=values.known(_CRITICAL_SHARE) or None,
         way_home=replace(
-            PX4, altitude_m=values[_PX4_ALTITUDE], speed_m_s=values[_CRUISE], descent_m_s=values[_PX4_DESCENT]
+            PX4,
+            altitude_m=values[_PX4_ALTITUDE],
+            speed_m_s=values[_CRUISE],
+            descent_m_s=values[_PX4_DESCENT],
+            low_m=min(values[_WAITS_AT], values[_PX4_ALTITUDE]) if values[_DELAY] else 0.0,
+            waits_s=math.inf if values[_DELAY] < 0 else values[_DELAY],
         ),
         guessed=values.guessed,
     )
+
+
+def px4_ends(values: QuantityValues) -> Iterator[VehicleSetting]:
+    """What a person should know of the end of a PX4's returns."""
+    if values[_DELAY] < 0:
+        what = f"a return does not land: it hovers {values[_WAITS_AT]:g} m above its end (RTL_DESCEND_ALT)"
+        yield _hover(values, _DELAY, what, "0")
+    elif values[_DELAY] > LONGEST_WAIT_S:
+        yield _long_wait(values, _DELAY, LONGEST_WAIT_S)
 
 
 def px4_abilities(values: QuantityValues) -> Abilities:

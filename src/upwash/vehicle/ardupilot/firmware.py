@@ -37,7 +37,7 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
             out_of_turn=mavlink.MAV_MISSION_INVALID_SEQUENCE,
             refuse=copter.fence.refuse,
         )
-        fence = FenceTransfer(copter.frame, copter.fence, rules)
+        fence = FenceTransfer(copter.frame, copter.fence, rules, rally=copter.settings.rally)
         super().__init__(copter, self._telemetry.reports(), fence)
         self.files = Files()
         self._scripting = Scripting(copter)

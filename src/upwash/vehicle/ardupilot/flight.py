@@ -7,14 +7,23 @@ from enum import Enum, auto
 from typing import Protocol
 
 from upwash.core.geo import Position, Velocity, distance_m
+from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.mavlink.version import Version
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.ardupilot.boot import Text
 from upwash.vehicle.ardupilot.fence import FenceWatch
 from upwash.vehicle.ardupilot.settings import FASTEST_M_S, CopterMode, VehicleSettings
 from upwash.vehicle.ardupilot.symmetric import Symmetric
-from upwash.vehicle.body.copter import GRAVITY_M_S2, HOME, LandedState, Multicopter
-from upwash.vehicle.body.kinematics import Motion, MotionPart, Phase, duration_s, pause
+from upwash.vehicle.body.copter import GRAVITY_M_S2, HOME, FaultKind, LandedState, Multicopter
+from upwash.vehicle.body.kinematics import (
+    Motion,
+    MotionPart,
+    Phase,
+    down_to,
+    duration_s,
+    pause,
+    steadily,
+)
 from upwash.vehicle.body.parameters import ParameterTable
 
 _HIGHEST_M = 1_000.0
@@ -25,6 +34,7 @@ _CONTACT_NOTICED_S = 1.7  # after touchdown
 _UP_BEFORE_REST_S = 0.5  # a take-off counts as done that long before it rests
 _ARMING_S = 2.2  # of the spooling up: it begins with arming, not with the command to take off
 _TURNS_ABOVE_M_S = 0.5
+_USUAL_LOITER_S = 5.0  # of RTL_LOIT_TIME, in the recorded returns
 _TURN_STEP_S, _LONGEST_TURN_S = 0.1, 6.0
 
 
@@ -83,7 +93,7 @@ class CopterFlight(Multicopter):
     def __init__(self, settings: VehicleSettings, *, now_s: float) -> None:
         super().__init__(settings, _parameters_at_boot(settings), now_s=now_s)
         self.mode = CopterMode.STABILIZE
-        self.home = HOME  # where it returns to, relative to where it was switched on
+        self.home = HOME  # relative to where it was switched on
         self._unsaid: list[Text] = []
         self.fence = FenceWatch(self.parameters, now_s, self.say)
         self._airframe: _Airframe = (
@@ -270,15 +280,13 @@ class CopterFlight(Multicopter):
         self._doing = _Doing.LANDING
         stretches: tuple[MotionPart, ...]
         if mode is CopterMode.RTL:
-            told_cm_s = self.parameters["RTL_SPEED"] or self.parameters["WPNAV_SPEED"]
-            stretches = self._airframe.way_home(
-                here,
-                velocity,
-                self.home.at_altitude(0.0),
-                ground_speed_m_s=_within_reason(told_cm_s / 100),
-                altitude_m=self._return_altitude_m() + self.home.altitude_m,
-            )
-            here = self.home.at_altitude((stretches[-1].end if stretches else here).altitude_m)
+            stretches = self._way_back(here, velocity)
+            here = stretches[-1].end
+            if (final_m := self._final_altitude_m(now_s)) is not None:
+                self._doing = _Doing.FLYING
+                end = here.at_altitude(final_m)
+                self._motion = Motion(now_s, (*stretches, *self._to_height(here, end)), end)
+                return
         else:
             stretches = self._airframe.brake(here, velocity)
             here = stretches[-1].end if stretches else here
@@ -288,9 +296,50 @@ class CopterFlight(Multicopter):
         stretches = *stretches, *self._airframe.landing(here)
         self._motion = Motion(now_s, stretches, here.at_altitude(0.0))
 
-    def _return_altitude_m(self) -> float:
-        """The altitude of returns in m, no higher than the fence allows."""
-        altitude_m, ceiling_m = self.parameters["RTL_ALT"] / 100, self.fence.ceiling_m
+    def _way_back(self, here: Position, velocity: Velocity) -> tuple[MotionPart, ...]:
+        """The motion of a return until its descent, to home or to a rally point."""
+        told_cm_s = self.parameters["RTL_SPEED"] or self.parameters["WPNAV_SPEED"]
+        place = self._rally_points().chosen(here, self.home.at_altitude(0.0))
+        way = self._airframe.way_home(
+            here,
+            velocity,
+            place.position,
+            ground_speed_m_s=_within_reason(told_cm_s / 100),
+            altitude_m=self._return_altitude_m(place.altitude_m or 0.0) + self.home.altitude_m,
+        )
+        above = place.position.at_altitude((way[-1].end if way else here).altitude_m)
+        waits_s = max(0.0, self.parameters["RTL_LOIT_TIME"] / 1000 - _USUAL_LOITER_S)
+        return *way, pause(above, waits_s)
+
+    def _rally_points(self) -> RallyPoints:
+        """Those that its fence allows, and its rule of choice."""
+        limit_m = self.parameters["RALLY_LIMIT_KM"] * 1000
+        points = (
+            ReturnPlace(f"rally point {number}", place.at_altitude(0.0), place.altitude_m)
+            for number, place in enumerate(self.rally, 1)
+            if self.fence.allows(place.at_altitude(place.altitude_m + self.home.altitude_m))
+        )
+        return RallyPoints(
+            tuple(points),
+            home_counts=bool(self.parameters["RALLY_INCL_HOME"]),
+            limit_m=limit_m if limit_m > 0 else math.inf,
+        )
+
+    def _final_altitude_m(self, now_s: float) -> float | None:
+        """Where a return ends in a hover; None where it lands, as without its remote control."""
+        final_cm = self.parameters["RTL_ALT_FINAL"]
+        if final_cm <= 0 or self.suffers(FaultKind.RADIO, now_s):
+            return None
+        return final_cm / 100 + self.home.altitude_m
+
+    def _to_height(self, here: Position, end: Position) -> tuple[Phase, ...]:
+        if end.altitude_m <= here.altitude_m:
+            return down_to(self._airframe.landing(here), end.altitude_m)
+        return steadily(here, end, duration_s=(end.altitude_m - here.altitude_m) / self.settings.climb_m_s)
+
+    def _return_altitude_m(self, rally_m: float) -> float:
+        """The altitude of returns in m, not below that of the rally point, no higher than the fence allows."""
+        altitude_m, ceiling_m = max(self.parameters["RTL_ALT"] / 100, rally_m), self.fence.ceiling_m
         return altitude_m if ceiling_m is None else min(altitude_m, ceiling_m)
 
     def _redirect(self, now_s: float, here: Position, target: Position) -> None:
@@ -326,6 +375,7 @@ def _parameters_at_boot(settings: VehicleSettings) -> ParameterTable:
         ("WPNAV_SPEED", settings.return_speed_m_s * 100),
         ("RTL_ALT", settings.return_altitude_m * 100),
         ("SIM_SPEEDUP", settings.speedup),
+        ("RALLY_TOTAL", len(settings.rally)),
     ):
         parameters.preset(name, value)
     return parameters

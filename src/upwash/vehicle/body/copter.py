@@ -78,6 +78,7 @@ class StandInSettings:
     speedup: float = 1.0  # of its clock, against everyone else's
     parameters: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[VehicleFault, ...] = ()
+    rally: tuple[GeoPosition, ...] = ()  # its rally points, with altitudes above home
 
     def __post_init__(self) -> None:
         for name in ("endurance_s", "speedup"):
@@ -107,6 +108,7 @@ class Multicopter(ABC):
                 raise UsageError(
                     f"vehicle: version {settings.version} has no parameter {name}, or not with the value {value:g}"
                 )
+        self.rally = tuple(map(self.frame.position, settings.rally))
         self._booted_s = now_s
         self._faults = list(settings.faults)
         self._charge_percent = settings.battery_percent

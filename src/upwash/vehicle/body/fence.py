@@ -1,4 +1,7 @@
-"""The areas of a stand-in's fence, and MAVLink's mission protocol that brings them: taken all or none."""
+"""The areas of a stand-in's fence, and MAVLink's mission protocol that brings them: taken all or none.
+
+Rally points can be read by it, too; they are set when the stand-in is switched on.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,15 @@ _CIRCLES = {
     mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
 }
 _FEWEST_CORNERS = 3
-_FENCE = mavlink.MAV_MISSION_TYPE_FENCE
+_FENCE, _RALLY = mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY
 
 
 @dataclass(frozen=True, slots=True)
 class FenceItem:
-    """An item of a fence as it was uploaded: a circle, or a corner of a polygon with `number` corners."""
+    """An item of a fence as it was uploaded: a circle, or a corner of a polygon with `number` corners.
+
+    Or a rally point, whose place has an altitude above home.
+    """
 
     command: int
     number: float
@@ -100,8 +106,16 @@ class TransferRules:
 class FenceTransfer:
     """A fence over the mission protocol: one upload at a time, with a request for each item in turn."""
 
-    def __init__(self, frame: LocalFrame, fence: UploadedFence, rules: TransferRules) -> None:
+    def __init__(
+        self,
+        frame: LocalFrame,
+        fence: UploadedFence,
+        rules: TransferRules,
+        *,
+        rally: Sequence[GeoPosition] = (),
+    ) -> None:
         self._fence = fence
+        self._rally = [_rally_item(frame, place) for place in rally]
         self._frame = frame
         self._rules = rules
         self._upload: _Upload | None = None
@@ -111,11 +125,11 @@ class FenceTransfer:
         about_fence = getattr(message, "mission_type", None) == _FENCE
         match message.get_type():
             case "MISSION_REQUEST_LIST":
-                count = len(self._fence.items) if about_fence else 0
-                return _to_sender(message, mavlink.MAVLink_mission_count_message, count, message.mission_type)
+                count, kind = len(self._kept(message)), message.mission_type
+                return _to_sender(message, mavlink.MAVLink_mission_count_message, count, kind)
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
-                if about_fence and message.seq < len(self._fence.items):
-                    return (_item(self._fence.items[message.seq], message),)
+                if message.seq < len(kept := self._kept(message)):
+                    return (_item(kept[message.seq], message),)
                 return acknowledged(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)
             case "MISSION_CLEAR_ALL":
                 if about_fence or message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
@@ -133,6 +147,12 @@ class FenceTransfer:
         """Asks once more for an item that has not come."""
         late = self._upload is not None and now_s >= self._upload.asked_s + self._rules.asks_again_s
         return (self._ask(now_s, self._upload),) if self._upload and late else ()
+
+    def _kept(self, message: Message) -> Sequence[FenceItem]:
+        """The items of the list that the message is about."""
+        if message.mission_type == _RALLY:
+            return self._rally
+        return self._fence.items if message.mission_type == _FENCE else ()
 
     def _begin(self, now_s: float, message: Message) -> tuple[Message, ...]:
         self._upload = None
@@ -182,12 +202,21 @@ def acknowledged(message: Message, result: int) -> tuple[Message, ...]:
 def _item(item: FenceItem, request: Message) -> Message:
     """MISSION_ITEM_INT, or MISSION_ITEM for a MISSION_REQUEST."""
     number, sender, frame = request.seq, sender_of(request), mavlink.MAV_FRAME_GLOBAL
+    if request.mission_type == _RALLY:
+        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
     build = mavlink.MAVLink_mission_item_int_message
     place: tuple[float, float] = item.latitude_e7, item.longitude_e7
     if request.get_type() == "MISSION_REQUEST":
         build = mavlink.MAVLink_mission_item_message
         place = item.latitude_e7 / 1e7, item.longitude_e7 / 1e7
-    return build(*sender, number, frame, item.command, 0, 0, item.number, 0, 0, 0, *place, 0, _FENCE)
+    height_m, kind = item.place.altitude_m, request.mission_type
+    return build(*sender, number, frame, item.command, 0, 0, item.number, 0, 0, 0, *place, height_m, kind)
+
+
+def _rally_item(frame: LocalFrame, place: GeoPosition) -> FenceItem:
+    latitude_e7, longitude_e7 = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
+    point = mavlink.MAV_CMD_NAV_RALLY_POINT
+    return FenceItem(point, 0.0, frame.position(place), latitude_e7, longitude_e7)
 
 
 def _to_sender(message: Message, kind: Any, *fields: float) -> tuple[Message, ...]:

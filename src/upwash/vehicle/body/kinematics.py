@@ -325,6 +325,22 @@ def elapsed_s(phase: Phase, travelled_m: float) -> float | None:
     return 2 * travelled_m / divisor if divisor > 0 else None
 
 
+def down_to(phases: Iterable[Phase], altitude_m: float) -> tuple[Phase, ...]:
+    """The phases of a descent, ended at the altitude."""
+    kept: list[Phase] = []
+    for phase in phases:
+        if phase.end.altitude_m >= altitude_m:
+            kept.append(phase)
+            continue
+
+        def is_above(elapsed_s: float, phase: Phase = phase) -> bool:
+            return phase.position(elapsed_s).altitude_m >= altitude_m
+
+        kept.append(msgspec.structs.replace(phase, duration_s=last_true(is_above, phase.duration_s)))
+        break
+    return tuple(kept)
+
+
 def last_true(true: Callable[[float], bool], end: float) -> float:
     """The last place between 0 and the end where it is true, which it is from 0 on until it no longer is."""
     begin = 0.0

@@ -52,7 +52,8 @@ class Px4Firmware(StandInFirmware[Quadrotor]):
         if copter.settings.version < _TELLS_MODES_FROM:
             del known[AVAILABLE_MODES], known[CURRENT_MODE]
         known |= dict.fromkeys(UNMODELLED, lambda _now_s: None)
-        super().__init__(copter, known, FenceTransfer(copter.frame, copter.fence, _FENCE_RULES))
+        rally = copter.settings.rally
+        super().__init__(copter, known, FenceTransfer(copter.frame, copter.fence, _FENCE_RULES, rally=rally))
         self._beats_s: float | None = None
         self._checked: tuple[object, bool] | None = None
         self._checks_s = -math.inf

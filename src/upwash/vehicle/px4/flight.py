@@ -44,6 +44,7 @@ class Px4Flight(Multicopter):
             self.happened,
             home_altitude_m=settings.home_altitude_m,
             now_s=now_s,
+            rally=self.rally,
         )
         self._setpoint = Setpoint()
         self._setpoints: deque[tuple[float, Setpoint]] = deque()  # on their way, and when they arrive

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 
 from upwash.core.geo import Position, ground_distance_m
+from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.mavlink.px4 import Mode
 from upwash.vehicle.body.copter import HOME
 from upwash.vehicle.body.parameters import ParameterTable
@@ -18,6 +19,8 @@ LEAST_LIFT_M = 0.3
 LOWEST_M, _HIGHEST_M = -200.0, 1_000.0
 _TURNS_BEYOND_M = 2.0
 _SLOWEST_M_S, _FASTEST_M_S = 0.1, 30.0
+_POINTS_FIRST, _BY_MISSION, _POINTS_ONLY = 1, (2, 4), 5  # of RTL_TYPE
+_AT_HOME_M, _NEARER_M = 10.0, 2.0  # of rally points, against home
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,8 @@ class _Returning(Enum):
 
     CLIMBS = auto()
     FLIES = auto()
+    SINKS = auto()  # before it waits
+    WAITS = auto()
     LANDS = auto()
 
 
@@ -54,6 +59,7 @@ class Navigator:
         *,
         home_altitude_m: float,
         now_s: float,
+        rally: Sequence[Position] = (),
     ) -> None:
         self.takeoff_altitude_m: float | None = None
         self._parameters = parameters
@@ -66,6 +72,9 @@ class Navigator:
         self._moves_s = now_s
         self._cruise_m_s = parameters["MPC_XY_CRUISE"]
         self._returning = _Returning.CLIMBS
+        self._rally = rally
+        self._end = HOME  # of its return
+        self._lands_s = math.inf
 
     @property
     def target(self) -> Position | None:
@@ -90,11 +99,28 @@ class Navigator:
 
     def _begin_return(self) -> None:
         self._returning = _Returning.CLIMBS
-        away_m = ground_distance_m(self._body.position, HOME)
+        self._end, self._lands_s = self._chosen_end(), math.inf
+        away_m = ground_distance_m(self._body.position, self._end)
         if away_m > self._parameters["RTL_MIN_DIST"]:
-            self._altitude_m = max(self._altitude_m, self._parameters["RTL_RETURN_ALT"])
+            return_m = self._end.altitude_m + self._parameters["RTL_RETURN_ALT"]
+            self._altitude_m = max(self._altitude_m, return_m)
         above_sea_m = self._altitude_m + self._home_altitude_m
         self._tell("vrtl_return_at", round(above_sea_m), round(self._altitude_m))
+
+    def _chosen_end(self) -> Position:
+        """Home or a rally point, by RTL_TYPE; a stored mission is not modelled."""
+        kind = self._parameters["RTL_TYPE"]
+        if kind in _BY_MISSION:
+            return HOME
+        points = tuple(
+            ReturnPlace(f"rally point {number}", place)
+            for number, place in enumerate(self._rally, 1)
+            if kind == _POINTS_ONLY or ground_distance_m(place, HOME) > _AT_HOME_M
+        )
+        rally = RallyPoints(
+            points, home_counts=kind not in (_POINTS_FIRST, _POINTS_ONLY), nearer_by_m=_NEARER_M
+        )
+        return rally.chosen(self._body.position, HOME).position
 
     def take_off_to(self, altitude_m: float, *, grounded: bool) -> bool:
         """Sets the altitude of a take-off; returns False if it is not above the vehicle or too high."""
@@ -179,13 +205,38 @@ class Navigator:
         if self._returning is _Returning.CLIMBS:
             if abs(self._altitude_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
                 return self.holding(now_s)
-            self._returning, self._place = _Returning.FLIES, HOME.at_altitude(self._altitude_m)
+            self._returning, self._place = _Returning.FLIES, self._end.at_altitude(self._altitude_m)
         if self._returning is _Returning.FLIES:
-            if ground_distance_m(self._body.position, HOME) > LANDS_WITHIN_M:
+            if ground_distance_m(self._body.position, self._end) > LANDS_WITHIN_M:
                 return self.holding(now_s)
-            self._returning = _Returning.LANDS
-            self._tell("rtl_land_at_destination")
+            self._begin_descent()
+        if self._returning in (_Returning.SINKS, _Returning.WAITS) and self._still_waits(now_s):
+            return self.holding(now_s)
         return self.landing(now_s)
+
+    def _begin_descent(self) -> None:
+        if self._parameters["RTL_LAND_DELAY"]:
+            self._returning = _Returning.SINKS
+            low_m = self._end.altitude_m + self._parameters["RTL_DESCEND_ALT"]
+            self._altitude_m = min(low_m, self._altitude_m)
+        else:
+            self._begin_landing()
+
+    def _still_waits(self, now_s: float) -> bool:
+        """Whether it sinks to the altitude of its wait, or waits there; below 0 RTL_LAND_DELAY has no end."""
+        if self._returning is _Returning.SINKS:
+            if abs(self._altitude_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
+                return True
+            delay_s = self._parameters["RTL_LAND_DELAY"]
+            self._returning, self._lands_s = _Returning.WAITS, now_s + (delay_s if delay_s >= 0 else math.inf)
+        if now_s < self._lands_s:
+            return True
+        self._begin_landing()
+        return False
+
+    def _begin_landing(self) -> None:
+        self._returning = _Returning.LANDS
+        self._tell("rtl_land_at_destination")
 
     def landing(self, now_s: float) -> Steering:
         """The steering of a landing: down to the ground."""

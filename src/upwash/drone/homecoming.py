@@ -1,0 +1,143 @@
+"""Brings the vehicle to the ground, and follows it on its way down.
+
+A return may end in a hover, as its parameters say or as its reports show: then the program lands the vehicle.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Literal
+
+from upwash.core.geo import ground_distance_m, rounded
+from upwash.core.vehicle.return_place import AT_PLACE_M, ReturnPlace
+from upwash.core.vehicle.return_watch import ReturnWatch
+from upwash.core.vehicle.way_home import UNKNOWN, WayDown
+from upwash.eventlog import schema
+from upwash.ports import Autopilot, Journal
+from upwash.support.background import first
+
+ComingDown = Literal["return", "land"]
+
+_LOOK_S = 1.0
+_SAME_RETURN_S = 5.0  # after the last look: a safe end goes on with the mission's return
+_TELL_AGAIN_S = 60.0
+
+
+class Homecoming:
+    """Returns and lands one vehicle; `doing` is what the program does of both now, or None."""
+
+    def __init__(self, autopilot: Autopilot, journal: Journal) -> None:
+        self.doing: ComingDown | None = None
+        self._autopilot = autopilot
+        self._journal = journal
+        self._way: WayDown | None = None
+        self._place: ReturnPlace | None = None
+        self._watch: ReturnWatch | None = None
+        self._looked_s = self._told_s = -math.inf
+        self._lands_return = False  # as it hovers
+        self._hurries = False
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds to the ground; None unless the program brings its vehicle down, or while it comes no nearer."""
+        vehicle = self._autopilot
+        if self._way is None or self.doing is None or vehicle.stands or not vehicle.control.is_ours:
+            return None
+        if self.doing == "return" and self._watch is not None and self._watch.no_nearer_s:
+            return None
+        return self._way.left_s(vehicle.position, now_s=_now_s())
+
+    async def return_and_land(self) -> None:
+        """Returns on touchdown; raises AutopilotError as the autopilot's verbs do."""
+        watch = self._begin_return()
+        try:
+            if not self._lands_return and not await first(self._returned(), self._look(watch)):
+                return
+            if not self._lands_return:
+                self._tell_hover()
+            self._lands_return = True
+            self._begin_landing()
+            await self._autopilot.land()
+        finally:
+            self.doing, self._looked_s = None, _now_s()
+
+    async def land(self) -> None:
+        """Lands where the vehicle is; returns on touchdown, raises AutopilotError."""
+        self._watch = None
+        self._begin_landing()
+        try:
+            await self._autopilot.land()
+        finally:
+            self.doing = None
+
+    def hurry(self, why: str) -> None:
+        """Lands a vehicle that hovers without a further wait, as the battery has reached the reserve."""
+        if not self._hurries:
+            self._hurries = True
+            self._journal.record(schema.ReserveOnTheWayDown(why=why))
+        if self._watch is not None:
+            self._watch.hurries = True
+
+    def landed(self) -> schema.Landed:
+        """The event of a vehicle that has landed here."""
+        here, facts = self._autopilot.position, self._autopilot.energy
+        away_m = None if facts.home is None else round(ground_distance_m(here, facts.home), 1)
+        place = facts.returns_to(here)
+        near = facts.home is not None and ground_distance_m(here, place.position) <= AT_PLACE_M
+        at_home = away_m is not None and away_m <= AT_PLACE_M
+        name = "home" if at_home else place.name if near else ""
+        return schema.Landed(position=rounded(here), at=name, from_home_m=away_m)
+
+    def _begin_return(self) -> ReturnWatch:
+        """Follow a new return, or go on with the one that was followed until just now."""
+        self.doing = "return"
+        if (
+            self._watch is not None
+            and self._place is not None
+            and _now_s() - self._looked_s <= _SAME_RETURN_S
+        ):
+            return self._watch
+        facts, here = self._autopilot.energy, self._autopilot.position
+        self._place = facts.returns_to(here)
+        way = facts.way_to(self._place)
+        self._way = WayDown(way, here, self._place.position)
+        known = facts.way_home is not None and not facts.guessed
+        self._watch = ReturnWatch(way, self._place.position, here, now_s=_now_s(), known=known)
+        self._lands_return, self._hurries, self._told_s = False, False, -math.inf
+        return self._watch
+
+    def _begin_landing(self) -> None:
+        self.doing = "land"
+        facts = self._autopilot.energy
+        self._way = WayDown(facts.way_home or UNKNOWN, self._autopilot.position, None)
+
+    async def _returned(self) -> bool:
+        await self._autopilot.return_home_and_land()
+        return False
+
+    async def _look(self, watch: ReturnWatch) -> bool:
+        """Return True once the return hovers while the vehicle is the program's; tell a return that is in vain."""
+        while not (watch.hovers and self._autopilot.control.is_ours):
+            self._looked_s = _now_s()
+            watch.take(self._autopilot.position, self._looked_s)
+            if watch.no_nearer_s and self._looked_s - self._told_s >= _TELL_AGAIN_S:
+                self._told_s = self._looked_s
+                self._tell_in_vain(watch)
+            await asyncio.sleep(_LOOK_S)
+        return True
+
+    def _tell_in_vain(self, watch: ReturnWatch) -> None:
+        to = self._place.name if self._place is not None else "home"
+        away_m, for_s = round(watch.away_m, 1), round(watch.no_nearer_s, 1)
+        self._journal.record(schema.NoNearer(to=to, away_m=away_m, for_s=for_s))
+
+    def _tell_hover(self) -> None:
+        here = rounded(self._autopilot.position)
+        where = self._place.name if self._place is not None else "home"
+        why = f"the vehicle's return does not land: it hovers {here.altitude_m:.0f} m above {where}"
+        self._journal.record(schema.ReturnHovers(why=why, position=here))
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
