@@ -12,9 +12,13 @@ from upwash.core.geo import Position
 from upwash.core.vehicle import control
 from upwash.core.vehicle.continuity import Continuity, Track
 from upwash.core.vehicle.control import Control, ControlChange, Heartbeat, Latch, Owner
+from upwash.core.vehicle.return_place import ReturnPlace
+from upwash.core.vehicle.return_watch import ReturnWatch
+from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.drone import coming_down as safety
 from upwash.drone import flight as drone
 from upwash.drone.homecoming import Homecoming
+from upwash.eventlog import schema
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.vehicle_link import ModelVehicleLink
 
@@ -80,6 +84,22 @@ def restart_on_ground_is_loss(original: Any, self: Latch, why: str, now_s: float
 @planted("altitudes follow a home that is moved", ModelAutopilot, "_above_sea")
 def altitudes_follow_home(original: Any, self: ModelAutopilot, place: Position) -> Any:
     return place.at_altitude(place.altitude_m + self._vehicle.home.altitude_m)
+
+
+plant("a return that hovers is waited for", ReturnWatch, "hovers", False)
+
+
+@planted("every landing is said to be at home", Homecoming, "landed")
+def landed_at_home(original: Any, self: Homecoming) -> schema.Landed:
+    return schema.Landed(position=original(self).position, at="home", from_home_m=0.0)
+
+
+@planted("the way home counts as one to home alone", EnergyFacts, "returns_to")
+def rally_points_not_counted(original: Any, self: EnergyFacts, here: Position, **_: Any) -> ReturnPlace:
+    return ReturnPlace("home", self.home or Position(0.0, 0.0))
+
+
+plant("the time until a hover is seen is not counted", WayHome, "rests_s", property(lambda way: way.hover_s))
 
 
 plant("another program's heartbeat is believed", ModelVehicleLink, "_is_believed", lambda *_, **__: True)

@@ -20,6 +20,7 @@ FaultKind = Literal[
     "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
     "hung", "poisoned", "unstartable",
     "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
+    "hovers", "rally",
 ]  # fmt: skip
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
 
@@ -179,4 +180,4 @@ class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     extra_s: values.NotNegative = 5.0
     """The extra time of each answer or leg while the target is `slow`, in seconds."""
     moved_m: ShiftInMetres = (40.0, 30.0, 0.0)
-    """How far `diverted` leads, `home` is moved and the position jumps: metres east, north and up."""
+    """The way of `diverted`, `home` and `jump`, and from the start to a `rally` point: metres east, north and up."""

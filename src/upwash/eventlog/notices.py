@@ -34,7 +34,8 @@ _TEXTS = ("critical", "said", "prearm")
 _PEOPLE = frozenset({Owner.PILOT, Owner.GROUND_STATION})  # who fly it themselves
 _COUNTED = ("link", "server", *_TEXTS)  # how often it began, in this flight
 _URGENT_FIRST = (
-    "hovering", "disobeys", "left", "link", "position", "control", "critical", "safe end", "stopping", "home",
+    "hovering", "disobeys", "left", "link", "position", "control", "critical", "reserve", "return", "safe end",
+    "stopping", "home",
     "arming", "prearm", "waiting", "dead man", "battery", "said", "offloading", "server", "border", "trouble", "late",
     "site", "setting", "version", "unsigned", "ended", "fallbacks", "coverage", "demands", "handover", "log",
     "shortened", "events",

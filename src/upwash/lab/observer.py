@@ -71,11 +71,11 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 def drone_observer(
     drone: str, seen: list[Observation], *, position: Callable[[], Position], life: Life
 ) -> Observe:
-    """The observer of one drone while its computer is there; a request is seen with the drone's position."""
+    """The observer of one drone while its computer is there; requests and the flight's end have its position."""
 
     def note(event: str, **facts: Any) -> None:
         if not life.is_over:
-            place = position() if event == "sent" else None
+            place = position() if event in ("sent", "flight_over") else None
             seen.append(Observation(event=event, drone=drone, position=place, **facts))
 
     return note

@@ -233,6 +233,7 @@ async def _fly_one(
         "stretch": lambda: chance.factor("leg", config.noise.leg),
         "fault": lambda: faults.now("autopilot"),
         "incidents": faults.incidents,
+        "returns": faults.settings,
         "endurance_s": config.vehicle.endurance_s,
         "energy": journal.meter,
         "charge": None if charge is None else OverTime(read_battery(charge)),

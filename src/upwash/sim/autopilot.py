@@ -8,12 +8,15 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
+from msgspec.structs import replace
+
 from upwash.config import FaultConfig
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
 from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
+from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
-from upwash.core.vehicle.way_home import EnergyFacts
+from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
@@ -28,6 +31,7 @@ from upwash.vehicle.body.kinematics import Phase, duration_s, stretched
 
 _PATIENCE_S = 60.0  # the most that a leg may exceed its time
 _SAME_PLACE_M = 1e-3
+_HOVERS_M, _HOVERS_S = 5.0, 600.0  # a return without a landing, and how long a driver waits for one
 _GPS = GpsFix("3d", satellites=12, hdop=0.8)
 
 
@@ -35,7 +39,8 @@ class ModelAutopilot:
     """The autopilot of a simulated vehicle, which flies in its `manner` from the ground below `start`.
 
     `frame` places `start` on the Earth. `stretch` returns a factor on the duration of each leg, for noise, `fault`
-    the present fault, and `incidents` are the events without a command; docs/faults.md describes them. `observe`
+    the present fault, `incidents` are the events without a command, and `returns` has settings of its returns;
+    docs/faults.md describes them. `observe`
     gets the events of the vehicle and the incidents, and "reached" with the distance `off_m` of its true position
     from the waypoint. The battery's charge is `charge`, or that of `energy`, or else 0 `endurance_s` after the first
     take-off; `wind` is the measured one. A vehicle that `hovers_at` a place was left there by another program.
@@ -51,6 +56,7 @@ class ModelAutopilot:
         stretch: Callable[[], float] = lambda: 1.0,
         fault: Callable[[], FaultConfig | None] = lambda: None,
         incidents: Sequence[FaultConfig] = (),
+        returns: Sequence[FaultConfig] = (),
         endurance_s: float | None = None,
         energy: EnergyMeter | None = None,
         charge: OverTime | None = None,
@@ -63,6 +69,7 @@ class ModelAutopilot:
         self._frame = frame
         self._stretch = stretch
         self._fault = fault
+        self._returns = returns
         self._waypoint = hovers_at
         self._vehicle = ModelVehicle(
             Position(start.east_m, start.north_m),
@@ -153,8 +160,29 @@ class ModelAutopilot:
             low_percent=stage,
             critical_percent=stage,
             home=self._link.home.at_altitude(0.0),
-            way_home=self._manner.returning,
+            way_home=self._way_home(),
+            rally=self._rally(),
         )
+
+    def _way_home(self) -> WayHome:
+        way = self._manner.returning
+        return replace(way, low_m=_HOVERS_M, waits_s=math.inf) if self._set_now("hovers") else way
+
+    def _rally(self) -> RallyPoints:
+        """Its rally points; where it has one, it does not return home."""
+        points = (
+            ReturnPlace(f"rally point {number}", Position(*point.moved_m[:2]))
+            for number, point in enumerate(self._set_now("rally"), 1)
+        )
+        return RallyPoints(tuple(points), home_counts=False)
+
+    def _set_now(self, kind: str) -> list[FaultConfig]:
+        now_s = self._loop.time()
+        return [
+            setting
+            for setting in self._returns
+            if setting.kind == kind and setting.from_s <= now_s < setting.to_s
+        ]
 
     @property
     def pace(self) -> Pace | None:
@@ -206,8 +234,8 @@ class ModelAutopilot:
         self._link.take_soon()
 
     async def limits(self) -> VehicleLimits:
-        """The limits: its home is where it stood; there is no fence."""
-        return VehicleLimits(self._link.home.at_altitude(0.0))
+        """The limits: its home is where it stood, with its rally points; there is no fence."""
+        return VehicleLimits(self._link.home.at_altitude(0.0), rally=self._rally())
 
     async def ready(self) -> None:
         """Returns at once, or when the autopilot has restarted."""
@@ -295,11 +323,14 @@ class ModelAutopilot:
         await self._move("hold", phases, until_s=self._manner.arrival_s(phases))
 
     async def return_home_and_land(self) -> None:
-        """Flies back to its home and lands."""
+        """Flies back to its home or rally point and lands, unless it hovers there."""
         self._command("return", modes=(RETURN,))
-        home = self._vehicle.home.at_altitude(0.0)
-        way = self._in_time(lambda start: self._manner.return_and_land(start, home), duration_s)
-        await self._move("return", way, end=home)
+        place = self._rally().chosen(self.position, self._vehicle.home).position
+        end = place.at_altitude(_HOVERS_M if self._set_now("hovers") else 0.0)
+        way = self._in_time(lambda start: self._manner.return_and_land(start, end), duration_s)
+        await self._move("return", way, end=end)
+        if end.altitude_m:
+            await self._wait_in_vain("return", duration_s(way), for_s=_HOVERS_S)
 
     async def land(self) -> None:
         """Lands straight below."""

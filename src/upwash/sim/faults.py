@@ -52,6 +52,7 @@ _INCIDENTS = (
     "restart",
     "impostor",
 )  # of the autopilot alone
+_SETTINGS = ("hovers", "rally")  # of the autopilot's returns
 _NOBODY = ":1"
 _UNDECODABLE = b"\xc1" * 16  # the one byte that MessagePack never uses
 _ELSEWHERE = (
@@ -91,7 +92,8 @@ class Faults:
                     f"fault[{index}].kind: {fault.target} cannot be {fault.kind}: give one of {', '.join(allowed)}"
                 )
         self.incidents = tuple(fault for fault in faults if fault.kind in _INCIDENTS)
-        self._faults = [fault for fault in faults if fault.kind not in _INCIDENTS]
+        self.settings = tuple(fault for fault in faults if fault.kind in _SETTINGS)
+        self._faults = [fault for fault in faults if fault.kind not in _INCIDENTS + _SETTINGS]
 
     def now(self, target: str) -> FaultConfig | None:
         """The present fault of the target, the first if there are several; flapping is returned as off."""
@@ -116,7 +118,7 @@ class Faults:
 
 def _kinds_at(target: str) -> tuple[str, ...]:
     if target == "autopilot":
-        return _MOVING + _INCIDENTS
+        return _MOVING + _INCIDENTS + _SETTINGS
     return _MOVING if target.startswith("link:") else _SERVER
 
 

@@ -50,7 +50,7 @@ class Manner(Protocol):
         """Seconds from the start of the phases until the vehicle counts as arrived."""
 
     def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
-        """The phases of a return, from rest to the ground at home."""
+        """The phases of a return, from rest to `home`: to the ground, or to its altitude above that."""
 
     def landing(self, start: Position) -> tuple[Phase, ...]:
         """The phases of a landing, from rest straight down to the ground."""

@@ -114,7 +114,9 @@ def calls_of(events: Sequence[Event], *, within_s: float = 0.0) -> Iterator[Flow
 
 
 def may_be_cut_short(history: History) -> bool:
-    """Whether the autopilot fails in this world, so that the mission may end early, in its safe action."""
+    """Whether the autopilot fails or the battery may end in this world, so that the mission may end early."""
+    if history.config.mission.reserve_s is not None:
+        return True
     faults = (fault for fault in history.config.faults if fault.target == "autopilot")
     return any(not _is_overcome(fault, history) for fault in faults)
 
@@ -144,7 +146,7 @@ def position_jumps(config: DroneConfig) -> bool:
 def _is_overcome(fault: FaultConfig, history: History) -> bool:
     """Whether the mission continues after the fault: no leg may exceed its patience."""
     match fault.kind:
-        case "slow" | "home" | "impostor":
+        case "slow" | "home" | "impostor" | "hovers" | "rally":
             return True
         case "diverted" | "restart":  # of a vehicle that stands
             return not any(history.own("taken"))

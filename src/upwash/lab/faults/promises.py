@@ -24,6 +24,7 @@ from upwash.lab.faults.flight_promises import (
     vehicle_first,
 )
 from upwash.lab.faults.history import Breach, History, asks_servers
+from upwash.lab.faults.landing_promises import landings
 from upwash.lab.faults.row_promises import on_the_move
 from upwash.lab.faults.selection_promises import in_range, one_selection, recovered, respect
 from upwash.lab.faults.sending_promises import less_to_send
@@ -59,6 +60,7 @@ class Promise(IntEnum):
     ONLY_SERVERS = 24
     LESS_TO_SEND = 25
     TWO_SERVERS = 26
+    LANDINGS = 27
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -100,6 +102,7 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.ONLY_SERVERS: only_servers,
     Promise.LESS_TO_SEND: less_to_send,
     Promise.TWO_SERVERS: two_servers,
+    Promise.LANDINGS: landings,
 }
 _OF_CALLS_ON_THE_DRONE = {  # what calls of services that only servers run need not keep
     Promise.BOUNDED_CALLS,

@@ -36,6 +36,8 @@ _INCIDENTS = {  # how long each lasts, in seconds
 }
 _LASTS_S = (0.02, 0.5, 2.0, 5.0, 12.0, 40.0, LONGEST_FAULT_S)  # of a fault
 _MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the ground and up or down
+_ENDS_SHARE = 1 / 8  # of worlds in which returns hover or end at a rally point
+_RALLY_M = (8.0, 300.0)  # from the start
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
     "selected", "found_stopped", "found_running", "started", "deselected", "decided", "call", "leg", "arrived",
@@ -96,7 +98,12 @@ class World:
             own = stream(name, seed)
             if own.random() <= share:
                 faults += drawn(own, names, moments, events)
-        return [{**document, "fault": faults} for document in self._documents]
+        documents = self._documents
+        own = stream("ends of returns", seed)
+        if own.random() <= _ENDS_SHARE:
+            faults += _ends_of_returns(own)
+            documents = _with_reserve(documents, own, events[-1].t if events else 100.0)
+        return [{**document, "fault": faults} for document in documents]
 
 
 def configs(documents: Sequence[Document]) -> list[DroneConfig]:
@@ -546,6 +553,33 @@ def _useless_instances(
     return [
         {**fault, "target": fault["target"].removeprefix("link:"), "kind": chance.choice(_USELESS_KINDS)}
         for fault in aimed
+    ]
+
+
+def _ends_of_returns(chance: random.Random) -> list[dict[str, Any]]:
+    """Returns hover, or end at one of some rally points."""
+    kinds = chance.choice((["hovers"], ["rally"], ["rally", "rally"], ["hovers", "rally"]))
+    return [_end_of_returns(kind, chance) for kind in kinds]
+
+
+def _end_of_returns(kind: str, chance: random.Random) -> dict[str, Any]:
+    angle, far_m = chance.uniform(0.0, math.tau), chance.uniform(*_RALLY_M)
+    moved_m = [round(far_m * math.cos(angle), 1), round(far_m * math.sin(angle), 1), 0.0]
+    return {"target": "autopilot", "kind": kind, "moved_m": moved_m}
+
+
+def _with_reserve(documents: list[Document], chance: random.Random, calm_s: float) -> list[Document]:
+    """In half of these worlds the battery may end the mission, before the end of the calm flight or after it."""
+    if chance.random() < 0.5:
+        return documents
+    endurance_s, reserve_s = calm_s * between(chance, 0.6, 2.0), chance.choice((5.0, 20.0, 60.0))
+    return [
+        {
+            **document,
+            "mission": {**document["mission"], "reserve_s": reserve_s},
+            "vehicle": {**document["vehicle"], "endurance_s": round(endurance_s + reserve_s, 1)},
+        }
+        for document in documents
     ]
 
 

@@ -23,6 +23,7 @@ from upwash.vehicle.body.kinematics import (
     along,
     cruise_m_s,
     direction_of,
+    down_to,
     duration_s,
     heading_of,
     last_true,
@@ -166,10 +167,13 @@ def takeoff(ground: Position, altitude_m: float) -> tuple[Phase, ...]:
 
 
 def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
-    """The motion of a return: a climb to the altitude of returns if the vehicle is lower, home, hover, landing."""
+    """The motion of a return: a climb to the altitude of returns if the vehicle is lower, home, hover, landing.
+
+    At the altitude of `home` above the ground the landing ends.
+    """
     climb = _return_climb(start, _RETURN_ALTITUDE_M)
     way = _way_from_above(climb[-1].end, home, ground_speed_m_s=_RETURN_M_S, climbed=len(climb) > 1)
-    return *climb, *way, *landing(way[-1].end)
+    return *climb, *way, *down_to(landing(way[-1].end), home.altitude_m)
 
 
 def way_home(

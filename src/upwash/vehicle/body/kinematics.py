@@ -326,7 +326,9 @@ def elapsed_s(phase: Phase, travelled_m: float) -> float | None:
 
 
 def down_to(phases: Iterable[Phase], altitude_m: float) -> tuple[Phase, ...]:
-    """The phases of a descent, ended at the altitude."""
+    """The phases of a descent, ended at the altitude; all of them for 0, the ground."""
+    if altitude_m == 0:
+        return tuple(phases)
     kept: list[Phase] = []
     for phase in phases:
         if phase.end.altitude_m >= altitude_m:

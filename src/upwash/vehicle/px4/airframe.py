@@ -12,7 +12,7 @@ from typing import TypeAlias
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.core.vehicle.course import Abilities, SetpointCourse
 from upwash.core.vehicle.way_home import PX4
-from upwash.vehicle.body.kinematics import Phase, along, cruise_m_s, direction_of, heading_of, pause
+from upwash.vehicle.body.kinematics import Phase, along, cruise_m_s, direction_of, down_to, heading_of, pause
 from upwash.vehicle.px4.body import (
     CLIMB_M_S,
     CLIMB_RETURNING_M_S,
@@ -84,7 +84,10 @@ def takeoff(ground: Position, altitude_m: float) -> tuple[Phase, ...]:
 
 
 def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
-    """The motion of a return: a climb to the altitude of returns if the vehicle is lower, home, landing."""
+    """The motion of a return: a climb to the altitude of returns if the vehicle is lower, home, landing.
+
+    At the altitude of `home` above the ground the landing ends.
+    """
     top_m = max(start.altitude_m, _RETURN_ALTITUDE_M)
     above_start, above_home = start.at_altitude(top_m), home.at_altitude(top_m)
     steering = Steering(altitude_m=top_m)
@@ -99,7 +102,7 @@ def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
             _return_samples(length_m),
         )
     here = leg[-1].end if leg else above_home
-    return *up, *leg, pause(here, 0.0), *landing(here)
+    return *up, *leg, pause(here, 0.0), *down_to(landing(here), home.altitude_m)
 
 
 def landing(start: Position) -> tuple[Phase, ...]:
