@@ -34,6 +34,7 @@ class Script:
     def __init__(self, *, armed: bool) -> None:
         self.mode = self.own_mode
         self.armed = armed
+        self.lists: dict[int, list[Any]] = {}  # the items of each MAV_MISSION_TYPE
         self.parameters = {self.always_has: 1.0}  # the others are missing
         self.tells_after_s: dict[str, float] = {}  # by parameter; the others at once
         self.mute = False
@@ -132,6 +133,13 @@ class Script:
                 asyncio.get_running_loop().call_later(
                     self.tells_after_s.get(message.param_id, 0.0), self._send, [told_value]
                 )
+            case "MISSION_REQUEST_LIST":
+                kind = message.mission_type
+                answers = [
+                    mavlink.MAVLink_mission_count_message(255, 191, len(self.lists.get(kind, ())), kind)
+                ]
+            case "MISSION_REQUEST_INT":
+                answers = [self.lists[message.mission_type][message.seq]]
             case "COMMAND_LONG" if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
                 told = self.told()
                 answers = [told[message.param1]] if message.param1 in told else []

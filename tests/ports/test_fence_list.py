@@ -55,7 +55,8 @@ class Fenced(Script):
 
     def _answer(self, message: Any) -> None:
         kind = message.get_type()
-        if kind not in ("MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"):
+        is_about_fence = kind.startswith("MISSION_REQUEST") and message.mission_type == FENCE
+        if not is_about_fence:
             super()._answer(message)
             return
         assert (message.target_system, message.target_component, message.mission_type) == (SYSTEM, 1, FENCE)

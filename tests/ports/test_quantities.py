@@ -255,6 +255,7 @@ NAMES_4_6 = {
     "WPNAV_SPEED_DN": 200.0,
     "WPNAV_ACCEL": 500.0,
     "RTL_LOIT_TIME": 3000.0,
+    "RTL_ALT_FINAL": 0.0,
     "LAND_SPEED_HIGH": 180.0,
     "LAND_ALT_LOW": 800.0,
     "LAND_SPEED": 40.0,
@@ -270,6 +271,7 @@ NAMES_4_7 = {
     "WP_SPD_DN": 2.0,
     "WP_ACC": 5.0,
     "RTL_LOIT_TIME": 3000.0,
+    "RTL_ALT_FINAL_M": 0.0,
     "LAND_SPD_HIGH_MS": 1.8,
     "LAND_ALT_LOW_M": 8.0,
     "LAND_SPD_MS": 0.4,
@@ -278,6 +280,8 @@ OF_PX4 = {
     "BAT_LOW_THR": 0.25,
     "BAT_CRIT_THR": 0.125,
     "RTL_RETURN_ALT": 40.0,
+    "RTL_LAND_DELAY": 0.0,
+    "RTL_DESCEND_ALT": 30.0,
     "MPC_XY_CRUISE": 6.0,
     "MPC_XY_VEL_MAX": 9.0,
     "MPC_Z_V_AUTO_UP": 2.0,
@@ -321,7 +325,7 @@ async def test_the_way_home_of_an_arducopter_is_in_metres_and_seconds(
 @pytest.mark.virtual
 async def test_what_an_arducopter_does_not_have_is_as_usual() -> None:
     energy, unknown = await told_by({"WP_SPD": 7.0, "WP_SPD_DN": 2.0})
-    assert len(unknown) == len(energy.guessed) == 11
+    assert len(unknown) == len(energy.guessed) == 12
     assert (energy.low_percent, energy.critical_percent) == (None, None)
     assert energy.way_home == structs.replace(ARDUCOPTER, speed_m_s=7.0, descent_m_s=2.0)
 

@@ -74,7 +74,7 @@ class MissionList:
             ):
                 return answers[0]
         raise AutopilotTimeout(
-            self.name, f"the vehicle did not tell {what} of its {self.name}", vehicle.said_lately
+            self.name, f"the vehicle did not tell {what} of its {self.name}: try again", vehicle.said_lately
         )
 
     def nonsense(self, what: str) -> AutopilotRefused:
