@@ -1,4 +1,4 @@
-"""How a flight that cannot go on ends: by its safe end, or for a lost vehicle by whoever has it."""
+"""How a flight that cannot go on ends: by its safe end, and how a lost vehicle is followed."""
 
 from __future__ import annotations
 

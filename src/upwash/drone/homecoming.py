@@ -90,7 +90,7 @@ class Homecoming:
         return schema.Landed(position=rounded(here), at=name, from_home_m=away_m)
 
     def _begin_return(self) -> ReturnWatch:
-        """Follow a new return, or go on with the one that was followed until just now."""
+        """Follow a new return, or continue with the return of a moment ago."""
         self.doing = "return"
         if (
             self._watch is not None

@@ -1,7 +1,7 @@
 """The time of a vehicle's way home and down to the ground: before the return, and during it.
 
     home_s    turning round + climb to the altitude of returns + the way at the return's speed against the wind
-              + hovering above the place of return + descent, with a wait on it
+              + hovering at its end + descent, with a wait
 
 `WayDown` follows a return or a landing: the climb, the way, the hover above home, the descent. A part is over when
 the reports show that the next part has begun. At the start the whole is what `time_home_s` says without wind:

@@ -62,7 +62,7 @@ def _placed_wrong(landed: schema.Landed, history: History) -> Iterator[Breach]:
 
 
 def _start(history: History) -> Position | None:
-    """The vehicle's home, as it was read before arming."""
+    """The vehicle's home from before arming."""
     return next((event.home for event in history.run.events if isinstance(event, schema.LimitsRead)), None)
 
 

@@ -36,7 +36,7 @@ _INCIDENTS = {  # how long each lasts, in seconds
 }
 _LASTS_S = (0.02, 0.5, 2.0, 5.0, 12.0, 40.0, LONGEST_FAULT_S)  # of a fault
 _MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the ground and up or down
-_ENDS_SHARE = 1 / 8  # of worlds in which returns hover or end at a rally point
+_ENDS_SHARE = 1 / 8  # of worlds: their returns hover or end at a rally point
 _RALLY_M = (8.0, 300.0)  # from the start
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (

@@ -1,6 +1,6 @@
 """The vehicle's rally points and its firmware's rule for the place of a return, read before arming.
 
-A place of return that cannot be told is refused: the reserve would count another way home than the vehicle flies.
+An unknown place of return is refused: the reserve would count another way home than the vehicle flies.
 Sources: ArduPilot's AP_Rally.cpp, MissionItemProtocol_Rally.cpp and mode_rtl.cpp; PX4's rtl.cpp (1.16.1).
 """
 
@@ -141,7 +141,7 @@ def _above_home_m(number: int, item: Message, home_above_sea_m: float | None) ->
 
 
 def _on_ground(point: ReturnPlace, *, altitude_m: float, low_m: float) -> ReturnPlace:
-    """The point with the lowest ground that its altitude allows: nobody knows whether it is the ground's."""
+    """The point with the lowest ground that its altitude allows: that altitude need not be the ground."""
     ground = point.position.at_altitude(min(point.position.altitude_m, 0.0))
     return ReturnPlace(point.name, ground, altitude_m, low_m)
 
