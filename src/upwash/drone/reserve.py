@@ -125,12 +125,13 @@ class ReserveWatch:
         return now
 
     def _tell(self, now: Margin, time_s: float) -> None:
-        """Log the margin when it is first known, when it has changed, each minute, and when it is used up."""
+        """Log the margin when it is first known, each minute, when it is used up, and changes until then."""
         if now.rate_percent_s is None:
             return
         if self._told is not None:
             told_s, told = self._told
-            is_news = abs(now.percent - told.percent) > _TELL_AGAIN_PERCENT or now.turn_back > told.turn_back
+            changed = abs(now.percent - told.percent) > _TELL_AGAIN_PERCENT and not now.turn_back
+            is_news = changed or now.turn_back > told.turn_back
             if not is_news and time_s - told_s < _TELL_AGAIN_S:
                 return
         self._told = time_s, now
