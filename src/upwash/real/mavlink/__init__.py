@@ -13,8 +13,9 @@ From the bytes up: `link` opens connections, `receiver` decides which bytes are 
 `numbering` which are new, and `gate` which numbers are possible. `news` limits what a person is told. `telemetry`
 keeps the last reports, `streams` has them sent often enough, `tracker` makes a position of them. `observed` ties
 these together as a vehicle that answers questions, and `vehicle` adds commands. `parameters`, `ftp`, `mission_list`,
-`fence`, `rally`, `needs`, `way_home` and `dead_man` each read or set one thing in it. `reports` answers a mission's questions, and
-`autopilot` adds its verbs. The firmwares differ in `arducopter` and `px4` (with `px4_firmware` and `setpoints`).
+`fence`, `rally`, `needs`, `way_home` and `dead_man` each read or set one thing in it. `reports` answers a mission's
+questions, and `autopilot` adds its verbs. The firmwares differ in `arducopter` and `px4` (with `px4_firmware` and
+`setpoints`).
 
 What is ugly: MAVLink answers belong to no request, so an answer may be that of an earlier attempt, and most verbs
 rely on reports instead. An absent parameter and a lost question look alike. PX4 tells its fail-safes by events whose
