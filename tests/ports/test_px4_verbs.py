@@ -254,7 +254,7 @@ async def test_a_turn_is_held_until_the_next_leg(script: Script) -> None:
     await asyncio.sleep(1.6)
     slowly = script.of_kind(SETPOINT)[-1]
     assert math.radians(-75.0) < slowly.yaw < math.radians(-20.0), "at 45 degrees a second"
-    await asyncio.sleep(1.5)
+    await asyncio.sleep(1.6)
     await script.say(script.place(HERE, heading_deg=264.9))
     await asyncio.sleep(0.125)
     assert not turn.done()
