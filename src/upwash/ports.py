@@ -69,6 +69,7 @@ class VehicleLimits:
 
 
 DeadManAction: TypeAlias = Literal["return", "land"]
+ComingDown: TypeAlias = Literal["return", "land"]
 
 
 class DeadMan(Protocol):
@@ -161,8 +162,10 @@ class Autopilot(Whereabouts, Protocol):
     async def in_the_air(self) -> bool:
         """Whether the vehicle flies."""
 
-    async def claim(self, *, resumes: bool) -> None:
+    async def claim(self, *, resumes: bool, ordered: ComingDown | None = None) -> None:
         """Claims the vehicle; it must be disarmed or, if the program `resumes`, in the program's own mode.
+
+        `ordered` is how an earlier run of the program ordered the vehicle to come down, as its last order.
 
         Raises AutopilotOverruled otherwise, and for a vehicle that this program has lost before.
         """

@@ -28,18 +28,35 @@ def test_every_owner_has_a_row_for_every_change_that_can_come() -> None:
     told: set[tuple[Owner, ControlChange]] = {
         (Owner.NOBODY, change) for change in ControlChange if change is not ControlChange.DISARMED
     }
-    told |= {(Owner.PROGRAM, change) for change in ControlChange if change is not ControlChange.REMOTE_MOVED}
+    told |= {
+        (Owner.PROGRAM, change)
+        for change in ControlChange
+        if change
+        not in (
+            ControlChange.REMOTE_MOVED,
+            ControlChange.FOUND_FAILING_SAFE,
+            ControlChange.FOUND_COMING_DOWN,
+        )
+    }
     told |= {(Owner.GROUND_STATION, ControlChange.REMOTE_MOVED)}
     told -= {
         (Owner.NOBODY, change)
         for change in (ControlChange.TARGET_CHANGED, ControlChange.RESTARTED, ControlChange.REMOTE_MOVED)
     }
-    for lost in (Owner.PILOT, Owner.GROUND_STATION, Owner.FAILSAFE, Owner.UNKNOWN):
+    for lost in (
+        Owner.PILOT,
+        Owner.GROUND_STATION,
+        Owner.FAILSAFE,
+        Owner.EARLIER_RUN,
+        Owner.UNKNOWN,
+    ):
         changes = (
             ControlChange.MODE_CHANGED,
+            ControlChange.MODE_SWITCHED,
             ControlChange.MODE_COMMANDED,
             ControlChange.MODE_FAILED_SAFE,
             ControlChange.ARMED,
+            ControlChange.ARMED_BY_REMOTE,
             ControlChange.RESTARTED,
         )
         told |= {(lost, change) for change in changes}
@@ -63,8 +80,9 @@ def test_only_a_claim_makes_it_the_programs() -> None:
         (STANDS, True, Owner.PROGRAM),
         (Heartbeat("STABILIZE", armed=False), False, Owner.PROGRAM),
         (FLIES, True, Owner.PROGRAM),
-        (FLIES, False, Owner.PILOT),
-        (Heartbeat("LOITER", armed=True), True, Owner.PILOT),
+        (FLIES, False, Owner.UNKNOWN),
+        (Heartbeat("LOITER", armed=True), True, Owner.UNKNOWN),
+        (Heartbeat("RTL", armed=True, failsafe="battery"), True, Owner.FAILSAFE),
     ],
 )
 def test_what_can_be_claimed(report: Heartbeat, resumes: bool, owner: Owner) -> None:
@@ -90,7 +108,16 @@ def test_switches_of_a_vehicle_that_stands_disarmed_are_nobodys_takeover() -> No
 @pytest.mark.parametrize(
     ("report", "owner", "why"),
     [
-        (Heartbeat("LOITER", armed=True), Owner.PILOT, "mode LOITER, GUIDED was commanded"),
+        (
+            Heartbeat("LOITER", armed=True),
+            Owner.UNKNOWN,
+            "mode LOITER .no report tells who chose it., GUIDED",
+        ),
+        (
+            Heartbeat("LOITER", armed=True, remote_moved=True),
+            Owner.PILOT,
+            "mode LOITER .the remote control moved., GUIDED was commanded",
+        ),
         (
             Heartbeat("LAND", armed=True, failsafe="battery"),
             Owner.FAILSAFE,
@@ -145,20 +172,56 @@ def test_a_lost_vehicle_that_stands_disarmed_may_change_its_mode() -> None:
         latch.report(report, 5.0)
         assert latch.control.owner is Owner.FAILSAFE
     latch.report(Heartbeat("STABILIZE", armed=True), 6.0)
-    assert latch.control.owner is Owner.PILOT
+    assert latch.control.owner is Owner.UNKNOWN
 
 
 def test_once_a_mode_was_commanded_another_one_closes_the_latch_on_the_ground_too() -> None:
     latch = claimed()
     latch.expect_modes(("TAKEOFF", "LOITER"))
     latch.report(Heartbeat("RTL", armed=False), 3.0)
-    assert latch.control.owner is Owner.PILOT
-    assert "mode RTL, LOITER was commanded" in latch.control.why
+    assert latch.control.owner is Owner.UNKNOWN
+    assert "mode RTL (no report tells who chose it), LOITER was commanded" in latch.control.why
 
 
 def test_a_pilot_who_arms_while_the_program_waits_has_the_vehicle() -> None:
     latch = claimed()
-    latch.report(Heartbeat("STABILIZE", armed=True), 3.0)
+    latch.report(Heartbeat("STABILIZE", armed=True, remote_moved=True), 3.0)
+    assert latch.control.owner is Owner.PILOT
+
+
+@pytest.mark.parametrize("remote_moved", [False, None])
+def test_who_arms_is_not_known_where_the_remote_control_did_not_move(remote_moved: bool | None) -> None:
+    latch = claimed()
+    latch.report(Heartbeat("STABILIZE", armed=True, remote_moved=remote_moved), 3.0)
+    assert latch.control.owner is Owner.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("mode", "ordered_mode", "resumes", "owner", "wanted"),
+    [
+        ("RTL", "RTL", True, Owner.EARLIER_RUN, "wait for the landing and resume, or switch it to GUIDED"),
+        ("LAND", "LAND", True, Owner.EARLIER_RUN, "wait for the landing and resume, or switch it to GUIDED"),
+        ("LOITER", "RTL", True, Owner.UNKNOWN, "switch it to GUIDED"),
+        ("RTL", "", True, Owner.UNKNOWN, "switch it to GUIDED"),
+        ("RTL", "RTL", False, Owner.UNKNOWN, "disarm it first"),
+    ],
+)
+def test_a_vehicle_that_comes_down_as_an_earlier_run_commanded_is_nobody_elses(
+    mode: str, ordered_mode: str, resumes: bool, owner: Owner, wanted: str
+) -> None:
+    latch = Latch(0.0)
+    latch.report(Heartbeat(mode, armed=True), 1.0)
+    latch.claim(2.0, own_mode=OWN, resumes=resumes, ordered_mode=ordered_mode)
+    assert latch.control.owner is owner
+    with pytest.raises(AutopilotOverruled, match=f"{wanted}.*; nothing was sent"):
+        latch.require("start")
+
+
+def test_a_pilot_who_takes_what_an_earlier_run_left_is_named() -> None:
+    latch = Latch(0.0)
+    latch.report(Heartbeat("RTL", armed=True), 1.0)
+    latch.claim(2.0, own_mode=OWN, resumes=True, ordered_mode="RTL")
+    latch.report(Heartbeat("LOITER", armed=True, remote_moved=True), 3.0)
     assert latch.control.owner is Owner.PILOT
 
 
@@ -169,7 +232,7 @@ def test_a_command_on_its_way_may_not_have_been_obeyed_yet_and_leads_through_its
         latch.report(Heartbeat(mode, armed=True), 3.0)
         assert latch.control.is_ours
     latch.report(Heartbeat("TAKEOFF", armed=True), 4.0)
-    assert latch.control.owner is Owner.PILOT
+    assert latch.control.owner is Owner.UNKNOWN
 
 
 def test_arming_and_disarming_by_command_are_no_difference_and_a_refused_one_is_forgotten() -> None:
@@ -182,16 +245,26 @@ def test_arming_and_disarming_by_command_are_no_difference_and_a_refused_one_is_
     latch.expect_armed(True)
     latch.withdraw()
     latch.report(FLIES, 5.0)
-    assert latch.control.owner is Owner.PILOT
+    assert latch.control.owner is Owner.UNKNOWN
 
 
 def test_a_fail_safe_that_is_told_after_its_mode_is_still_known_as_one_and_a_pilot_may_end_it() -> None:
     latch = claimed(flying=True)
     owners = []
-    for report in Heartbeat("RTL", True), Heartbeat("RTL", True, failsafe="fence"), Heartbeat("LOITER", True):
+    for report in (
+        Heartbeat("RTL", True),
+        Heartbeat("RTL", True, failsafe="its system status is critical"),
+        Heartbeat("RTL", True, failsafe="its battery is low"),
+        Heartbeat("LOITER", True, remote_moved=True),
+    ):
         latch.report(report, 3.0)
-        owners.append(latch.control.owner)
-    assert owners == [Owner.PILOT, Owner.FAILSAFE, Owner.PILOT]
+        owners.append((latch.control.owner, latch.control.why))
+    assert owners == [
+        (Owner.UNKNOWN, "the vehicle is in mode RTL (no report tells who chose it), GUIDED was commanded"),
+        (Owner.FAILSAFE, "the vehicle is in mode RTL (its system status is critical)"),
+        (Owner.FAILSAFE, "the vehicle is in mode RTL (its battery is low)"),
+        (Owner.PILOT, "the vehicle is in mode LOITER (the remote control moved)"),
+    ]
 
 
 HERE, THERE, ELSEWHERE = Position(0.0, 0.0, 20.0), Position(40.0, 0.0, 20.0), Position(-52.0, 0.0, 20.0)

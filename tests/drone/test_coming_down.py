@@ -13,8 +13,9 @@ from upwash.core.geo import Position
 from upwash.core.vehicle.control import Control, Owner
 from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.core.vehicle.way_home import ARDUCOPTER, UNKNOWN, EnergyFacts, WayDown, WayHome
-from upwash.drone.homecoming import ComingDown, Homecoming
+from upwash.drone.homecoming import Homecoming
 from upwash.eventlog import schema
+from upwash.ports import ComingDown
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
 

@@ -370,7 +370,9 @@ async def test_when_the_pilot_takes_over_the_leg_ends_and_the_vehicle_is_left_to
         leg = asyncio.create_task(autopilot.goto(Position(500.0, 0.0, 3.0)))
         await asyncio.sleep(0.2)
         pilot.send(set_mode(mavlink.COPTER_MODE_LOITER))
-        with pytest.raises(AutopilotOverruled, match=r"goto .*the pilot has the vehicle.*LOITER"):
+        with pytest.raises(
+            AutopilotOverruled, match=r"goto .*the program has lost the vehicle.*LOITER .no report tells who"
+        ):
             await leg
         pilot.send(set_mode(mavlink.COPTER_MODE_GUIDED))
         verbs: tuple[Callable[[], Awaitable[None]], ...] = (
@@ -401,7 +403,7 @@ async def test_no_command_goes_out_on_a_report_from_before_the_pilot_took_over(
             returning = asyncio.create_task(autopilot.return_home_and_land())
             await asyncio.sleep(0.1)
         pilot.send(set_mode(mavlink.COPTER_MODE_LOITER))
-        with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+        with pytest.raises(AutopilotOverruled, match="the program has lost the vehicle"):
             await (returning if silent else autopilot.return_home_and_land())
         await asyncio.sleep(1.0)
         assert mode_of(made) == mavlink.COPTER_MODE_LOITER

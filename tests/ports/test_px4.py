@@ -113,7 +113,7 @@ async def test_a_pilot_who_takes_it_keeps_it(sky: Bench, autopilot: MavlinkAutop
     if moment == "call":
         await flying
     else:
-        with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+        with pytest.raises(AutopilotOverruled, match="the program has lost the vehicle"):
             await flying
     await asyncio.sleep(0.2)
     await nothing_is_sent(sky)
@@ -122,10 +122,10 @@ async def test_a_pilot_who_takes_it_keeps_it(sky: Bench, autopilot: MavlinkAutop
         autopilot.goto(Position(0.0, 0.0, 5.0)),
         autopilot.return_home_and_land(),
     ):
-        with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+        with pytest.raises(AutopilotOverruled, match="the program has lost the vehicle"):
             await verb
-    assert autopilot.control.owner is Owner.PILOT
-    assert [each.owner for each in news if isinstance(each, Control)] == [Owner.PROGRAM, Owner.PILOT]
+    assert autopilot.control.owner is Owner.UNKNOWN
+    assert [each.owner for each in news if isinstance(each, Control)] == [Owner.PROGRAM, Owner.UNKNOWN]
 
 
 @played(fly)
@@ -149,7 +149,7 @@ async def test_a_pilot_who_has_it_hover_in_the_climb_keeps_it(
     await asyncio.sleep(8.0)
     assert 2.0 < autopilot.position.altitude_m < 16.0
     sky.copter.set_mode(Mode.LOITER)
-    with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+    with pytest.raises(AutopilotOverruled, match="the program has lost the vehicle"):
         await climbing
     await nothing_is_sent(sky)
 

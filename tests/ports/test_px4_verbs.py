@@ -401,7 +401,7 @@ async def test_a_vehicle_that_goes_back_to_offboard_by_itself_is_not_the_pilots(
         (Mode.RTL, Mode.OFFBOARD, Owner.FAILSAFE),
         (Mode.OFFBOARD, Mode.OFFBOARD, Owner.FAILSAFE),  # a setpoint came late, from a busy computer
         (Mode.RTL, Mode.OFFBOARD, Owner.FAILSAFE),
-        (Mode.LOITER, Mode.LOITER, Owner.PILOT),
+        (Mode.LOITER, Mode.LOITER, Owner.UNKNOWN),
     ):
         script.mode, script.intends = mode, set_mode  # type: ignore[attr-defined]
         await script.say(landed(IN_AIR), script.place(HERE), script.told()[px4.CURRENT_MODE])

@@ -252,6 +252,8 @@ async def test_motors_stop_on_the_ground_after_a_second_there(
     await asyncio.sleep(stood_s)
     script.sent.clear()
     await script.beat(armed=False)
+    assert script.autopilot.control.is_ours, "one heartbeat may be a bridge's old one"
+    await script.beat()
     assert script.autopilot.control.owner is Owner.UNKNOWN
     assert script.autopilot.control.why.startswith(why)
     assert script.asked_for(TIME) == [script.now_s], "its clock shows whether it restarted"
@@ -321,6 +323,7 @@ async def test_after_its_motors_stopped_it_stands_once_it_is_seen_not_to_fall(
     await script.say(landed(ON_GROUND), script.place(HERE))
     assert script.autopilot.stands, "armed"
     await script.beat(armed=False)
+    await script.beat()
     assert not script.autopilot.stands
     await asyncio.sleep(after_s)
     await script.say(script.place(HERE, Velocity(up_m_s=up_m_s)))

@@ -237,7 +237,7 @@ def test_a_pilot_takes_it_on_a_row_with_answers_open(firmware: Firmware) -> None
 
     flown = fly(config_of(firmware, 4.0, local_s=60.0), photo6=later(1.0, takes))
     assert isinstance(flown.error, AutopilotOverruled), flown.error
-    assert "the pilot has the vehicle" in str(flown.error)
+    assert "the program has lost the vehicle" in str(flown.error)
     assert flown.sky.commands(*taken_s) == []
     assert flown.sky.setpoints(*taken_s) == 0
     assert flown.result.not_looked_at == [*range(7)]

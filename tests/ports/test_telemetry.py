@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Velocity
 from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix
-from upwash.mavlink.px4 import CurrentModeMessage, Mode
+from upwash.eventlog.schema import VehicleSaid
+from upwash.mavlink.px4 import CurrentModeMessage, EventMessage, Mode, event_text, px4_events
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.px4_firmware import PX4
 from upwash.real.mavlink.telemetry import VehicleTelemetry
@@ -50,8 +51,8 @@ def landed(state: int) -> Any:
     return mavlink.MAVLink_extended_sys_state_message(0, state)
 
 
-def beat(*, armed: bool = False, status: int = 4) -> Any:
-    return mavlink.MAVLink_heartbeat_message(2, 3, 1 | (128 if armed else 0), 4, status, 3)
+def beat(*, armed: bool = False, status: int = 4, mode: int = 4) -> Any:
+    return mavlink.MAVLink_heartbeat_message(2, 3, 1 | (128 if armed else 0), mode, status, 3)
 
 
 def ekf(flags: int) -> Any:
@@ -243,8 +244,18 @@ def test_motors_stop_when_an_armed_vehicle_is_disarmed() -> None:
     assert (told.armed, told.disarmed_s) == (True, -math.inf)
     told.take(beat(armed=True), 12.0)
     told.take(beat(), 13.0)
+    assert told.armed
+    assert told.disarms
     told.take(beat(), 14.0)
-    assert (told.armed, told.disarmed_s) == (False, 13.0)
+    assert (told.armed, told.disarms, told.disarmed_s) == (False, False, 13.0)
+
+
+def test_one_disarmed_heartbeat_between_armed_ones_says_nothing() -> None:
+    told = taken(beat(armed=True))
+    for now_s in 11.0, 13.0, 15.0:  # a bridge repeats an old one, of another mode
+        told.take(beat(mode=9), now_s)
+        told.take(beat(armed=True), now_s + 1.0)
+        assert (told.armed, told.disarms, told.mode) == (True, False, 4)
 
 
 @pytest.mark.parametrize(
@@ -419,8 +430,19 @@ def test_a_mode_of_an_arducopter_has_its_name(number: int, name: str) -> None:
     assert ARDUCOPTER.mode_name(number) == name
 
 
-def said(*texts: str) -> list[tuple[float, Any]]:
-    return [(1.0, heard) for words_of in texts for _, heard in taken(text(words_of.encode())).texts]
+def said(*texts: str, at_s: float = 58.0, severity: int = 4) -> list[tuple[float, Any]]:
+    return [
+        (at_s, heard)
+        for words_of in texts
+        for _, heard in taken(text(words_of.encode(), severity=severity)).texts
+    ]
+
+
+POSITION, BATTERY, CRITICAL = (
+    "its position estimate failed",
+    "its battery is low",
+    "its system status is critical",
+)
 
 
 @pytest.mark.parametrize(
@@ -432,11 +454,69 @@ def said(*texts: str) -> list[tuple[float, Any]]:
         ("RTL", {"dead_man": "its dead man", "fence_breached": True}, "its dead man"),
         ("LAND", {"system_status": 5}, "its system status is critical"),
         ("BRAKE", {"system_status": 6}, "its system status is critical"),
-        ("AUTO", {"system_status": 4, "texts": said("Battery 1 low")}, ""),
-        ("AUTO_RTL", {"system_status": 5, "texts": said("Battery 1 is low")}, "its battery is low"),
-        ("SMART_RTL", {"system_status": 5, "texts": said("EKF variance", "Ok")}, "its position estimate failed"),
-        ("LAND", {"system_status": 5, "texts": said("Battery", "ADSB threat")}, "it avoids another aircraft"),
+        ("AUTO", {"system_status": 4, "texts": said("Battery 1 is low")}, ""),
+        ("AUTO_RTL", {"system_status": 5, "texts": said("Battery 1 is low")}, BATTERY),
+        ("SMART_RTL", {"system_status": 5, "texts": said("EKF variance", "Ok")}, POSITION),
+        ("LAND", {"texts": said("ADSB threat", at_s=60.0)}, "it avoids another aircraft"),
+        # what a text says just before or after the mode, whatever else was said before
+        ("RTL", {"texts": said("Battery Failsafe", at_s=60.6)}, BATTERY),
+        ("RTL", {"texts": said("Radio Failsafe", at_s=59.5)}, "it does not hear its remote control"),
+        ("LAND", {"texts": said("GCS Failsafe", at_s=60.0)}, "it does not hear its ground station"),
+        ("LAND", {"texts": said("EKF Failsafe: changed to LAND Mode", at_s=60.0)}, POSITION),
+        ("RTL", {"texts": said("Failsafe: Terrain data missing", at_s=60.0)}, "it lacks terrain data"),
+        ("BRAKE", {"texts": said("Dead Reckoning started", at_s=60.0)}, POSITION),
+        ("RTL", {"texts": said("EKF3 lane switch 1", "Battery Failsafe", at_s=60.4, severity=2)}, BATTERY),
+        ("RTL", {"fence_breached": True, "texts": said("Battery Failsafe", at_s=60.1)}, BATTERY),
+        ("RTL", {"texts": said("Radio Failsafe", at_s=59.1) + said("Battery Failsafe", at_s=60.1)}, BATTERY),
+        # what is no cause
+        ("RTL", {"system_status": 5, "texts": said("EKF variance", severity=6)}, CRITICAL),
+        ("RTL", {"system_status": 5, "texts": said("EKF3 IMU0 stopped aiding")}, CRITICAL),
+        ("RTL", {"system_status": 5, "texts": said("EKF variance", at_s=56.0)}, CRITICAL),
+        ("RTL", {"system_status": 5, "texts": said("EKF variance", at_s=61.5)}, CRITICAL),
+        ("RTL", {"texts": said("Battery Failsafe", at_s=58.0)}, ""),
+        ("RTL", {"texts": said("Radio Failsafe Cleared", at_s=60.0)}, ""),
+        ("RTL", {"texts": said("GCS Failsafe - Continuing Pilot Control", at_s=60.0)}, ""),
     ],
 )  # fmt: skip
 def test_a_fail_safe_of_an_arducopter_has_its_cause(mode: str, told: dict[str, Any], why: str) -> None:
-    assert ARDUCOPTER.failsafe(VehicleTelemetry(**told), mode) == why
+    assert ARDUCOPTER.failsafe(VehicleTelemetry(mode_s=60.0, status_s=60.0, **told), mode) == why
+
+
+@pytest.mark.parametrize(("critical_s", "why"), [(20.0, ""), (59.5, CRITICAL)])
+def test_a_pilot_may_return_long_after_a_fail_safe_left_the_status_critical(
+    critical_s: float, why: str
+) -> None:
+    telemetry = VehicleTelemetry(mode_s=60.0, status_s=critical_s, system_status=5)
+    for now_s, switch_us in (59.0, 1500), (59.8, 1900):
+        telemetry.take(mavlink.MAVLink_rc_channels_message(0, 18, *[switch_us] * 18, 255), now_s)
+    assert ARDUCOPTER.failsafe(telemetry, "RTL") == why
+
+
+@pytest.mark.parametrize(
+    ("event", "arguments", "cause"),
+    [
+        ("commander_failsafe_enter", (0, 6, 4), "critical battery level"),
+        ("commander_failsafe_enter", (0, 6, 2), "GCS connection loss"),
+        ("check_gf_violation_max_alt", (0, 0), "geofence: too high above home"),
+    ],
+)
+def test_a_fail_safe_of_a_px4_has_the_cause_that_its_event_says(
+    event: str, arguments: tuple[int, ...], cause: str
+) -> None:
+    number, kind = next((number, kind) for number, kind in px4_events().items() if kind.name == event)
+    words = event_text(
+        EventMessage(
+            id_of_event=number,
+            event_time_boot_ms=0,
+            sequence=0,
+            destination_component=0,
+            destination_system=0,
+            log_levels=0x42,
+            arguments=kind.packed(*arguments),
+        )
+    )
+    telemetry = VehicleTelemetry(
+        mode=Mode.RTL, mode_s=60.0, flown_and_intended_mode=(Mode.RTL, Mode.OFFBOARD), knows_its_place=False
+    )
+    telemetry.hear_text(VehicleSaid(severity=3, text=words), 60.5)
+    assert PX4.failsafe(telemetry, "AUTO.RTL") == f"a fail-safe chose it ({cause}), OFFBOARD was set"

@@ -63,6 +63,7 @@ from upwash.ports import (
     Album,
     Autopilot,
     Camera,
+    ComingDown,
     Dialer,
     Finder,
     Journal,
@@ -105,7 +106,8 @@ class Flight:
     """One mission from the first check of the services to the landed vehicle.
 
     `done` resumes an interrupted mission: these waypoints are complete, the plan has the others, and the vehicle may
-    be in the air. If no waypoint is left, the vehicle is brought to the ground. `order` is the order of the
+    be in the air, and `ordered` is how that mission last ordered it to come down. If no waypoint is left, the vehicle
+    is brought to the ground. `order` is the order of the
     waypoints, decided here if None. `speed_why` is the reason of a ground speed that was chosen. `parts` has the
     programs before sending, by their services' names.
     """
@@ -120,6 +122,7 @@ class Flight:
         ports: Ports,
         parts: Mapping[str, Program] = MappingProxyType({}),
         done: frozenset[int] | None = None,
+        ordered: ComingDown | None = None,
         order: Order | None = None,
         speed_why: str = "",
     ) -> None:
@@ -132,6 +135,7 @@ class Flight:
         self._unkept = list(unkept_deadlines(config, specs))
         self._speed_why = speed_why
         self._done = done
+        self._ordered = ordered
         self._plan = tuple(
             waypoint for waypoint in self._order.waypoints if waypoint.index not in (done or ())
         )
@@ -341,7 +345,7 @@ class Flight:
                 "the vehicle is in the air: land it first, or take up the flight that was broken off with "
                 "--resume and its event log; nothing was sent",
             )
-        await autopilot.claim(resumes=self._done is not None)
+        await autopilot.claim(resumes=self._done is not None, ordered=self._ordered)
         if flies:
             self._handle.take_up()
         await self._set_dead_man(flies=flies)

@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import math
-from typing import Literal
 
 from upwash.core.geo import ground_distance_m, rounded
 from upwash.core.vehicle.return_place import AT_PLACE_M, ReturnPlace
 from upwash.core.vehicle.return_watch import ReturnWatch
 from upwash.core.vehicle.way_home import UNKNOWN, WayDown
 from upwash.eventlog import schema
-from upwash.ports import Autopilot, Journal
+from upwash.ports import Autopilot, ComingDown, Journal
 from upwash.support.background import first
-
-ComingDown = Literal["return", "land"]
 
 _LOOK_S = 1.0
 _SAME_RETURN_S = 5.0  # after the last look: a safe end goes on with the mission's return

@@ -8,10 +8,12 @@ from collections.abc import Iterable
 from upwash.config import DroneConfig, movable_waypoints, waypoints
 from upwash.core.geo import Waypoint
 from upwash.core.planning.order import Order
+from upwash.core.vehicle.control import Owner
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces, OpenDemands
 from upwash.eventlog.schema import Event
+from upwash.ports import ComingDown
 from upwash.support.text import counted
 
 _SAME_PLACE_M = 0.01
@@ -80,6 +82,31 @@ def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:
     if sorted(planned.order) != sorted(by_index):
         raise UsageError("this log is of another plan: its order is of other waypoints than there are now")
     return Order(tuple(by_index[index] for index in planned.order), planned.order_why)
+
+
+def ordered_down(events: Iterable[Event]) -> ComingDown | None:
+    """How the program last ordered the vehicle to come down; None once it stood, or anybody else flew it."""
+    ordered: ComingDown | None = None
+    for event in events:
+        match event:
+            case schema.Returning() | schema.SafeEnd(action="return"):
+                ordered = "return"
+            case schema.Landing() | schema.SafeEnd(action="land"):
+                ordered = "land"
+            case schema.ControlChanged(owner=Owner.PROGRAM | Owner.EARLIER_RUN):
+                pass
+            case (
+                schema.ControlChanged()
+                | schema.SafeEnd()
+                | schema.Landed()
+                | schema.Stood()
+                | schema.Disarmed()
+                | schema.Armed()
+                | schema.SetOff()
+                | schema.Holding()
+            ):
+                ordered = None
+    return ordered
 
 
 def _require_same_drone(started: schema.MissionStarted, config: DroneConfig, planned: int) -> None:

@@ -15,7 +15,7 @@ from upwash.core.selection.events import (
     TargetUnknown,
 )
 from upwash.core.vehicle.telemetry import Telemetry
-from upwash.drone.homecoming import ComingDown, Homecoming
+from upwash.drone.homecoming import Homecoming
 from upwash.drone.legs import Legs
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
@@ -24,7 +24,7 @@ from upwash.drone.site import Site, require_altitude
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES
-from upwash.ports import Autopilot, Journal, VehicleLimits
+from upwash.ports import Autopilot, ComingDown, Journal, VehicleLimits
 from upwash.support.text import printable
 
 Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]

@@ -36,6 +36,7 @@ _OWNERS = {
     Owner.PILOT: "the pilot",
     Owner.GROUND_STATION: "a ground station or another program",
     Owner.FAILSAFE: "a fail-safe",
+    Owner.EARLIER_RUN: "an earlier run of the program",
     Owner.UNKNOWN: "nobody known",
 }
 LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."

@@ -467,7 +467,11 @@ class Notified(Event, frozen=True, kw_only=True):
 
 
 class ControlChanged(Event, frozen=True, kw_only=True, tag="control"):
-    """Who has the vehicle from now on (`program`, `pilot`, `fail-safe`, `unknown`), and why."""
+    """Who has the vehicle from now on, and why.
+
+    The owners are `program`, `pilot`, `ground station`, `fail-safe`, `unknown`, and `earlier run`: the vehicle comes
+    down as an earlier run of the program commanded.
+    """
 
     owner: Owner
     why: Text

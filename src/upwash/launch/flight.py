@@ -22,7 +22,7 @@ from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.home import above_home
-from upwash.drone.resumption import order_begun, waypoints_done
+from upwash.drone.resumption import order_begun, ordered_down, waypoints_done
 from upwash.drone.speed import with_speed
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
@@ -87,6 +87,7 @@ async def fly(
     services = load_services(config.services)
     config, speed_why = with_speed(config, load_specs(config.services))
     done = waypoints_done(read_events(log), config) if resumes else None
+    ordered = ordered_down(read_events(log)) if resumes else None
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
         watchers += await _metrics(config, stack)
@@ -116,6 +117,7 @@ async def fly(
             programs={name: service.program for name, service in services.items()},
             parts={name: service.part for name, service in services.items() if service.part},
             done=done,
+            ordered=ordered,
             order=order_begun(read_events(log), config) if resumes else None,
             speed_why=speed_why,
         )

@@ -18,7 +18,7 @@ from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.errors import AutopilotRefused, AutopilotTimeout
-from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
+from upwash.ports import ComingDown, DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.incidents import Incidents, ModelBattery
 from upwash.sim.link import Observe, unobserved
@@ -219,11 +219,12 @@ class ModelAutopilot:
         self._link.require("start")
         return self._vehicle.flies
 
-    async def claim(self, *, resumes: bool) -> None:
+    async def claim(self, *, resumes: bool, ordered: ComingDown | None = None) -> None:
         """Claims the vehicle for the program, at once; raises AutopilotOverruled."""
         self._link.require("start")
         latch, before = self._link.latch, self.control
-        latch.claim(self._loop.time(), own_mode=GUIDED, resumes=resumes)
+        ordered_mode = {"return": RETURN, "land": LAND}[ordered] if ordered else ""
+        latch.claim(self._loop.time(), own_mode=GUIDED, resumes=resumes, ordered_mode=ordered_mode)
         self._link.tell_control(before)
         latch.require("start")
 

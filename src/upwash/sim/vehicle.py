@@ -10,6 +10,7 @@ import asyncio
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, TypeAlias
 
 import msgspec
@@ -75,7 +76,7 @@ class ModelVehicle:
         moved: Callable[[Motion[Phase]], None] = lambda _: None,
     ) -> None:
         # What its heartbeat says; a new object whenever that changes.
-        self.report = Heartbeat(GUIDED, armed=hovers_at is not None)
+        self.report = Heartbeat(GUIDED, armed=hovers_at is not None, remote_moved=False)
         self.changed = asyncio.Event()
         self.ground_speed_m_s = ground_speed_m_s  # of its legs
         self.home = ground
@@ -150,7 +151,7 @@ class ModelVehicle:
         """Obey a command of the program: change the mode, the motors, the target, or none of them."""
         self._observe("commanded", command=command)
         if mode is not None:
-            self._report(mode=mode)
+            self._report(mode=mode, remote_moved=False)
         if target is not None:
             self.target = target
         if armed is not None:
@@ -186,10 +187,10 @@ class ModelVehicle:
         """A pilot takes the vehicle in another mode, may give it back after `back_after_s`, and lands it."""
         self._observe("taken", by="pilot")
         self._report(armed=True)
-        self._change_mode(LOITER)
+        self._change_mode(LOITER, by_remote=True)
         if back_after_s < _PILOT_LANDS_AFTER_S:
             self._loop.call_later(back_after_s, self._be_given_back, before_back)
-        self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
+        self._loop.call_later(_PILOT_LANDS_AFTER_S, partial(self._land, by_remote=True))
 
     def be_diverted(self, shift: tuple[float, float, float]) -> None:
         """A ground station sends the vehicle east, north and up in the program's own mode, and later lands it.
@@ -272,21 +273,21 @@ class ModelVehicle:
         if self.is_booting or (self.flies and not self.armed):  # it falls
             return
         before_back()
-        self._change_mode(GUIDED)
+        self._change_mode(GUIDED, by_remote=True)
 
-    def _change_mode(self, mode: str) -> None:
+    def _change_mode(self, mode: str, *, by_remote: bool = False) -> None:
         self._stop_coming_down()
-        self._report(mode=mode)
+        self._report(mode=mode, remote_moved=by_remote)
         self._move_by_itself((), self.position)
 
     def _be_landed_by_pilot(self) -> None:
         if self.armed:
             self._observe("taken", by="pilot")
-            self._land()
+            self._land(by_remote=True)
 
-    def _land(self) -> None:
+    def _land(self, *, by_remote: bool = False) -> None:
         if self.armed and not self.is_booting:
-            self._change_mode(LAND)
+            self._change_mode(LAND, by_remote=by_remote)
             self._come_down(self._manner.landing)
 
     def _come_down(self, way: _Way) -> None:

@@ -14,6 +14,7 @@ _OTHERS = {  # a word for the bar, and its tone
     Owner.PILOT: ("PILOT", "person"),
     Owner.GROUND_STATION: ("GROUND STATION", "person"),
     Owner.FAILSAFE: ("FAIL-SAFE", "alarm"),
+    Owner.EARLIER_RUN: ("COMING DOWN", "landing"),
     Owner.UNKNOWN: ("NOBODY KNOWN", "alarm"),
 }
 _IN_MODE = re.compile(r"\bin mode ([^,;(]+)")

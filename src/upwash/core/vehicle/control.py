@@ -78,6 +78,7 @@ class Owner(StrEnum):
     PILOT = "pilot"
     GROUND_STATION = "ground station"
     FAILSAFE = "fail-safe"
+    EARLIER_RUN = "earlier run"  # of this program: the vehicle comes down as that run commanded
     UNKNOWN = "unknown"  # no report shows who acted
 
 
@@ -87,6 +88,7 @@ _WHO = {
     Owner.PILOT: "the pilot has the vehicle",
     Owner.GROUND_STATION: "a ground station or another program has the vehicle",
     Owner.FAILSAFE: "a fail-safe has the vehicle",
+    Owner.EARLIER_RUN: "the vehicle follows an earlier run of the program",
     Owner.UNKNOWN: "the program has lost the vehicle",
 }
 
@@ -95,29 +97,39 @@ class ControlChange(StrEnum):
     """The events that can change the owner: a claim, or what a report shows."""
 
     CLAIMED = "claimed"
-    MODE_CHANGED = "mode changed"  # only a pilot is known to do that
+    MODE_CHANGED = "mode changed, and no report tells of the remote control"
+    MODE_SWITCHED = "mode changed as the remote control moved"
     MODE_COMMANDED = "mode changed, and the remote control did not move"
     REMOTE_MOVED = "remote control moved"  # what is known late of a change of the mode
     MODE_FAILED_SAFE = "mode changed by a fail-safe"
     ARMED = "armed"
+    ARMED_BY_REMOTE = "armed as the remote control moved"
+    FOUND_FAILING_SAFE = "claimed while a fail-safe flies it"
+    FOUND_COMING_DOWN = "claimed while it comes down as an earlier run of the program commanded"
     DISARMED = "disarmed"
     TARGET_CHANGED = "target changed"  # in the program's own mode: sticks cannot do that
     RESTARTED = "autopilot restarted"
 
 
 _BY_EVIDENCE = {
-    ControlChange.MODE_CHANGED: Owner.PILOT,
+    ControlChange.MODE_CHANGED: Owner.UNKNOWN,
+    ControlChange.MODE_SWITCHED: Owner.PILOT,
     ControlChange.MODE_COMMANDED: Owner.GROUND_STATION,
     ControlChange.MODE_FAILED_SAFE: Owner.FAILSAFE,
-    ControlChange.ARMED: Owner.PILOT,
+    ControlChange.ARMED: Owner.UNKNOWN,
+    ControlChange.ARMED_BY_REMOTE: Owner.PILOT,
     ControlChange.RESTARTED: Owner.UNKNOWN,
 }
 TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
     (Owner.NOBODY, ControlChange.CLAIMED): Owner.PROGRAM,
     (Owner.NOBODY, ControlChange.MODE_CHANGED): Owner.NOBODY,  # a switch on the ground
+    (Owner.NOBODY, ControlChange.MODE_SWITCHED): Owner.NOBODY,
     (Owner.NOBODY, ControlChange.MODE_COMMANDED): Owner.NOBODY,
     (Owner.NOBODY, ControlChange.MODE_FAILED_SAFE): Owner.NOBODY,
-    (Owner.NOBODY, ControlChange.ARMED): Owner.PILOT,
+    (Owner.NOBODY, ControlChange.ARMED): Owner.UNKNOWN,
+    (Owner.NOBODY, ControlChange.ARMED_BY_REMOTE): Owner.PILOT,
+    (Owner.NOBODY, ControlChange.FOUND_FAILING_SAFE): Owner.FAILSAFE,
+    (Owner.NOBODY, ControlChange.FOUND_COMING_DOWN): Owner.EARLIER_RUN,
     **{
         (owner, change): named
         for owner in Owner
@@ -179,8 +191,11 @@ class Latch:
         self._armed_ahead: bool | None = None
         self._targets = Targets()
 
-    def claim(self, now_s: float, *, own_mode: str, resumes: bool) -> None:
-        """Claim the vehicle for the program, if law 2 allows it; `control` has the result, and why."""
+    def claim(self, now_s: float, *, own_mode: str, resumes: bool, ordered_mode: str = "") -> None:
+        """Claim the vehicle for the program, if law 2 allows it; `control` has the result, and why.
+
+        `ordered_mode` is the mode in which an earlier run of the program ordered the vehicle to come down, if any.
+        """
         reported = self._reported
         if self.control.owner is not Owner.NOBODY or reported is None:
             return
@@ -194,8 +209,7 @@ class Latch:
             )
         else:
             wanted = f"switch it to {own_mode} and resume the flight" if resumes else "disarm it first"
-            why = f"it is armed, in mode {reported.mode}; to give it to the program, {wanted}"
-            self._take(ControlChange.ARMED, why, now_s)
+            self._take(*_found_armed(reported, wanted, ordered_mode if resumes else ""), now_s)
 
     def require(self, step: str, vehicle_said: str = "") -> None:
         """Raises AutopilotOverruled unless the program has the vehicle (law 1)."""
@@ -271,7 +285,7 @@ class Latch:
         if report.armed and not before.armed:
             self._take(*_armed_or_disarmed(report), now_s)
         changed = report.armed and report.mode != before.mode  # disarmed it may go back to an earlier mode
-        if changed or (report.failsafe and not before.failsafe):
+        if changed or (report.failsafe and report.failsafe != before.failsafe):  # which may be told late
             self._take_mode(report, now_s, "")
         elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):
             why = f"the vehicle is in mode {report.mode} (the remote control moved)"
@@ -284,11 +298,8 @@ class Latch:
     def _take_mode(self, report: Heartbeat, now_s: float, instead_of: str) -> None:
         if report.failsafe:
             change, by = ControlChange.MODE_FAILED_SAFE, f" ({report.failsafe})"
-        elif report.remote_moved is None:
-            change, by = ControlChange.MODE_CHANGED, ""
         else:
-            change = ControlChange.MODE_CHANGED if report.remote_moved else ControlChange.MODE_COMMANDED
-            by = f" (the remote control {'moved' if report.remote_moved else 'did not move'})"
+            change, by = _MODE_CHANGED[report.remote_moved]
         self._take(change, f"the vehicle is in mode {report.mode}{by}{instead_of}", now_s)
 
     def _take(self, change: ControlChange, why: str, now_s: float) -> None:
@@ -304,7 +315,28 @@ _DISARMED = {
 }
 
 
+_MODE_CHANGED = {
+    True: (ControlChange.MODE_SWITCHED, " (the remote control moved)"),
+    False: (ControlChange.MODE_COMMANDED, " (the remote control did not move)"),
+    None: (ControlChange.MODE_CHANGED, " (no report tells who chose it)"),
+}
+
+
+def _found_armed(report: Heartbeat, wanted: str, ordered_mode: str) -> tuple[ControlChange, str]:
+    """The evidence of a vehicle that was found armed, and what to do."""
+    if report.failsafe:
+        why = f"it is armed, in mode {report.mode} ({report.failsafe}); to give it to the program, {wanted}"
+        return ControlChange.FOUND_FAILING_SAFE, why
+    if report.mode == ordered_mode:
+        why = f"it is in mode {report.mode}, as that run commanded; wait for the landing and resume, or {wanted}"
+        return ControlChange.FOUND_COMING_DOWN, why
+    why = f"it is armed, in mode {report.mode}; to give it to the program, {wanted}"
+    return ControlChange.ARMED, why
+
+
 def _armed_or_disarmed(report: Heartbeat) -> tuple[ControlChange, str]:
+    if report.armed and report.remote_moved:
+        return ControlChange.ARMED_BY_REMOTE, "somebody else armed it (the remote control moved)"
     if report.armed:
         return ControlChange.ARMED, "somebody else armed it"
     return ControlChange.DISARMED, _DISARMED[report.on_ground]

@@ -108,7 +108,7 @@ _DONE = {
     "disarm": schema.Disarmed,
 }
 _NAMED_AFTER = {  # who is named, by who has taken the vehicle before
-    Owner.PILOT: ("pilot", "ground station"),  # which lands it in another mode, as a pilot does
+    Owner.PILOT: ("pilot",),
     Owner.GROUND_STATION: ("ground station",),
     Owner.FAILSAFE: ("fail-safe",),
     Owner.UNKNOWN: ("pilot", "ground station", "fail-safe", "restarted autopilot"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -34,16 +34,20 @@ _NUMBERS = {
 _FAILSAFE_MODES = ("RTL", "LAND", "SMART_RTL", "BRAKE", "AUTO", "AUTO_RTL")
 _CRITICAL = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
 _AVOIDANCE = "OA_TYPE"
-_FAILSAFE_TEXTS = {
-    "EKF": "its position estimate failed",
-    "GPS Glitch": "its position estimate failed",
-    "Dead Reckoning": "its position estimate failed",
-    "Battery": "its battery is low",
+_UNPLACED, _EMPTY = "its position estimate failed", "its battery is low"
+_ANNOUNCED = {  # by a fail-safe that acts, just before or after its mode (ArduCopter's events.cpp, ekf_check.cpp)
+    "Battery Failsafe": _EMPTY,
     "Radio Failsafe": "it does not hear its remote control",
     "GCS Failsafe": "it does not hear its ground station",
+    "EKF Failsafe": _UNPLACED,
     "Terrain Failsafe": "it lacks terrain data",
+    "Failsafe: Terrain": "it lacks terrain data",
+    "Dead Reckoning": _UNPLACED,
     "ADSB": "it avoids another aircraft",
 }
+_HINTS = {"Battery ": _EMPTY, "EKF variance": _UNPLACED, "GPS Glitch": _UNPLACED}  # without an announcement
+_ANNOUNCED_S = 1.0
+_NO_CHANGE = ("Cleared", "stopped", " - Continuing")  # of a fail-safe that is over, or leaves the mode
 _BRAKES_M_S2 = 1.83  # as recorded flights do (SITL 4.7, default parameters)
 _REACTS_S = 0.1
 _LIFT_REPORT_S = 1.0  # for a report that it has left the ground, on a lossy link
@@ -60,13 +64,31 @@ def _failsafe(telemetry: VehicleTelemetry, mode: str) -> str:
         return ""
     if telemetry.dead_man:
         return telemetry.dead_man
+    if announced := _cause(telemetry.warned_of_mode(before_s=_ANNOUNCED_S), _ANNOUNCED):
+        return announced
     if telemetry.fence_breached:
         return "it has left its fence"
-    if telemetry.system_status not in _CRITICAL:
+    if telemetry.system_status not in _CRITICAL or _is_pilots(telemetry):
         return ""
-    said = (text.text for _, text in reversed(telemetry.texts))
-    causes = (cause for text in said for begin, cause in _FAILSAFE_TEXTS.items() if text.startswith(begin))
-    return next(causes, "its system status is critical")
+    return _cause(telemetry.warned_of_mode(), _HINTS) or "its system status is critical"
+
+
+def _cause(texts: Sequence[str], causes: Mapping[str, str]) -> str:
+    """The cause that the first of the texts tells; "" if none does."""
+    told = (
+        cause
+        for text in texts
+        if not any(words in text for words in _NO_CHANGE)
+        for begin, cause in causes.items()
+        if text.startswith(begin)
+    )
+    return next(told, "")
+
+
+def _is_pilots(telemetry: VehicleTelemetry) -> bool:
+    """Whether the remote control moved with the mode, long after a fail-safe triggered: a status stays critical."""
+    was_critical = telemetry.status_s < telemetry.mode_s - _ANNOUNCED_S
+    return was_critical and bool(telemetry.remote.moved(telemetry.mode_s))
 
 
 _LOCAL_TARGET, _FENCE_STATUS, _WIND = (

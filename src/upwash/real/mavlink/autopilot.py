@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import Position, distance_m, ground_distance_m
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import ArmingDelayed, VehicleSetting
-from upwash.ports import VehicleLimits
+from upwash.ports import ComingDown, VehicleLimits
 from upwash.real.mavlink.needs import require_version
 from upwash.real.mavlink.reports import ReportingAutopilot, check_speed
 
@@ -35,11 +35,12 @@ class MavlinkAutopilot(ReportingAutopilot):
 
     # --- before the flight ----------------------------------------------------------------------------------
 
-    async def claim(self, *, resumes: bool) -> None:
+    async def claim(self, *, resumes: bool, ordered: ComingDown | None = None) -> None:
         """Claims the vehicle for the program, by its last heartbeat; AutopilotOverruled if that is refused."""
         async with self.vehicle.limited("start", self._settings.margin_s):
             await self.vehicle.until("start", lambda: self._telemetry.mode is not None)
-        self.vehicle.claim("start", resumes=resumes)
+        ordered_mode = {"return": self.return_mode, "land": self.land_mode}[ordered] if ordered else ""
+        self.vehicle.claim("start", resumes=resumes, ordered_mode=ordered_mode)
         if self._telemetry.armed:  # it flies already: `limits` is for a vehicle that stands
             self._tracker.fix_ground()
             await self.learn()

@@ -39,7 +39,8 @@ from upwash.support.text import worded
 
 _HEARTBEAT_S = 1.0
 _HEARTBEAT, _SYSTEM_TIME = mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
-_TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
+_TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE")
+_TELL_WHY = ("FENCE_STATUS", "STATUSTEXT", "EVENT")
 _TELL_WHOSE = ("HEARTBEAT", "CURRENT_MODE", "POSITION_TARGET_GLOBAL_INT", "POSITION_TARGET_LOCAL_NED")
 _BLIND_S = 1.5  # after a defect in taking in one of these, which come once a second, until one is taken in
 _STOOD_S = 1.0  # on the ground before its motors stop
@@ -80,6 +81,7 @@ class ObservedVehicle:
         self._loop = asyncio.get_running_loop()
         self._missed_s: dict[str, float] = {}  # when a report of the owner could not be taken in, by its kind
         self.latch = Latch(self.now_s)
+        self._were_armed = False  # the motors, when their state was last judged
         self._listeners: list[Callable[[Message], None]] = []
         self._texts_told = 0
         self._silent_s = 0.0  # in all, of silences that are over
@@ -390,18 +392,24 @@ class ObservedVehicle:
 
     def _take_control(self, message: Message, now_s: float) -> None:
         """Report each heartbeat to the latch, and modes that a fail-safe chose."""
-        if self.telemetry.mode is None or message.get_type() not in _TELL_THE_MODE:
+        if self.telemetry.mode is None or message.get_type() not in (*_TELL_THE_MODE, *_TELL_WHY):
             return
-        if message.get_type() != "FENCE_STATUS":
+        if self.telemetry.disarms:
+            if message.get_type() == "HEARTBEAT":
+                self.ask_for(_HEARTBEAT)  # a second one in a row confirms that its motors stopped
+            return
+        if message.get_type() in _TELL_THE_MODE:
             self.mode_told_s = now_s
         mode, telemetry = self.mode_name, self.telemetry
         armed, failsafe = telemetry.armed, self.firmware.failsafe(telemetry, mode)
         # ArduCopter says that it stands as soon as its motors stop, wherever that is.
-        stands = telemetry.stands if armed or now_s - telemetry.airborne_s > _STOOD_S else False
+        stood = telemetry.disarmed_s - telemetry.airborne_s > _STOOD_S
+        stands = telemetry.stands if armed or stood else False
         heartbeat = Heartbeat(mode, armed, failsafe, stands, telemetry.remote.moved(now_s))
         self._judge(lambda: self.latch.report(heartbeat, now_s))
-        if telemetry.disarmed_s == now_s and not self.latch.control.is_ours:
+        if self._were_armed and not armed and not self.latch.control.is_ours:
             self.ask_for(_SYSTEM_TIME)  # which shows a restart
+        self._were_armed = armed
 
     def _tell_texts(self, _message: Message, _now_s: float) -> None:
         new = self.telemetry.texts_heard - self._texts_told

@@ -16,7 +16,7 @@ from upwash.core.vehicle.return_place import RallyPoints
 from upwash.core.vehicle.way_home import PX4 as PX4_WAY_HOME
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.packets import Message
-from upwash.ports import VehicleLimits
+from upwash.ports import ComingDown, VehicleLimits
 from upwash.real.mavlink.autopilot import MavlinkAutopilot
 from upwash.real.mavlink.fence import PX4_FENCE, px4_limits
 from upwash.real.mavlink.needs import check_px4_settings, px4_failsafe_delay_s, require_current_mode
@@ -76,12 +76,12 @@ class Px4Autopilot(MavlinkAutopilot):
 
     # --- before the flight ----------------------------------------------------------------------------------
 
-    async def claim(self, *, resumes: bool) -> None:
+    async def claim(self, *, resumes: bool, ordered: ComingDown | None = None) -> None:
         """Claims the vehicle, after the end of a fail-safe's delay: PX4 hovers for some seconds before it acts."""
         if resumes and self._telemetry.armed and failsafe(self._telemetry, ""):
             wait_s = await px4_failsafe_delay_s(self.vehicle) + _SETTLES_S
             await self.vehicle.happens("start", lambda: self.vehicle.mode_name != LOITER, within_s=wait_s)
-        await super().claim(resumes=resumes)
+        await super().claim(resumes=resumes, ordered=ordered)
 
     async def inspect(self) -> None:
         """Checks the firmware's reports and its settings for the loss of the program; raises AutopilotRefused."""

@@ -41,6 +41,7 @@ _OFFBOARD_SIGNAL, _PLACES = "check_modes_offboard_signal", ("check_modes_local_p
 _CHECK_ARGUMENTS = struct.Struct("<IB")  # the modes that it concerns, and the component
 
 
+_SWITCHING, _ANY_FAILSAFE, _FENCE = ": switching to", "fail-safe", "geofence: "
 _SETPOINTS_BACK = (Mode.OFFBOARD, Mode.OFFBOARD)
 
 
@@ -65,7 +66,11 @@ def failsafe(telemetry: VehicleTelemetry, _mode: str) -> str:
 
 
 def _cause(telemetry: VehicleTelemetry) -> str:
-    """An invalid position as the cause, in brackets; "" without a failed check or estimate of it."""
+    """The cause in brackets: what the fail-safe said, or an invalid position; "" if nothing tells it."""
+    for text in telemetry.warned_of_mode():
+        cause, switching, _ = text.partition(_SWITCHING)
+        if text.startswith(_FENCE) or (switching and cause != _ANY_FAILSAFE):
+            return f" ({cause})"
     for number, _ in _failed(telemetry, _PLACES):
         return f" ({words_of(number)})"
     return " (it does not know its position)" if telemetry.knows_its_place is False else ""
@@ -84,7 +89,7 @@ def _take(telemetry: VehicleTelemetry, message: Message, now_s: float) -> None:
                 )
             telemetry.flown_and_intended_mode = modes
             if not telemetry.on_ground:  # when it disarms itself, its mode changes too: a HEARTBEAT has both
-                telemetry.mode = message.custom_mode
+                telemetry.change_mode(message.custom_mode, now_s)
         case "SYS_STATUS":  # it lists the check among the healthy sensors only, not among the present ones
             health = message.onboard_control_sensors_health
             telemetry.can_be_armed = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)

@@ -30,6 +30,7 @@ _GIMBAL_FROM_NOSE = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
 _ROUND_CDEG = 36_000  # UINT16_MAX stands for an unknown heading
 _TEXTS_KEPT = 32
 _LATELY_S = 3.0  # older texts are not about what has just happened
+_TOLD_LATE_S = 1.0  # a vehicle may say after the change of its mode why it changed
 _CHUNK_BYTES = 50  # of a text; a longer text arrives in several chunks
 _MOST_CHUNKS = 20
 _DEAD_MAN_ACTS = "upwash: companion silent"  # as dead_man.lua says it
@@ -87,9 +88,12 @@ class VehicleTelemetry:
     """The vehicle's last reports; None for a value that it has not reported."""
 
     mode: int | None = None
+    mode_s: float = -math.inf  # when the present mode was first reported
     armed: bool = False
-    disarmed_s: float = -math.inf  # when its motors were last seen to stop
+    disarms: bool = False  # by its last heartbeat, which a second one must confirm
+    disarmed_s: float = -math.inf  # when its motors were last said to stop
     system_status: int = mavlink.MAV_STATE_UNINIT
+    status_s: float = -math.inf  # when the present status was first reported
     landed_state: int = mavlink.MAV_LANDED_STATE_UNDEFINED
     airborne_s: float = -math.inf  # when it last reported that it flies
     position: GeoPosition | None = None
@@ -153,13 +157,23 @@ class VehicleTelemetry:
                 self._take_health(message, now_s)
 
     def _take_heartbeat(self, message: Message, now_s: float) -> None:
-        self.mode, was_armed = message.custom_mode, self.armed
-        self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        if was_armed and not self.armed:
+        """Take in a heartbeat; the first one of an armed vehicle that says "disarmed" may be a bridge's old one."""
+        was_armed, armed = self.armed, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.disarms = was_armed and not armed and not self.disarms
+        if self.disarms:
             self.disarmed_s = now_s
-        self.system_status = message.system_status
+            return
+        self.change_mode(message.custom_mode, now_s)
+        self.armed = armed
+        if message.system_status != self.system_status:
+            self.system_status, self.status_s = message.system_status, now_s
         if now_s - self._dead_man_s > _LATELY_S:
             self.dead_man = ""
+
+    def change_mode(self, mode: int, now_s: float) -> None:
+        """Take in the reported mode."""
+        if mode != self.mode:
+            self.mode, self.mode_s = mode, now_s
 
     def _take_health(self, message: Message, now_s: float) -> None:
         match message.get_type():
@@ -202,6 +216,17 @@ class VehicleTelemetry:
             (text for said_s, text in self.texts if said_s >= since_s), key=lambda text: text.severity
         )
         return "; ".join(dict.fromkeys(f"{text.text} ({SEVERITIES[text.severity]})" for text in texts))
+
+    def warned_of_mode(self, *, before_s: float = _LATELY_S) -> list[str]:
+        """The warnings, and worse, around the change to the present mode, the nearest first."""
+        after_s = sorted(
+            ((said_s - self.mode_s, text) for said_s, text in self.texts), key=lambda said: abs(said[0])
+        )
+        return [
+            text.text
+            for late_s, text in after_s
+            if text.severity <= mavlink.MAV_SEVERITY_WARNING and -before_s <= late_s <= _TOLD_LATE_S
+        ]
 
     def said_lately(self, now_s: float) -> str:
         """The texts of the last three seconds."""

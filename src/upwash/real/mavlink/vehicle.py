@@ -34,10 +34,13 @@ class MavlinkVehicle(ObservedVehicle):
         """Whether the program has the vehicle."""
         return self.latch.control.is_ours
 
-    def claim(self, step: str, *, resumes: bool) -> None:
+    def claim(self, step: str, *, resumes: bool, ordered_mode: str = "") -> None:
         """Claims the vehicle for the program; raises AutopilotOverruled if that is refused."""
+        own_mode = self.firmware.own_mode
         self._judge(
-            lambda: self.latch.claim(self.now_s, own_mode=self.firmware.own_mode, resumes=resumes),
+            lambda: self.latch.claim(
+                self.now_s, own_mode=own_mode, resumes=resumes, ordered_mode=ordered_mode
+            ),
         )
         self.require_control(step)
 
@@ -105,12 +108,12 @@ class MavlinkVehicle(ObservedVehicle):
         The last heartbeat may be a second old, or from before a silence: a pilot may have taken the vehicle since.
         """
         asked_s = self.now_s
-        while not self.heard_since(_HEARTBEAT, asked_s):
+        while not self.heard_since(_HEARTBEAT, asked_s) or self.telemetry.disarms:
             self.require_control(step)
             self.ask_for(_HEARTBEAT)
             await self.happens(
                 step,
-                lambda: self.heard_since(_HEARTBEAT, asked_s),
+                lambda: self.heard_since(_HEARTBEAT, asked_s) and not self.telemetry.disarms,
                 within_s=min(_FRESH_WITHIN_S, self.patience.answer_s),
             )
         self.require_control(step)
