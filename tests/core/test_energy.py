@@ -49,7 +49,7 @@ def test_no_recorded_return_took_longer_than_expected_nor_much_less(
 
 def test_what_is_guessed_is_among_the_words_of_a_margin() -> None:
     energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
-    report = FlightReport(0.0, HOME, percent=50.0)
+    report = FlightReport(0.0, HOME, {1: 50.0})
     energy.take(report)
     known = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
     guessed = energy.margin(report, HOME, EnergyFacts(way_home=PX4, guessed=("RTL_ALT",)))
@@ -379,8 +379,8 @@ def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
         left = full - rate * second
         here = Position(east * speed_m_s * second, north * speed_m_s * second, altitude_m)
         report = FlightReport(
-            float(second), here, float(math.floor(left)), Velocity(east * speed_m_s, north * speed_m_s), speed_m_s,
-            wind if told else None,
+            float(second), here, {1: float(math.floor(left))}, Velocity(east * speed_m_s, north * speed_m_s),
+            speed_m_s, wind if told else None,
         )  # fmt: skip
         energy.take(report)
         now = energy.margin(report, HOME, facts)
@@ -402,7 +402,7 @@ def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
 
 def test_the_vehicle_says_where_it_returns_to() -> None:
     energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
-    report = FlightReport(0.0, Position(400, 0, 30), 50.0)
+    report = FlightReport(0.0, Position(400, 0, 30), {1: 50.0})
     energy.take(report)
     far = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
     near = energy.margin(report, HOME, EnergyFacts(way_home=PX4, home=Position(400, 0)))
@@ -412,7 +412,7 @@ def test_the_vehicle_says_where_it_returns_to() -> None:
 
 def test_a_flight_that_ends_where_it_is_needs_the_way_down_only() -> None:
     energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0, lands=True)
-    report = FlightReport(0.0, Position(400, 0, 30), 50.0)
+    report = FlightReport(0.0, Position(400, 0, 30), {1: 50.0})
     energy.take(report)
     now = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
     assert now is not None
@@ -422,18 +422,63 @@ def test_a_flight_that_ends_where_it_is_needs_the_way_down_only() -> None:
 def test_a_battery_that_empties_faster_than_configured_is_measured() -> None:
     energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
     for time_s, percent in ((0.0, 90.0), (100.0, 60.0)):
-        energy.take(FlightReport(time_s, HOME, percent))
-    assert energy.rate_percent_s == pytest.approx(31 / 100)
+        energy.take(FlightReport(time_s, HOME, {1: percent}))
+    now = energy.margin(FlightReport(100.0, HOME), HOME, EnergyFacts())
+    assert now is not None
+    assert now.rate_percent_s == pytest.approx(31 / 100)
 
 
 def test_while_no_report_comes_the_battery_is_believed_to_empty_as_before() -> None:
     energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
-    energy.take(FlightReport(100.0, HOME, 50.0))
+    energy.take(FlightReport(100.0, HOME, {1: 50.0}))
     for second in range(101, 131):
         energy.take(FlightReport(float(second), HOME))
     now = energy.margin(FlightReport(130.0, HOME), HOME, EnergyFacts())
     assert now is not None
     assert now.left_percent == pytest.approx(47.0)
+
+
+def test_of_several_batteries_the_one_with_the_least_margin_counts() -> None:
+    energy = FlightEnergy(Reserve(60.0))
+    for second in range(121):  # the second one drains four times as fast, from more
+        energy.take(FlightReport(float(second), HOME, {1: 60.0 - second * 0.05, 2: 100.0 - second * 0.2}))
+    facts = EnergyFacts(way_home=PX4)
+    far = energy.margin(FlightReport(120.0, Position(400, 0, 30)), HOME, facts)
+    assert far is not None
+    assert far.battery == 2, "it has more, and loses more on the way home"
+    assert far.left_percent == pytest.approx(76.0)
+    near = energy.margin(FlightReport(120.0, HOME), HOME, facts, down_s=1.0)
+    assert near is not None
+    assert near.battery == 1
+    for second in range(121, 301):
+        energy.take(FlightReport(float(second), HOME, {1: 60.0 - second * 0.05, 2: 100.0 - second * 0.2}))
+    low = energy.margin(FlightReport(300.0, Position(400, 0, 30)), HOME, facts)
+    assert low is not None
+    assert low.battery == 2
+    assert low.left_percent == pytest.approx(40.0)
+    assert low.rate_percent_s == pytest.approx(0.2, abs=0.02)
+    assert str(low).endswith("40 % is left in battery 2")
+
+
+def test_a_battery_that_falls_silent_drains_on_as_before() -> None:
+    energy = FlightEnergy(Reserve(60.0))
+    for second in range(121):
+        energy.take(FlightReport(float(second), HOME, {1: 90.0, 2: 80.0 - second * 0.2}))
+    for second in range(121, 241):
+        energy.take(FlightReport(float(second), HOME, {1: 90.0}))
+    now = energy.margin(FlightReport(240.0, HOME), HOME, EnergyFacts())
+    assert now is not None
+    assert now.battery == 2
+    assert now.left_percent == pytest.approx(32.0, abs=2.0)
+
+
+@pytest.mark.parametrize(("stages", "battery"), [({}, 1), ({2: 30.0}, 2), ({2: None}, 1)])
+def test_each_battery_has_its_own_low_stage(stages: dict[int, float | None], battery: int) -> None:
+    energy = FlightEnergy(Reserve(0.0))
+    facts = EnergyFacts(low_percent=20.0, low_percents=stages)
+    now = energy.standing_margin({1: 50.0, 2: 55.0}, facts)
+    assert now is not None
+    assert now.battery == battery
 
 
 @pytest.mark.parametrize(

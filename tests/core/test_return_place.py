@@ -45,7 +45,7 @@ def test_the_nearest_place_is_chosen_as_the_firmware_does(
 
 def needed_s(rally: RallyPoints, here: Position, velocity: Velocity) -> float:
     energy = FlightEnergy(Reserve(0.0), endurance_s=1000.0)
-    report = FlightReport(1.0, here, percent=90.0, velocity=velocity)
+    report = FlightReport(1.0, here, charges_percent={1: 90.0}, velocity=velocity)
     energy.take(report)
     margin = energy.margin(report, HOME, EnergyFacts(home=HOME, way_home=ARDUCOPTER, rally=rally))
     assert margin is not None

@@ -146,7 +146,8 @@ def _messages_of_a_vehicle(data: bytes) -> None:
             peer.take(data, ("127.0.0.1", second), float(second))
     assert telemetry.mode is None or ARDUCOPTER.mode_name(telemetry.mode)
     assert telemetry.said_since(0) is not None
-    assert telemetry.battery_percent is None or 0 <= telemetry.battery_percent <= 100
+    charges = telemetry.batteries.charges_percent.values()
+    assert all(percent is None or 0 <= percent <= 100 for percent in charges)
 
 
 def _with_right_checksums(data: bytes) -> bytes:

@@ -125,8 +125,6 @@ async def test_a_message_that_cannot_be_true_changes_nothing_and_is_told(
 
 
 UNKNOWN = {
-    "battery of 127 %": (battery(127), "battery_percent", None),
-    "battery of -128 %": (battery(-128), "battery_percent", None),
     "landed state 200": (mavlink.MAVLink_extended_sys_state_message(0, 200), "stands", None),
     "a time after the calendar": (mavlink.MAVLink_system_time_message(2**64 - 1, 1), "unix_s", None),
 }

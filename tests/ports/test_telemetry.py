@@ -43,8 +43,8 @@ def system_status(battery: int, *, present: int = 0, health: int = 0) -> Any:
     return mavlink.MAVLink_sys_status_message(present, 0, health, 0, 12_000, 0, battery, *[0] * 6)
 
 
-def battery(percent: int, number: int = 0) -> Any:
-    return mavlink.MAVLink_battery_status_message(number, 0, 0, 0, [0] * 10, 0, 0, 0, percent)
+def battery(percent: int, number: int = 0, function: int = 0) -> Any:
+    return mavlink.MAVLink_battery_status_message(number, function, 0, 0, [0] * 10, 0, 0, 0, percent)
 
 
 def landed(state: int) -> Any:
@@ -207,11 +207,46 @@ def test_a_landed_state_says_whether_it_stands_or_flies(
     assert told.airborne_s == (10.0 if flies else -math.inf)
 
 
-@pytest.mark.parametrize(("percent", "known"), [(57, 57.0), (0, 0.0), (-1, None)])
-def test_a_battery_has_its_percent_unless_that_is_not_known(percent: int, known: float | None) -> None:
-    assert taken(system_status(99), battery(percent)).battery_percent == known
-    assert taken(battery(99), system_status(percent)).battery_percent == known
-    assert taken(system_status(57), battery(8, number=1)).battery_percent == 57.0, "a second one is another's"
+def charges(*reports: tuple[float, Any]) -> dict[int, float | None]:
+    """What is known of the batteries after reports, each with its time."""
+    telemetry = VehicleTelemetry()
+    for now_s, report in reports:
+        telemetry.take(report, now_s)
+    return telemetry.batteries.charges_percent
+
+
+@pytest.mark.parametrize(("percent", "known"), [(57, {1: 57.0}), (0, {1: 0.0}), (-1, {})])
+def test_a_battery_has_its_percent_unless_that_is_not_known(
+    percent: int, known: dict[int, float | None]
+) -> None:
+    assert charges((1.0, system_status(percent))) == known
+    assert charges((1.0, battery(percent))) == (known or {1: None})
+
+
+def test_the_lowest_of_two_messages_counts_and_one_that_does_not_know_is_no_news() -> None:
+    assert charges((1.0, system_status(-1)), (1.1, battery(91)), (2.0, system_status(-1))) == {1: 91.0}
+    assert charges((1.0, battery(-1)), (1.1, system_status(91)), (2.0, battery(-1))) == {1: 91.0}
+    assert charges((1.0, system_status(57)), (1.1, battery(56))) == {1: 56.0}, "each rounds in its own way"
+    assert charges((1.0, system_status(30)), (1.1, battery(91))) == {1: 30.0}
+    assert charges((1.0, system_status(30)), (1.1, battery(60, number=1))) == {1: 30.0, 2: 60.0}
+    assert charges((1.0, system_status(60)), (1.1, battery(60, number=1))) == {2: 60.0}, "a PX4's lowest"
+
+
+def test_each_battery_that_the_vehicle_flies_with_is_known_by_its_number() -> None:
+    reports = (battery(50), battery(8, number=9), battery(-1, number=3), battery(5, number=1, function=4))
+    assert charges(*((1.0, report) for report in reports)) == {1: 50.0, 4: None, 10: 8.0}
+    avionics = battery(5, number=1, function=3)
+    assert charges((1.0, avionics)) == {2: 5.0}, "without its autopilot no vehicle flies"
+
+
+@pytest.mark.parametrize(("silent_s", "known"), [(20.0, 8.0), (21.0, None)])
+def test_a_charge_that_nothing_confirms_is_not_believed_for_ever(
+    silent_s: float, known: float | None
+) -> None:
+    last_s = 10.0 + silent_s
+    unknown = (last_s, battery(-1, number=1))
+    assert charges((10.0, battery(8, number=1)), (last_s, battery(50))) == {1: 50.0, 2: known}
+    assert charges((10.0, battery(8, number=1)), (last_s, battery(50)), unknown) == {1: 50.0, 2: known}
 
 
 @pytest.mark.parametrize(

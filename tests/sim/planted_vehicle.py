@@ -14,6 +14,7 @@ from upwash.core.vehicle.continuity import Continuity, Track
 from upwash.core.vehicle.control import Control, ControlChange, Heartbeat, Latch, Owner
 from upwash.core.vehicle.return_place import ReturnPlace
 from upwash.core.vehicle.return_watch import ReturnWatch
+from upwash.core.vehicle.telemetry import Telemetry
 from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 from upwash.drone import coming_down as safety
 from upwash.drone import flight as drone
@@ -21,6 +22,12 @@ from upwash.drone.homecoming import Homecoming
 from upwash.eventlog import schema
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.vehicle_link import ModelVehicleLink
+
+
+def first_battery(told: Telemetry) -> dict[int, float]:
+    return {
+        number: percent for number, percent in told.batteries.items() if number == 1 and percent is not None
+    }
 
 
 @planting("commands are sent whoever has the vehicle")
@@ -100,6 +107,13 @@ def rally_points_not_counted(original: Any, self: EnergyFacts, here: Position, *
 
 
 plant("the time until a hover is seen is not counted", WayHome, "rests_s", property(lambda way: way.hover_s))
+plant("the first battery alone counts", Telemetry, "charges_percent", property(first_battery))
+
+
+@planting("a change of the mode that was commanded is called the pilot's")
+def commanded_mode_blamed_on_pilot() -> Planting:
+    commanded = {(owner, ControlChange.MODE_COMMANDED): Owner.PILOT for owner in Owner}
+    return patch.dict(control.TRANSITIONS, commanded)
 
 
 plant("another program's heartbeat is believed", ModelVehicleLink, "_is_believed", lambda *_, **__: True)

@@ -179,8 +179,8 @@ async def test_a_driver_that_hears_nonsense_goes_on_and_tells_nobody_to_move() -
     assert errors == []
     assert copter.telemetry.position == GeoPosition(39.3666, 22.9507, 5.0)
     assert copter.telemetry.mode == 0
-    percent = copter.telemetry.battery_percent
-    assert percent is None or 0 <= percent <= 100
+    charges = copter.telemetry.batteries.charges_percent.values()
+    assert all(percent is None or 0 <= percent <= 100 for percent in charges)
     asked = {(message.get_type(), getattr(message, "command", None)) for message in fake.heard}
     assert asked <= {
         ("HEARTBEAT", None),

@@ -20,7 +20,7 @@ FaultKind = Literal[
     "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
     "hung", "poisoned", "unstartable",
     "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
-    "hovers", "rally",
+    "hovers", "rally", "battery",
 ]  # fmt: skip
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
 
@@ -179,5 +179,7 @@ class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """When it ends, in seconds."""
     extra_s: values.NotNegative = 5.0
     """The extra time of each answer or leg while the target is `slow`, in seconds."""
+    lasts_s: values.Positive = 300.0
+    """How long the second battery of the fault `battery` lasts in flight, in seconds."""
     moved_m: ShiftInMetres = (40.0, 30.0, 0.0)
     """The way of `diverted`, `home` and `jump`, and from the start to a `rally` point: metres east, north and up."""

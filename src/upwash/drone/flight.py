@@ -295,6 +295,7 @@ class Flight:
             ground_speed_m_s=None if speed_m_s is None else round(speed_m_s, 2),
             heading_deg=None if heading_deg is None else round(heading_deg, 1),
             battery_percent=None if percent is None else round(percent, 1),
+            battery=told.lowest_battery,
             down_s=None if down_s is None else round(down_s, 1),
             server=server,
             round_trip_s=None if round_trip_s is None else round(round_trip_s, 4),

@@ -5,11 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from msgspec.structs import replace
-
 from upwash.config import DroneConfig
 from upwash.core.geo import Position
-from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve
+from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve, in_battery
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
@@ -54,6 +52,7 @@ class ReserveWatch:
         self._home = _HOME  # where it was last seen before it took off
         self._has_flown = False
         self._told: tuple[float, Margin] | None = None  # when, and what
+        self._unwatched: set[int] = set()  # batteries, as told
         self._now: Margin | None = None
 
     def spare_s(self) -> float | None:
@@ -71,37 +70,37 @@ class ReserveWatch:
             silent += self._autopilot.telemetry.battery_percent is None
             if silent == _SILENT_LOOKS:
                 self._journal.record(schema.BatteryWatchFailed(why="the vehicle does not report its battery"))
+            self._name_unwatched()
             await asyncio.sleep(_LOOK_S)
         return why
 
+    def _name_unwatched(self) -> None:
+        """Tell each battery whose charge is not known, where that of another is."""
+        told = self._autopilot.telemetry
+        unknown = {number for number, percent in told.batteries.items() if percent is None}
+        for number in sorted(unknown - self._unwatched) if told.charges_percent else ():
+            why = f"the vehicle does not report the charge of its battery {number}"
+            self._journal.record(schema.BatteryWatchFailed(why=why))
+        self._unwatched = unknown if told.charges_percent else self._unwatched
+
     def _look(self) -> str:
-        percent = self._autopilot.telemetry.battery_percent
+        told = self._autopilot.telemetry
+        percent = told.battery_percent
         if self._energy is not None:
-            now = (
-                self._in_flight(self._energy)
-                if self._flying()
-                else self._before_flight(self._energy, percent)
-            )
+            now = self._in_flight(self._energy) if self._flying() else self._before_flight(self._energy)
             if now is not None and now.turn_back:
                 return str(now)
         if percent is not None and self._least_percent is not None and percent < self._least_percent:
-            return (
-                f"{percent:.0f} % is left in the battery, less than the reserve of {self._least_percent:g} %"
-            )
+            battery = in_battery(told.lowest_battery) or " in the battery"
+            return f"{percent:.0f} % is left{battery}, less than the reserve of {self._least_percent:g} %"
         return ""
 
-    def _before_flight(self, energy: FlightEnergy, percent: float | None) -> Margin | None:
+    def _before_flight(self, energy: FlightEnergy) -> Margin | None:
         """The margin on the ground; None after the flight, when the mission ends by itself."""
-        if percent is None or self._has_flown:
+        if self._has_flown:
             return None
         self._home = self._autopilot.position
-        return Margin(
-            percent,
-            rate_percent_s=energy.rate_percent_s,
-            home_s=0.0,
-            reserve=energy.reserve,
-            low_percent=self._autopilot.energy.low_percent,
-        )
+        return energy.standing_margin(self._autopilot.telemetry.charges_percent, self._autopilot.energy)
 
     def _in_flight(self, energy: FlightEnergy) -> Margin | None:
         self._has_flown = True
@@ -110,15 +109,13 @@ class ReserveWatch:
         report = FlightReport(
             time_s=asyncio.get_running_loop().time(),
             position=vehicle.position,
-            percent=told.battery_percent,
+            charges_percent=told.charges_percent,
             velocity=told.velocity,
             leg_speed_m_s=self._leg_speed_m_s(),
             wind=vehicle.wind,
         )
         energy.take(report)
-        now = energy.margin(report, self._home, vehicle.energy)
-        if now is not None and (down_s := self._down_s()) is not None:
-            now = replace(now, home_s=down_s)
+        now = energy.margin(report, self._home, vehicle.energy, down_s=self._down_s())
         if now is not None:
             self._now = now
             self._tell(now, report.time_s)
@@ -144,5 +141,6 @@ class ReserveWatch:
                 floor_percent=round(now.floor_percent, 1),
                 margin_percent=round(now.percent, 1),
                 guessed=list(now.guessed),
+                battery=now.battery,
             )
         )

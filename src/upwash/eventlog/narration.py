@@ -359,7 +359,8 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
         case schema.Landed(at=at, from_home_m=from_home_m):
             return Sentence(landed(at, from_home_m))
         case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare, guessed=guessed):
-            said = f"battery {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % to spare"
+            which = "" if event.battery is None else f" {event.battery}"
+            said = f"battery{which} {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % to spare"
             return Sentence(f"{said} ({in_words(guessed)})" if guessed else said, Tone.ASIDE)
     return None
 

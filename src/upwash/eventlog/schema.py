@@ -760,7 +760,7 @@ class Energy(Event, frozen=True, kw_only=True):
 
     The landing is at home, or with `on_failure = "land"` below the vehicle. Logged when first known, after a change
     of the margin by more than 3 %, and once a minute. `guessed` lists the vehicle's unknown parameters: the estimate
-    takes usual values for them.
+    takes usual values for them. `battery` is the number of the battery with the least margin, if there are several.
     """
 
     left_percent: Number
@@ -770,6 +770,7 @@ class Energy(Event, frozen=True, kw_only=True):
     floor_percent: Number
     margin_percent: Number
     guessed: _Few[Text] = []
+    battery: Count | None = None
 
 
 class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -791,7 +792,7 @@ class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class BatteryWatchFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """Nothing watches the reserve: the vehicle does not report its battery, or a defect ended the watch.
+    """Nothing watches a battery: the vehicle does not report its charge, or a defect ended the watch of the reserve.
 
     A defect ends the mission as the reserve does; `trace` is for a bug report.
     """
@@ -803,9 +804,10 @@ class BatteryWatchFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
 class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position", gc=False):
     """The position of the drone once a second (real flights), with its motion, battery and link as far as known.
 
-    The heading is clockwise from north. `round_trip_s` is the delay of the last request to the daemon of the `server`
-    in use. While the program brings the vehicle down, `down_s` is the time to the ground. `mode` is the autopilot's
-    own name, `gps` the receiver's fix, with the number of `satellites` in use. The wind is where the air moves to.
+    The heading is clockwise from north. `battery_percent` is the charge of the lowest battery, `battery` its number if
+    there are several. `round_trip_s` is the delay of the last request to the daemon of the `server` in use. While
+    the program brings the vehicle down, `down_s` is the time to the ground. `mode` is the autopilot's own name, `gps`
+    the receiver's fix, with the number of `satellites` in use. The wind is where the air moves to.
     """
 
     east_m: Number
@@ -814,6 +816,7 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
     ground_speed_m_s: Number | None = None
     heading_deg: Number | None = None
     battery_percent: Number | None = None
+    battery: Count | None = None
     server: Text | None = None
     round_trip_s: Number | None = None
     down_s: Number | None = None

@@ -84,11 +84,11 @@ class ModelAutopilot:
         self._ground_m = self._vehicle.home.altitude_m  # below the take-off, above the sea
         self._observe = observe
         self._link = ModelVehicleLink(self._vehicle, is_off=self._is_off)
-        Incidents(incidents, self._vehicle, self._link, observe=observe)
-        self._link.take()
         self._battery = ModelBattery(
             self._vehicle, self._link, energy=energy, endurance_s=endurance_s, measured=charge
         )
+        Incidents(incidents, self._vehicle, self._link, self._battery, observe=observe)
+        self._link.take()
         self._wind = wind
 
     @property
@@ -120,6 +120,11 @@ class ModelAutopilot:
         return self._battery.percent
 
     @property
+    def _charges_percent(self) -> dict[int, float | None]:
+        first = {} if self.battery_percent is None else {1: self.battery_percent}
+        return {**self._battery.charges_percent, **first}
+
+    @property
     def stopping_place(self) -> Position:
         """Where the vehicle would come to rest if it braked now."""
         phases = self._braking()
@@ -138,7 +143,7 @@ class ModelAutopilot:
             attitude=None if heading_deg is None else Attitude(0.0, 0.0, heading_deg),
             heading_deg=heading_deg,
             gps=_GPS,
-            battery_percent=self.battery_percent,
+            batteries=self._charges_percent,
         )
 
     def _heading_deg(self, now: Velocity) -> float | None:

@@ -51,6 +51,7 @@ _INCIDENTS = (
     "jump",
     "restart",
     "impostor",
+    "battery",
 )  # of the autopilot alone
 _SETTINGS = ("hovers", "rally")  # of the autopilot's returns
 _NOBODY = ":1"

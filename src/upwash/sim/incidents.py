@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from upwash.config import FaultConfig
 from upwash.core.vehicle.control import Heartbeat
@@ -15,13 +16,15 @@ from upwash.sim.vehicle import STABILIZE, ModelVehicle
 from upwash.sim.vehicle_link import ModelVehicleLink
 
 _HEARTBEAT_S = 1.0
+_LOOK_S = 0.5  # at a battery
 
 
 class Incidents:
     """Carries out each incident at its time.
 
     `observe` gets "given_back_unheard" when a pilot gives the vehicle back before any report of the takeover has
-    reached the program, and "jumped_unheard" when its position jumps within a silence of the link.
+    reached the program, "jumped_unheard" when its position jumps within a silence of the link, and "emptied" when its
+    second battery is empty in the air.
     """
 
     def __init__(
@@ -29,12 +32,14 @@ class Incidents:
         incidents: Sequence[FaultConfig],
         vehicle: ModelVehicle,
         link: ModelVehicleLink,
+        battery: ModelBattery,
         *,
         observe: Observe,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._vehicle = vehicle
         self._link = link
+        self._battery = battery
         self._observe = observe
         for incident in incidents:
             self._loop.call_at(incident.from_s, self._happen, incident)
@@ -58,6 +63,9 @@ class Incidents:
                 vehicle.restart(back_after_s=lasts_s)
             case "impostor":
                 self._send_heartbeat(incident.to_s)
+            case "battery":
+                self._battery.add_second(lasts_s=incident.lasts_s, told_until_s=incident.to_s)
+                self._drain_second()
         self._link.take_soon()
 
     def _jump_and_back(self, incident: FaultConfig, lasts_s: float) -> None:
@@ -79,9 +87,25 @@ class Incidents:
         if self._loop.time() + _HEARTBEAT_S < until_s:
             self._loop.call_later(_HEARTBEAT_S, self._send_heartbeat, until_s)
 
+    def _drain_second(self) -> None:
+        """Let the vehicle fall once its second battery is empty."""
+        if self._battery.second_percent > 0:
+            self._loop.call_later(_LOOK_S, self._drain_second)
+        elif self._vehicle.flies:
+            self._observe("emptied")
+            self._vehicle.fall()
+            self._link.take_soon()
+
     def _check_unheard(self) -> None:
         if self._link.control.is_ours:
             self._observe("given_back_unheard")
+
+
+@dataclass(frozen=True, slots=True)
+class _SecondBattery:
+    from_s: float  # of the flight
+    lasts_s: float
+    told_until_s: float  # of the world
 
 
 class ModelBattery:
@@ -103,6 +127,7 @@ class ModelBattery:
         self._endurance_s = endurance_s
         self._measured = measured
         self._took_off_s: float | None = None
+        self._second: _SecondBattery | None = None
         if energy is not None:
             self._watch(energy, energy.failsafe_percent)
 
@@ -121,6 +146,25 @@ class ModelBattery:
         if self._endurance_s is None:
             return None
         return 100.0 * max(0.0, 1 - self.flown_s / self._endurance_s)
+
+    @property
+    def charges_percent(self) -> dict[int, float]:
+        """The charge of each battery that is reported, by number."""
+        charges = {} if self.percent is None else {1: self.percent}
+        if self._second is not None and self._loop.time() < self._second.told_until_s:
+            charges[2] = self.second_percent
+        return charges
+
+    @property
+    def second_percent(self) -> float:
+        """The charge of the second battery, in percent; 100 without one."""
+        if self._second is None:
+            return 100.0
+        return 100.0 * max(0.0, 1 - (self.flown_s - self._second.from_s) / self._second.lasts_s)
+
+    def add_second(self, *, lasts_s: float, told_until_s: float) -> None:
+        """Add a full second battery that lasts so long in flight, and is reported until a time."""
+        self._second = _SecondBattery(self.flown_s, lasts_s, told_until_s)
 
     @property
     def flown_s(self) -> float:

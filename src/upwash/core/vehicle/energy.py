@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from msgspec import Struct
@@ -42,11 +43,15 @@ _WIND_KEPT_S = 600.0  # how long a slow leg counts for the wind
 
 
 class FlightReport(Struct, frozen=True):
-    """A vehicle's reports at one moment of a flight; `leg_speed_m_s` is the commanded speed of its leg."""
+    """A vehicle's reports at one moment of a flight.
+
+    `charges_percent` has the known charges of its batteries by number, `leg_speed_m_s` is the commanded speed of its
+    leg.
+    """
 
     time_s: float
     position: Position
-    percent: float | None = None
+    charges_percent: Mapping[int, float] = {}
     velocity: Velocity | None = None
     leg_speed_m_s: float | None = None
     wind: Velocity | None = None  # of the air over the ground
@@ -62,7 +67,8 @@ class Reserve(Struct, frozen=True):
 class Margin(Struct, frozen=True):
     """What is left against what is needed, in percent; `rate_percent_s` is None while nothing tells it.
 
-    Without a rate the way home and the reserve's seconds count nothing.
+    Without a rate the way home and the reserve's seconds count nothing. `battery` is the number of the battery, if
+    there are several.
     """
 
     left_percent: float
@@ -71,6 +77,7 @@ class Margin(Struct, frozen=True):
     reserve: Reserve
     low_percent: float | None = None
     guessed: tuple[str, ...] = ()
+    battery: int | None = None
 
     @property
     def needed_percent(self) -> float:
@@ -100,7 +107,7 @@ class Margin(Struct, frozen=True):
         home = f"{self.home_s:.0f} s to home need {self.needed_percent:.0f} %"
         if self.rate_percent_s is None:
             home = f"{self.home_s:.0f} s to home need what is not known yet"
-        said = f"{home}, {self._floor}, {self.left_percent:.0f} % is left"
+        said = f"{home}, {self._floor}, {self.left_percent:.0f} % is left{in_battery(self.battery)}"
         return f"{said} ({in_words(self.guessed)})" if self.guessed else said
 
     @property
@@ -139,6 +146,11 @@ class Consumption:
         self._recent.append((time_s, percent))
         while len(self._recent) > 1 and self._recent[1][0] <= time_s - _WINDOW_S:
             self._recent.popleft()
+
+    def left_percent(self, now_s: float) -> float:
+        """The charge now: the last report, and on from there at the rate of loss."""
+        reported_s, percent = self._recent[-1]
+        return percent - (self.rate_percent_s or 0.0) * (now_s - reported_s)
 
     @property
     def rate_percent_s(self) -> float | None:
@@ -227,45 +239,76 @@ def _changed(before: tuple[float, Velocity, float], now: tuple[float, Velocity, 
     return told_m_s != past_told_m_s or math.hypot(east_m_s, north_m_s) > _STEADY_M_S
 
 
+def in_battery(number: int | None) -> str:
+    """A phrase that names a battery; "" for the only one."""
+    return f" in battery {number}" if number else ""
+
+
+def least_margin(
+    left: Mapping[int, tuple[float, float | None]],
+    facts: EnergyFacts,
+    reserve: Reserve,
+    *,
+    home_s: float = 0.0,
+    guessed: tuple[str, ...] = (),
+) -> Margin | None:
+    """The least margin of some batteries, from the charge and rate of loss of each; None without any."""
+    margins = (
+        Margin(
+            percent,
+            rate_percent_s=rate,
+            home_s=home_s,
+            reserve=reserve,
+            low_percent=facts.low_percent_of(number),
+            guessed=guessed,
+            battery=number if len(left) > 1 else None,
+        )
+        for number, (percent, rate) in left.items()
+    )
+    return min(margins, key=lambda margin: margin.percent, default=None)
+
+
 @dataclass(slots=True)
 class FlightEnergy:
-    """Follows a flight by its reports; `margin` is the battery's margin over the way home, in percent."""
+    """Follows a flight by its reports; `margin` is the margin over the way home, in percent of a battery.
+
+    Of several batteries the one with the least margin counts. A battery that falls silent drains on as before.
+    """
 
     reserve: Reserve
     endurance_s: float | None = None
     lands: bool = False  # where it is, instead of returning home
-    _consumption: Consumption = field(init=False)
+    _batteries: dict[int, Consumption] = field(init=False, default_factory=dict)
     _wind: Wind = field(init=False, default_factory=Wind)
-    _reported: tuple[float, float] | None = field(init=False, default=None)  # when, and the percent
-
-    def __post_init__(self) -> None:
-        self._consumption = Consumption(self.endurance_s)
-
-    @property
-    def rate_percent_s(self) -> float | None:
-        """The battery's loss in percent per second; None while unknown."""
-        return self._consumption.rate_percent_s
 
     def take(self, report: FlightReport) -> None:
         """Takes in a report of a vehicle in flight; times never go back."""
-        if report.percent is not None:
-            self._reported = report.time_s, report.percent
-        self._consumption.take(report.time_s, report.percent)
+        for number, percent in report.charges_percent.items():
+            if number not in self._batteries:
+                self._batteries[number] = Consumption(self.endurance_s)
+            self._batteries[number].take(report.time_s, percent)
         self._wind.take(report)
 
-    def margin(self, report: FlightReport, home: Position, facts: EnergyFacts) -> Margin | None:
-        """The margin now; None before the first battery report. `home` stands in for an unreported home."""
-        if self._reported is None:
-            return None
-        rate = self.rate_percent_s
-        reported_s, percent = self._reported
-        return Margin(
-            percent - (rate or 0.0) * (report.time_s - reported_s),
-            rate_percent_s=rate,
-            home_s=LOOK_S + self._down_s(report, home, facts),
-            reserve=self.reserve,
-            low_percent=facts.low_percent,
-            guessed=facts.guessed,
+    def margin(
+        self, report: FlightReport, home: Position, facts: EnergyFacts, *, down_s: float | None = None
+    ) -> Margin | None:
+        """The margin now; None before the first battery report. `home` stands in for an unreported home.
+
+        `down_s` are the seconds to the ground where the vehicle comes down already.
+        """
+        if down_s is None:
+            down_s = LOOK_S + self._down_s(report, home, facts)
+        left = {
+            number: (flown.left_percent(report.time_s), flown.rate_percent_s)
+            for number, flown in self._batteries.items()
+        }
+        return least_margin(left, facts, self.reserve, home_s=down_s, guessed=facts.guessed)
+
+    def standing_margin(self, charges_percent: Mapping[int, float], facts: EnergyFacts) -> Margin | None:
+        """The margin before the flight; None without a charge."""
+        rate = Consumption(self.endurance_s).rate_percent_s
+        return least_margin(
+            {number: (percent, rate) for number, percent in charges_percent.items()}, facts, self.reserve
         )
 
     def _down_s(self, report: FlightReport, home: Position, facts: EnergyFacts) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Literal, TypeAlias
 
@@ -48,6 +49,7 @@ class Telemetry:
     """The vehicle's last reports; None for what it has not reported.
 
     `position` is relative to the mission's home, `velocity` over the ground, `mode` the autopilot's own name.
+    `batteries` has the charge of each battery that the vehicle flies with, in percent, by its number from 1 on.
     `gimbal` is the attitude of a gimbal over the ground; its camera looks ahead.
     """
 
@@ -58,8 +60,24 @@ class Telemetry:
     attitude: Attitude | None = None
     heading_deg: float | None = None
     gps: GpsFix | None = None
-    battery_percent: float | None = None
+    batteries: Mapping[int, float | None] = field(default_factory=dict)
     gimbal: Attitude | None = None
+
+    @property
+    def charges_percent(self) -> Mapping[int, float]:
+        """The known charges of the batteries, in percent, by number."""
+        return {number: percent for number, percent in self.batteries.items() if percent is not None}
+
+    @property
+    def battery_percent(self) -> float | None:
+        """The charge of the lowest battery in percent; None if no charge is reported."""
+        return min(self.charges_percent.values(), default=None)
+
+    @property
+    def lowest_battery(self) -> int | None:
+        """The number of the lowest battery; None unless several are reported."""
+        charges = self.charges_percent
+        return min(charges, key=charges.__getitem__) if charges and len(self.batteries) > 1 else None
 
     @property
     def ground_speed_m_s(self) -> float | None:

@@ -11,7 +11,7 @@ never too little.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -69,16 +69,21 @@ UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
 class EnergyFacts(Struct, frozen=True):
     """A vehicle's reports of its battery's low stages and of its way home; None for what it has not reported.
 
-    It returns to its `home` or to one of its `rally` points. `guessed` names its parameters that are not known; a
-    usual value replaces each.
+    `low_percents` has the low stage of each battery whose stage differs, by its number. It returns to its `home` or to
+    one of its `rally` points. `guessed` names its parameters that are not known; a usual value replaces each.
     """
 
     low_percent: float | None = None
+    low_percents: Mapping[int, float | None] = {}
     critical_percent: float | None = None
     home: Position | None = None
     way_home: WayHome | None = None
     guessed: tuple[str, ...] = ()
     rally: RallyPoints = NO_RALLY_POINTS
+
+    def low_percent_of(self, battery: int) -> float | None:
+        """The low stage of a battery in percent."""
+        return self.low_percents.get(battery, self.low_percent)
 
     @property
     def return_altitude_m(self) -> float:

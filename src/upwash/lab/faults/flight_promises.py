@@ -123,6 +123,7 @@ def vehicle_first(history: History) -> Iterator[Breach]:
     A mission that ends on the ground disarms the vehicle. No rule holds once another party has the vehicle.
     """
     events = {type(event): event for event in history.run.events}  # the last of each kind
+    yield from _flown_empty(history)
     for over in history.own("flight_over"):
         if schema.Landed in events and over.altitude_m > 0:
             yield events[schema.Landed], f"the vehicle is {over.altitude_m:.1f} m up"
@@ -143,6 +144,16 @@ def vehicle_first(history: History) -> Iterator[Breach]:
             yield given_up, f"the vehicle was given up after {given_up.t - begun.t:.0f} s"
     elif _DONE[safe_ends[-1].action] not in events:
         yield last, f"{begun.action} neither succeeded nor was given up"
+
+
+def _flown_empty(history: History) -> Iterator[Breach]:
+    """A battery is empty in the air only where the program could not bring the vehicle down."""
+    others = [
+        fault for fault in history.config.faults if fault.target == "autopilot" and fault.kind != "battery"
+    ]
+    if not others and history.config.autopilot.on_failure != "hold":
+        for fact in history.own("emptied"):
+            yield fact, "the vehicle's second battery was flown empty"
 
 
 def pilot_wins(history: History) -> Iterator[Breach]:

@@ -38,6 +38,7 @@ _LASTS_S = (0.02, 0.5, 2.0, 5.0, 12.0, 40.0, LONGEST_FAULT_S)  # of a fault
 _MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the ground and up or down
 _ENDS_SHARE = 1 / 8  # of worlds: their returns hover or end at a rally point
 _RALLY_M = (8.0, 300.0)  # from the start
+_RESERVE_PERCENT, _SECOND_LASTS_S = 65.0, (220.0, 320.0)  # more than two minutes are left for the way home
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
     "selected", "found_stopped", "found_running", "started", "deselected", "decided", "call", "leg", "arrived",
@@ -103,7 +104,14 @@ class World:
         if own.random() <= _ENDS_SHARE:
             faults += _ends_of_returns(own)
             documents = _with_reserve(documents, own, events[-1].t if events else 100.0)
-        return [{**document, "fault": faults} for document in documents]
+        return [_with_least_charge({**document, "fault": faults}) for document in documents]
+
+
+def _with_least_charge(document: Document) -> Document:
+    """A mission with a reserve of charge, where a second battery drains faster."""
+    if all(fault["kind"] != "battery" for fault in document["fault"]):
+        return document
+    return {**document, "mission": {**document["mission"], "reserve_percent": _RESERVE_PERCENT}}
 
 
 def configs(documents: Sequence[Document]) -> list[DroneConfig]:
@@ -583,9 +591,15 @@ def _with_reserve(documents: list[Document], chance: random.Random, calm_s: floa
     ]
 
 
+def _second_batteries(chance: random.Random, _: Sequence[str], __: _Aims, ___: _Aims) -> list[dict[str, Any]]:
+    """A second battery drains faster than the mission lasts."""
+    return [{"target": "autopilot", "kind": "battery", "lasts_s": between(chance, *_SECOND_LASTS_S)}]
+
+
 _MORE_FAULTS = (  # the stream of each, and the share of worlds with it
     ("takeovers", 0.1, _takeovers),
     ("incidents", 1 / 8, _incidents),
     ("lies", 1 / 3, _lies),
     ("useless instances", 1 / 8, _useless_instances),
+    ("second batteries", 1 / 16, _second_batteries),
 )

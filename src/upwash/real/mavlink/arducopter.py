@@ -23,7 +23,7 @@ from upwash.real.mavlink.needs import require_reposition
 from upwash.real.mavlink.parameters import read_parameters, read_quantities
 from upwash.real.mavlink.rally import RallySite, arducopter_rally
 from upwash.real.mavlink.telemetry import STREAMS_HZ, FirmwareProfile, VehicleTelemetry
-from upwash.real.mavlink.way_home import ARDUCOPTER_QUANTITIES, arducopter_ends, arducopter_energy
+from upwash.real.mavlink.way_home import arducopter_ends, arducopter_energy, arducopter_quantities
 
 _GUIDED, _RTL, _LAND = "GUIDED", "RTL", "LAND"
 _NUMBERS = {
@@ -96,9 +96,10 @@ _LOCAL_TARGET, _FENCE_STATUS, _WIND = (
     mavlink.MAVLINK_MSG_ID_FENCE_STATUS,
     mavlink.MAVLINK_MSG_ID_WIND,
 )
-_TARGET, _CHANNELS = (
+_TARGET, _CHANNELS, _BATTERY = (
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
 )
 
 ARDUCOPTER = FirmwareProfile(
@@ -124,7 +125,7 @@ ARDUCOPTER = FirmwareProfile(
     always_has="FRAME_CLASS",
     oldest=Version(4, 1),
     needs="MAV_CMD_DO_REPOSITION",
-    sent_at_times=frozenset({_TARGET, _LOCAL_TARGET, _CHANNELS, _FENCE_STATUS, _WIND}),
+    sent_at_times=frozenset({_TARGET, _LOCAL_TARGET, _CHANNELS, _FENCE_STATUS, _WIND, _BATTERY}),
 )
 
 
@@ -158,9 +159,10 @@ class ArduCopterAutopilot(MavlinkAutopilot):
         return self._dead_man
 
     async def learn(self) -> None:
-        """Reads the battery's stages and the way home with its end from the vehicle's parameters."""
-        values = await read_quantities(self.vehicle, ARDUCOPTER_QUANTITIES)
-        self._energy = arducopter_energy(values)
+        """Reads the batteries' stages and the way home with its end from the vehicle's parameters."""
+        batteries = tuple(self._telemetry.batteries.charges_percent)
+        values = await read_quantities(self.vehicle, arducopter_quantities(batteries))
+        self._energy = arducopter_energy(values, batteries)
         for setting in arducopter_ends(values):
             self.vehicle.news.tell(setting)
 

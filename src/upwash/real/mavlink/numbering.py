@@ -52,6 +52,7 @@ class Numbering:
             self._boot_ms.clear()
         is_copy = self._is_copy(message, now_s)
         is_ahead = self._is_ahead(message.get_seq(), now_s)
+        is_ahead |= message.get_type() == "STATUSTEXT" and not is_copy  # no state, so as good when it is late
         if not is_copy:
             self._judge()
         return is_ahead if self.counts_up else self._is_latest_of_its_kind(message, is_copy=is_copy)

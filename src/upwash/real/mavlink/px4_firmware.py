@@ -195,6 +195,7 @@ PX4 = FirmwareProfile(
             CURRENT_MODE,
             mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
         }
     ),
     sent_anyway_hz={CURRENT_MODE: 2.0},

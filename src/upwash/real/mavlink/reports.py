@@ -104,7 +104,7 @@ class ReportingAutopilot(ABC):
             attitude=reported.attitude,
             heading_deg=reported.heading_deg,
             gps=reported.gps,
-            battery_percent=reported.battery_percent,
+            batteries=reported.batteries.charges_percent,
             gimbal=reported.gimbal,
         )
 

@@ -14,6 +14,7 @@ from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix, gps_time
 from upwash.eventlog.schema import SEVERITIES, VehicleSaid
 from upwash.mavlink.packets import Message
 from upwash.mavlink.version import Version
+from upwash.real.mavlink.batteries import Batteries
 from upwash.real.mavlink.gate import RANGES, Ranges
 from upwash.real.mavlink.link import COMPANION
 from upwash.support.text import printable
@@ -104,7 +105,7 @@ class VehicleTelemetry:
     gimbal: Attitude | None = None
     gps: GpsFix | None = None
     wind: Velocity | None = None
-    battery_percent: float | None = None
+    batteries: Batteries = field(default_factory=Batteries)
     home: GeoPosition | None = None  # its altitude is above the sea
     can_be_armed: bool | None = None
     knows_its_place: bool | None = None  # whether its position estimate is good enough to count as an arrival
@@ -126,6 +127,7 @@ class VehicleTelemetry:
 
     def take(self, message: Message, now_s: float) -> None:
         """Take in the reports of a message."""
+        self.batteries.take(message, now_s)
         match message.get_type():
             case "HEARTBEAT":
                 self._take_heartbeat(message, now_s)
@@ -178,12 +180,9 @@ class VehicleTelemetry:
     def _take_health(self, message: Message, now_s: float) -> None:
         match message.get_type():
             case "SYS_STATUS":
-                self._take_battery(message.battery_remaining)
                 if message.onboard_control_sensors_present & mavlink.MAV_SYS_STATUS_PREARM_CHECK:
                     health = message.onboard_control_sensors_health
                     self.can_be_armed = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
-            case "BATTERY_STATUS" if message.id == 0:
-                self._take_battery(message.battery_remaining)
             case "EKF_STATUS_REPORT":
                 flags = message.flags
                 self.knows_its_place = bool(flags & mavlink.EKF_POS_HORIZ_ABS) and not flags & _EKF_DOUBTS
@@ -259,9 +258,6 @@ class VehicleTelemetry:
         """Whether the reported landed state is off the ground."""
         return self.landed_state in _IN_THE_AIR
 
-    def _take_battery(self, percent: int) -> None:
-        self.battery_percent = float(percent) if percent >= 0 else None  # -1: not known
-
     def _whole_text(self, message: Message) -> str:
         """The text of a message; "" while parts of it are missing."""
         if not message.id:
@@ -321,6 +317,7 @@ STREAMS_HZ: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,  # tells a pilot's change of the mode
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,  # of all batteries, an ArduPilot's in turn
 }
 """The reports that the driver needs of each firmware, by message."""
 

@@ -7,7 +7,8 @@ counts in metres. PX4's parameters are in metres and in shares of a full battery
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 
 from msgspec.structs import replace
 
@@ -34,9 +35,20 @@ def _speed(
 
 # --- ArduCopter ---------------------------------------------------------------------------------------------
 
-_CAPACITY = VehicleQuantity("", {"BATT_CAPACITY": 1.0}, "mAh", None, without=_NO_STAGE)
-_LOW = VehicleQuantity("", {"BATT_LOW_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
-_CRITICAL = VehicleQuantity("", {"BATT_CRT_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
+_NAMES = "123456789ABCDEFG"  # of batteries, in the names of their parameters
+
+
+@cache
+def _battery(number: int) -> tuple[VehicleQuantity, VehicleQuantity, VehicleQuantity]:
+    """The capacity, the low stage and the critical stage of a battery."""
+    name = "BATT" if number == 1 else f"BATT{_NAMES[number - 1]}"
+    capacity, low, critical = (
+        VehicleQuantity("", {f"{name}_{stage}": 1.0}, "mAh", None, without=_NO_STAGE)
+        for stage in ("CAPACITY", "LOW_MAH", "CRT_MAH")
+    )
+    return capacity, low, critical
+
+
 _ALTITUDE = VehicleQuantity(
     "the altitude of returns", {"RTL_ALT": _CENTI, "RTL_ALT_M": 1.0}, "m", ARDUCOPTER.altitude_m
 )
@@ -79,16 +91,28 @@ _LANDING = _speed(
     "the speed of a landing's last part", {"LAND_SPEED": _CENTI, "LAND_SPD_MS": 1.0}, ARDUCOPTER.landing_m_s
 )
 ARDUCOPTER_QUANTITIES = (
-    _CAPACITY, _LOW, _CRITICAL, _ALTITUDE, _RETURN, _LEGS, _CLIMB, _DESCENT, _ACCELERATION, _LOITER, _FINAL,
-    _HIGH_LANDING, _SLOWLY_BELOW, _LANDING,
+    *_battery(1), _ALTITUDE, _RETURN, _LEGS, _CLIMB, _DESCENT, _ACCELERATION, _LOITER, _FINAL, _HIGH_LANDING,
+    _SLOWLY_BELOW, _LANDING,
 )  # fmt: skip
 
 
-def arducopter_energy(values: QuantityValues) -> EnergyFacts:
-    """An ArduCopter's battery stages in percent of the capacity, and its way home."""
+def arducopter_quantities(batteries: Iterable[int]) -> tuple[VehicleQuantity, ...]:
+    """What to ask an ArduCopter with these batteries."""
+    others = (quantity for number in _others(batteries) for quantity in _battery(number))
+    return *ARDUCOPTER_QUANTITIES, *others
+
+
+def arducopter_energy(values: QuantityValues, batteries: Iterable[int] = ()) -> EnergyFacts:
+    """An ArduCopter's battery stages in percent of the capacities, and its way home."""
+    capacity, low, critical = _battery(1)
     return EnergyFacts(
-        low_percent=_stage_percent(values, _LOW),
-        critical_percent=_stage_percent(values, _CRITICAL),
+        low_percent=_stage_percent(values, low, capacity),
+        low_percents={
+            number: _stage_percent(values, low, capacity)
+            for number in _others(batteries)
+            for capacity, low, _ in [_battery(number)]
+        },
+        critical_percent=_stage_percent(values, critical, capacity),
         way_home=WayHome(
             altitude_m=values[_ALTITUDE],
             climb_m_s=values[_CLIMB],
@@ -133,9 +157,13 @@ def _long_wait(values: QuantityValues, quantity: VehicleQuantity, most: float) -
     return VehicleSetting(name=name, value=value, advice=advice)
 
 
-def _stage_percent(values: QuantityValues, stage: VehicleQuantity) -> float | None:
+def _others(batteries: Iterable[int]) -> list[int]:
+    return [number for number in batteries if 1 < number <= len(_NAMES)]
+
+
+def _stage_percent(values: QuantityValues, stage: VehicleQuantity, capacity: VehicleQuantity) -> float | None:
     """The stage in percent, from its parameter in mAh; None if it is 0 or unknown."""
-    left_mah, capacity_mah = values.known(stage), values.known(_CAPACITY)
+    left_mah, capacity_mah = values.known(stage), values.known(capacity)
     return 100 * left_mah / capacity_mah if left_mah and capacity_mah else None
 
 
