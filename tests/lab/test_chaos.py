@@ -89,7 +89,7 @@ def test_worlds_have_faults_of_every_kind_everywhere() -> None:
         (target, kind) for target in ("link", "autopilot") for kind in moving
     } | {
         ("autopilot", kind)
-        for kind in ("pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor")
+        for kind in ("pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor", "battery")
     }
 
 

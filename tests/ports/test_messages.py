@@ -140,6 +140,15 @@ async def test_a_number_that_cannot_be_true_counts_as_not_known(
     assert len(flown.troubles("out-of-range")) == 1
 
 
+@pytest.mark.parametrize("percent", [127, -128])
+@played(fly)
+async def test_a_charge_that_cannot_be_true_is_no_news(flown: Flight, *, percent: int) -> None:
+    await flown.say(battery(57))
+    await flown.say(battery(percent))
+    assert flown.vehicle.telemetry.batteries.charges_percent == {1: 57.0}
+    assert len(flown.troubles("out-of-range")) == 1
+
+
 E7, MM = 10**7, 1000
 # The least and the most, and the number that stands for not known.
 EDGES: dict[tuple[str, str], tuple[float, float, int | None]] = {

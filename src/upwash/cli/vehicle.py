@@ -12,7 +12,7 @@ from upwash.errors import UsageError
 from upwash.launch.vehicle import run_vehicle
 from upwash.mavlink.version import Version
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.copter import read_fault
+from upwash.vehicle.body.copter import SecondBattery, read_fault
 from upwash.vehicle.body.parameters import read_setting
 from upwash.vehicle.px4.settings import Px4Settings
 
@@ -46,6 +46,16 @@ def _rally_point(text: str) -> GeoPosition:
     return GeoPosition(where.latitude_deg, where.longitude_deg, altitude_m)
 
 
+def _second_battery(text: str) -> SecondBattery:
+    percent, _, seconds = text.partition(":")
+    try:
+        return SecondBattery(float(percent), *([float(seconds)] if seconds else []))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f'"{text}" is no battery: write percent, such as 80 or 80:400'
+        ) from None
+
+
 def _glitch(text: str) -> dict[str, float]:
     size, _, cleared = text.partition(":")
     try:
@@ -74,6 +84,10 @@ ARGUMENTS = {
     "--home-altitude M": option("of the ground above the sea (default: 0)", type=float, default=0.0),
     "--armable-after S": option("after boot, in seconds (default: 41.4, PX4: 4)", type=float),
     "--battery PERCENT": option("how full it is at boot", type=float, default=100.0),
+    "--second-battery PERCENT[:SECONDS]": option(
+        "a second battery, how full it is at boot, and how long it lasts when full (default: no second battery)",
+        type=_second_battery,
+    ),
     "--param NAME=VALUE": repeated("a parameter at boot, such as FENCE_RADIUS=60", "parameters"),
     "--rally LAT,LON,ALT": repeated("a rally point, at an altitude in metres above home", "rally"),
     # how it flies, how its time passes, and what goes wrong
@@ -82,7 +96,8 @@ ARGUMENTS = {
         "arducopter: speed up and brake alike, in m/s² (default: as a recorded one did)", type=float
     ),
     "--fault KIND[:FROM[-TO]]": repeated(
-        "link, gps, glitch, battery, radio, ground, compass or arming, from and to seconds after boot",
+        "link, gps, glitch, battery, second-battery, radio, ground, compass or arming, from and to seconds after "
+        "boot",
         "faults",
     ),
     "--glitch M[:CLEARED_S]": option(_GLITCH, type=_glitch),
@@ -126,6 +141,7 @@ def _of_both(options: argparse.Namespace) -> dict[str, Any]:
         "home": options.home,
         "home_altitude_m": options.home_altitude,
         "battery_percent": options.battery,
+        "second_battery": options.second_battery,
         "speedup": options.speedup,
         "parameters": dict(read_setting(text) for text in options.parameters),
         "faults": tuple(read_fault(text) for text in options.faults),

@@ -804,8 +804,8 @@ class BatteryWatchFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
 class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position", gc=False):
     """The position of the drone once a second (real flights), with its motion, battery and link as far as known.
 
-    The heading is clockwise from north. `battery_percent` is the charge of the lowest battery, `battery` its number if
-    there are several. `round_trip_s` is the delay of the last request to the daemon of the `server` in use. While
+    The heading is clockwise from north. `battery_percent` is the charge of the lowest battery, `battery` its number
+    if there are several. `round_trip_s` is the delay of the last request to the daemon of the `server` in use. While
     the program brings the vehicle down, `down_s` is the time to the ground. `mode` is the autopilot's own name, `gps`
     the receiver's fix, with the number of `satellites` in use. The wind is where the air moves to.
     """

@@ -1,8 +1,8 @@
 """The charges of a vehicle's batteries, from SYS_STATUS and BATTERY_STATUS.
 
 SYS_STATUS has one charge: an ArduPilot's that of its first battery, a PX4's the lowest. BATTERY_STATUS has one
-battery a message. A charge of -1 is not known, which is no news while another message knows it; but a charge that nothing
-confirms for 20 s is not known any more.
+battery a message. A charge of -1 is not known. That is no news while another message knows the charge; but a charge
+that nothing confirms for 20 s is not known any more.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from upwash.vehicle.ardupilot.settings import BY_POSITION, FASTEST_M_S, CopterMo
 from upwash.vehicle.body.copter import FaultKind, LandedState, Result, is_sensible
 
 _SAGGING_V = 10.0
+_BATTERY_FAULTS = FaultKind.BATTERY, FaultKind.SECOND_BATTERY
 _ALIGNS_IN_FLIGHT_M = 2.5
 _COMPLAINS_AFTER_DISARMING_S = 2.2
 _FAILSAFE_LANDING_PAUSE_S = 4.0
@@ -111,8 +112,12 @@ class Copter(CopterFlight):
         reasons += self.fence.objections(self.position(now_s) if placed else None)
         if self._failsafes.battery:
             reasons += ["Battery 1 low voltage failsafe", "Battery failsafe"]
-        elif self.battery_percent(now_s) <= self.at_most_percent_in_fault:
-            reasons.append("Battery 1 below minimum arming voltage")
+        else:
+            reasons += [
+                f"Battery {number} below minimum arming voltage"
+                for number, percent in enumerate(self.batteries_percent(now_s), 1)
+                if percent <= self.at_most_percent_in_fault
+            ]
         if self.suffers(FaultKind.RADIO, now_s) and self.parameters["FS_THR_ENABLE"]:
             reasons.append("Radio failsafe on")
         return tuple(reasons)
@@ -125,9 +130,22 @@ class Copter(CopterFlight):
         """The charge of the battery, which drains until the motors stop by themselves."""
         return super().charge_percent(min(now_s, self.motors_stop_s()))
 
-    def battery_v(self, now_s: float) -> float:
-        """The voltage of the battery."""
-        return _SAGGING_V if self.suffers(FaultKind.BATTERY, now_s) else super().battery_v(now_s)
+    def battery_v(self, now_s: float, *, number: int = 0) -> float:
+        """The voltage of a battery; the first one is number 0."""
+        sags = self.suffers(_BATTERY_FAULTS[number], now_s)
+        return _SAGGING_V if sags else super().battery_v(now_s, number=number)
+
+    def _says_low(self, now_s: float) -> dict[FaultKind, str]:
+        """What it says of each battery that is low."""
+        charges = self.charge_percent(now_s), *self.batteries_percent(now_s)[1:]
+        names = "BATT_CAPACITY", "BATT2_CAPACITY"
+        return {
+            _BATTERY_FAULTS[
+                number
+            ]: f"Battery {number + 1} is low {self.battery_v(now_s, number=number):.2f}V used "
+            f"{(100 - percent) / 100 * self.parameters[names[number]]:.0f} mAh"
+            for number, percent in enumerate(charges)
+        }
 
     # --- commands --------------------------------------------------------------------------------------------
 
@@ -247,14 +265,13 @@ class Copter(CopterFlight):
 
     def _fail_safe(self, now_s: float) -> None:
         flying = self.flying(now_s)
-        used_mah = (100 - self.charge_percent(now_s)) / 100 * self.parameters["BATT_CAPACITY"]
         for trigger in self._failsafes.triggers(
             now_s,
             self.faults_since_s(now_s),
             self.parameters,
             flying=flying,
             armed=self.armed(now_s),
-            low_battery=f"Battery 1 is low {self.battery_v(now_s):.2f}V used {used_mah:.0f} mAh",
+            low_batteries=self._says_low(now_s),
             by_position=self.mode in BY_POSITION and self._boot.estimates(self.uptime_s(now_s)),
         ):
             self.say(*trigger.texts)

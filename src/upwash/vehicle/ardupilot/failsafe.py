@@ -101,7 +101,7 @@ class Failsafes:
         *,
         flying: bool,
         armed: bool,
-        low_battery: str,
+        low_batteries: Mapping[FaultKind, str],
         by_position: bool,
     ) -> Iterator[FailsafeTrigger]:
         """The triggers due now, from the times since which the faults of `since_s` have lasted."""
@@ -109,7 +109,8 @@ class Failsafes:
             now_s, since_s.get(FaultKind.GPS), flying=flying, by_position=by_position
         )
         yield from self._glitching(now_s, since_s.get(FaultKind.GLITCH))
-        yield from self._empty(now_s, since_s.get(FaultKind.BATTERY), parameters, low_battery, armed=armed)
+        for fault, low in low_batteries.items():
+            yield from self._empty(now_s, fault, since_s.get(fault), parameters, low, armed=armed)
         yield from self._out_of_reach(now_s, since_s.get(FaultKind.RADIO), parameters, armed=armed)
         yield from self._unheard(now_s, parameters, armed=armed)
 
@@ -160,13 +161,21 @@ class Failsafes:
             self._glitch_s, self.ekf_flags = None, EKF_FLIES_BY_GPS
 
     def _empty(
-        self, now_s: float, since_s: float | None, parameters: ParameterTable, low: str, *, armed: bool
+        self,
+        now_s: float,
+        fault: FaultKind,
+        since_s: float | None,
+        parameters: ParameterTable,
+        low: str,
+        *,
+        armed: bool,
     ) -> Iterator[FailsafeTrigger]:
         if self.battery or since_s is None or not armed:
             return
+        action = "BATT_FS_LOW_ACT" if fault is FaultKind.BATTERY else "BATT2_FS_LOW_ACT"
         if now_s - since_s >= parameters["BATT_LOW_TIMER"]:
             self.battery = True
-            mode = {1: _LAND, 2: _RETURN, 3: _RETURN, 4: _RETURN}.get(int(parameters["BATT_FS_LOW_ACT"]))
+            mode = {1: _LAND, 2: _RETURN, 3: _RETURN, 4: _RETURN}.get(int(parameters[action]))
             acts = (Text("Battery Failsafe", WARNING),) if mode else ()
             yield FailsafeTrigger((Text(low, WARNING), *acts), mode)
 

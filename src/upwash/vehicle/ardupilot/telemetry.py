@@ -54,6 +54,8 @@ class CopterTelemetry(StandInTelemetry[Copter]):
         | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     )
 
+    _batteries_told = -1
+
     def reports(self) -> dict[float, Report]:
         """The reports on request, by message number."""
         return super().reports() | {
@@ -63,6 +65,12 @@ class CopterTelemetry(StandInTelemetry[Copter]):
             mavlink.MAVLINK_MSG_ID_FENCE_STATUS: self._fence_status,
             mavlink.MAVLINK_MSG_ID_WIND: lambda _now_s: None,  # it estimates none
         }
+
+    def _battery_status(self, now_s: float) -> tuple[Message, ...]:
+        """BATTERY_STATUS of one battery after the other, as ArduPilot sends it."""
+        all_batteries = super()._battery_status(now_s)
+        self._batteries_told += 1
+        return (all_batteries[self._batteries_told % len(all_batteries)],)
 
     def _heartbeat(self, now_s: float) -> Message:
         copter = self.copter

@@ -46,6 +46,7 @@ class FaultKind(StrEnum):
     GPS = "gps"  # its receiver has no fix: it cannot be armed, and lands where it flies by position
     GLITCH = "glitch"  # its receiver is off by 56 m to the north
     BATTERY = "battery"  # all but empty
+    SECOND_BATTERY = "second-battery"  # the second one is all but empty
     RADIO = "radio"  # the pilot's remote control is out of reach
     GROUND = "ground"  # no heartbeat of a ground station arrives
     COMPASS = "compass"  # its compass is not calibrated: it refuses to arm
@@ -66,6 +67,21 @@ class VehicleFault:
 
 
 @dataclass(frozen=True, slots=True)
+class SecondBattery:
+    """A battery beside the first one, when the stand-in is switched on."""
+
+    percent: float = 100.0
+    endurance_s: float = 1_200.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.percent <= 100 and 0 < self.endurance_s < math.inf):
+            raise UsageError(
+                f"vehicle: the second battery has {self.percent:g} % for {self.endurance_s:g} s; give 0 to 100 %, "
+                "and seconds above 0"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class StandInSettings:
     """Where a stand-in stands, and its state when it is switched on."""
 
@@ -74,6 +90,7 @@ class StandInSettings:
     armable_after_s: float = 0.0
     battery_percent: float = 100.0
     endurance_s: float = 1_200.0  # of a full battery with the motors running
+    second_battery: SecondBattery | None = None
     version: Version = _NO_VERSION
     speedup: float = 1.0  # of its clock, against everyone else's
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -113,6 +130,8 @@ class Multicopter(ABC):
         self._faults = list(settings.faults)
         self._charge_percent = settings.battery_percent
         self._drains_since_s: float | None = None
+        has_second = any(fault.kind is FaultKind.SECOND_BATTERY for fault in settings.faults)
+        self._second = settings.second_battery or (SecondBattery() if has_second else None)
 
     # --- where it is ----------------------------------------------------------------------------------------
 
@@ -201,18 +220,33 @@ class Multicopter(ABC):
 
     def battery_percent(self, now_s: float) -> float:
         """The charge of the battery in percent as the vehicle reports it, with faults."""
-        charge_percent = self.charge_percent(now_s)
-        if self.suffers(FaultKind.BATTERY, now_s):
-            return min(charge_percent, self.at_most_percent_in_fault)
-        return charge_percent
+        return self._at_most(self.charge_percent(now_s), FaultKind.BATTERY, now_s)
+
+    def batteries_percent(self, now_s: float) -> tuple[float, ...]:
+        """The charge of each battery in percent as the vehicle reports it, with faults."""
+        first_percent = self.battery_percent(now_s)
+        if self._second is None:
+            return (first_percent,)
+        used_s = (
+            (self.settings.battery_percent - self.charge_percent(now_s)) / 100 * self.settings.endurance_s
+        )
+        percent = max(0.0, self._second.percent - 100 * used_s / self._second.endurance_s)
+        return first_percent, self._at_most(percent, FaultKind.SECOND_BATTERY, now_s)
+
+    def main_percent(self, now_s: float) -> float:
+        """The charge in SYS_STATUS: that of the first battery."""
+        return self.battery_percent(now_s)
+
+    def _at_most(self, charge_percent: float, fault: FaultKind, now_s: float) -> float:
+        return min(charge_percent, self.at_most_percent_in_fault if self.suffers(fault, now_s) else 100.0)
 
     def battery_level(self, _now_s: float) -> int:
         """MAV_BATTERY_CHARGE_STATE; 0 where it is not reported."""
         return 0
 
-    def battery_v(self, now_s: float) -> float:
-        """The voltage of the battery."""
-        return self.empty_v + (self.full_v - self.empty_v) * self.battery_percent(now_s) / 100
+    def battery_v(self, now_s: float, *, number: int = 0) -> float:
+        """The voltage of a battery; the first one is number 0."""
+        return self.empty_v + (self.full_v - self.empty_v) * self.batteries_percent(now_s)[number] / 100
 
 
 def is_sensible(target: Position, *, lowest_m: float = 0.0) -> bool:

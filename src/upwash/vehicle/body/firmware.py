@@ -14,7 +14,7 @@ from upwash.mavlink.packets import Message
 from upwash.vehicle.body.copter import Multicopter, Result
 from upwash.vehicle.body.fence import FenceTransfer
 
-Report: TypeAlias = Callable[[float], Message | None]
+Report: TypeAlias = Callable[[float], Message | tuple[Message, ...] | None]
 AnyCopter = TypeVar("AnyCopter", bound=Multicopter)
 
 _ABOVE_SEA = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT
@@ -91,8 +91,10 @@ class StandInFirmware(ABC, Generic[AnyCopter]):
         """The present report of that number; empty if it has none now."""
         self.copter.advance(now_s)
         report = self.reports.get(number)
-        message = report(now_s) if report else None
-        return () if message is None else (message,)
+        told = report(now_s) if report else None
+        if isinstance(told, tuple):
+            return told
+        return () if told is None else (told,)
 
     def update_of(self, now_s: float, number: float) -> object:
         """The present update of a report that is sent once for each update; None for reports at fixed intervals."""

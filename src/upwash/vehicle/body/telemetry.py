@@ -87,20 +87,26 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             load=100,
             voltage_battery=round(self.copter.battery_v(now_s) * 1e3),
             current_battery=self.drawn,
-            battery_remaining=math.floor(self.copter.battery_percent(now_s)),
+            battery_remaining=math.floor(self.copter.main_percent(now_s)),
         )
 
-    def _battery_status(self, now_s: float) -> Message:
+    def _battery_status(self, now_s: float) -> tuple[Message, ...]:
+        """BATTERY_STATUS of all batteries."""
+        batteries = range(len(self.copter.batteries_percent(now_s)))
+        return tuple(self._status_of_battery(now_s, number) for number in batteries)
+
+    def _status_of_battery(self, now_s: float, number: int) -> Message:
         return made(
             mavlink.MAVLink_battery_status_message,
+            id=number,
             battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
             type=mavlink.MAV_BATTERY_TYPE_LIPO,
             temperature=0x7FFF,
-            voltages=[round(self.copter.battery_v(now_s) * 1e3), *[_UNKNOWN_MV] * 9],
+            voltages=[round(self.copter.battery_v(now_s, number=number) * 1e3), *[_UNKNOWN_MV] * 9],
             current_battery=self.drawn,
             current_consumed=self.consumed,
             energy_consumed=-1,
-            battery_remaining=math.floor(self.copter.battery_percent(now_s)),
+            battery_remaining=math.floor(self.copter.batteries_percent(now_s)[number]),
             charge_state=self.copter.battery_level(now_s),
         )
 

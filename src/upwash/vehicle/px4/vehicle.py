@@ -118,9 +118,13 @@ class Quadrotor(Px4Flight):
         """Whether it has an origin to tell positions from: since its first fix."""
         return self.gps.ever_had_fix
 
+    def main_percent(self, now_s: float) -> float:
+        """The charge in SYS_STATUS and for its fail-safes: that of the lowest battery."""
+        return min(self.batteries_percent(now_s))
+
     def battery_level(self, now_s: float) -> int:
         """MAV_BATTERY_CHARGE_STATE: 1 well, 2 low, 3 critical, 4 emergency."""
-        left = self.battery_percent(now_s) / 100
+        left = self.main_percent(now_s) / 100
         thresholds = "BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR"
         return 1 + sum(left <= self.parameters[name] for name in thresholds)
 
