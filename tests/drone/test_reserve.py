@@ -82,6 +82,31 @@ def test_a_battery_that_lasts_ends_nothing() -> None:
     assert run.failure == ""
 
 
+def with_second_battery(**fault: float) -> DroneConfig:
+    document = {
+        "mission": {"waypoints_m": FAR, "ground_speed_m_s": 8.0, "reserve_s": 60.0},
+        "vehicle": {"profile": "arducopter", "endurance_s": 3000.0},
+        "service": [{"name": "detector", "local_call_s": {"light": 3.0, "heavy": 10.0}}],
+        "fault": [{"target": "autopilot", "kind": "battery", **fault}],
+    }
+    return drone_config(document, Path("scenario.toml"))
+
+
+def test_a_second_battery_that_drains_faster_ends_the_flight() -> None:
+    run = simulate(with_second_battery(lasts_s=300.0))
+    assert "to home need" in run.failure and run.failure.endswith("in battery 2")
+    assert 60.0 <= left_at_landing_s(run, 300.0) <= 100.0
+    assert {event["battery"] for event in named(run.events, "energy")} == {2}
+
+
+def test_a_battery_that_falls_silent_is_counted_on_and_named() -> None:
+    run = simulate(with_second_battery(lasts_s=300.0, to_s=90.0))
+    assert run.failure.endswith("in battery 2")
+    assert 50.0 <= left_at_landing_s(run, 300.0) <= 110.0
+    (named_once,) = named(run.events, "battery_watch_failed")
+    assert named_once["why"] == "the vehicle does not report the charge of its battery 2"
+
+
 @given(
     start=st.builds(Position, st.floats(-800, 800), st.floats(-800, 800), st.floats(5, 80)),
 )

@@ -13,7 +13,7 @@ from tests.events import event as made
 
 from upwash.config import DroneConfig
 from upwash.config.drone_file import drone_config
-from upwash.drone.resumption import order_begun, waypoints_done
+from upwash.drone.resumption import order_begun, ordered_down, waypoints_done
 from upwash.errors import UsageError
 from upwash.eventlog.schema import Event
 from upwash.real.host.journal import read_events
@@ -196,3 +196,28 @@ def test_a_log_without_its_time_of_day_is_refused(tmp_path: Path) -> None:
     log.write_bytes(b'{"event":"log_opened","t":0.0}\n')
     with pytest.raises(UsageError, match="is not an event log"):
         read_events(log)
+
+
+HERE = {"position": {"east_m": 0.0, "north_m": 0.0, "altitude_m": 9.0}}
+
+
+@pytest.mark.parametrize(
+    ("events", "ordered"),
+    [
+        ([], None),
+        ([event("armed", **HERE)], None),
+        ([event("returning", **HERE)], "return"),
+        ([event("landing", **HERE)], "land"),
+        ([event("safe_end", action="return", why="x")], "return"),
+        ([event("safe_end", action="land", why="x")], "land"),
+        ([event("returning", **HERE), event("safe_end", action="hold", why="x")], None),
+        ([event("returning", **HERE), event("landed", **HERE)], None),
+        ([event("returning", **HERE), event("control", owner="pilot", why="x")], None),
+        ([event("returning", **HERE), event("control", owner="earlier run", why="x")], "return"),
+        ([event("returning", **HERE), event("landed", **HERE), *at(0)], None),
+    ],
+)
+def test_the_last_order_of_a_log_tells_how_the_vehicle_comes_down(
+    events: list[Event], ordered: str | None
+) -> None:
+    assert ordered_down([*BEGUN, *events]) == ordered

@@ -207,6 +207,18 @@ def test_a_number_is_ahead_late_or_a_strangers(numbers: list[int], *, last_is_ne
     assert last == last_is_news
 
 
+def test_what_is_said_and_a_battery_are_as_good_when_they_come_late_but_not_twice() -> None:
+    numbering = Numbering()
+    for number in range(10, 20):
+        numbering.is_news(heard(message("ATTITUDE", number), number), number / 100, linked=True)
+    text = mavlink.MAVLink_statustext_message(4, b"Battery Failsafe")
+    battery = mavlink.MAVLink_battery_status_message(1, 0, 0, 0, [0] * 10, 0, 0, 0, 8)
+    for late in text, battery:
+        assert numbering.is_news(heard(late, 15), 0.3, linked=True)
+        assert not numbering.is_news(heard(late, 15), 0.4, linked=True)
+    assert not numbering.is_news(heard(message("HEARTBEAT", 0), 15), 0.5, linked=True)
+
+
 def test_a_number_that_comes_again_is_a_copy_for_half_a_second() -> None:
     numbering = Numbering()
     for at_s, is_news in (0.0, True), (0.25, False), (0.5, False), (0.5 + TICK_S, True), (1.0, False):

@@ -33,10 +33,11 @@ from upwash.eventlog.schema import (
     VehicleSaid,
 )
 from upwash.mavlink.px4 import CURRENT_MODE
+from upwash.ports import ComingDown
 from upwash.sim.loop import run_virtually
 
 HERE = Position(30.0, 40.0, 10.0)
-TIME = mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
+TIME, HEARTBEAT = mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
 def tell(story: Callable[[Script], Awaitable[None]], *, armed: bool = False, flies: bool = False) -> None:
@@ -108,6 +109,7 @@ async def test_each_report_is_asked_for_as_often_as_the_driver_needs_it(
             "RC_CHANNELS": 5.0,
             "GPS_RAW_INT": 1.0,
             "SYSTEM_TIME": 1.0,
+            "BATTERY_STATUS": 1.0,
         }
 
 
@@ -270,6 +272,41 @@ async def test_no_clock_is_asked_for_where_the_program_stops_the_motors(script: 
     await script.beat(armed=False)
     assert script.autopilot.control.is_ours
     assert script.asked_for(TIME) == []
+
+
+@played(tell, flies=True)
+async def test_one_disarmed_heartbeat_is_no_stop_of_the_motors_but_holds_back_commands(
+    script: Script,
+) -> None:
+    """A bridge repeats an old heartbeat, of another mode."""
+    script.mute = True
+    script.sent.clear()
+    await script.beat(armed=False, mode=mavlink.COPTER_MODE_STABILIZE)
+    assert script.autopilot.control.is_ours and script.autopilot.armed
+    assert script.asked_for(HEARTBEAT) == [script.now_s]
+    holding = asyncio.ensure_future(script.autopilot.hold())
+    await asyncio.sleep(1.0)
+    assert script.commands(mavlink.MAV_CMD_DO_REPOSITION) == []
+    await script.beat(armed=True, mode=mavlink.COPTER_MODE_GUIDED)
+    await asyncio.sleep(0.1)
+    assert script.commands(mavlink.MAV_CMD_DO_REPOSITION) != []
+    assert script.autopilot.control.is_ours
+    holding.cancel()
+
+
+@pytest.mark.parametrize(("mode", "ordered"), [("RTL", "return"), ("LAND", "land")])
+@played(tell, armed=True)
+async def test_a_vehicle_that_comes_down_as_an_earlier_run_commanded_is_no_pilots(
+    script: Script, *, mode: str, ordered: ComingDown
+) -> None:
+    await script.beat(mode=getattr(mavlink, f"COPTER_MODE_{mode}"))
+    script.sent.clear()
+    with pytest.raises(
+        AutopilotOverruled, match=f"in mode {mode}, as that run commanded; wait for the landing"
+    ):
+        await script.autopilot.claim(resumes=True, ordered=ordered)
+    assert script.autopilot.control.owner is Owner.EARLIER_RUN
+    assert [message.get_type() for _, message in script.sent if message.get_type() != "HEARTBEAT"] == []
 
 
 @played(tell)

@@ -313,6 +313,19 @@ async def test_heartbeats_of_another_program_change_nothing() -> None:
     assert autopilot.control.is_ours and not flight.taken
 
 
+@played(fly)
+async def test_a_second_battery_drains_in_flight_and_lets_the_vehicle_fall() -> None:
+    flight = Flight(befalls("battery", 0.0, lasts_s=20.0))
+    autopilot = await flight.take_off()
+    before = autopilot.telemetry.batteries[2]
+    await asyncio.sleep(5.0)
+    after = autopilot.telemetry.batteries[2]
+    assert before is not None and after is not None
+    assert before - after == pytest.approx(25.0)
+    await asyncio.sleep(20.0)
+    assert (autopilot.control.owner, autopilot.telemetry.batteries[2]) == (Owner.FAILSAFE, 0.0)
+
+
 def test_a_mission_tells_a_moved_home_once_and_ends_by_a_jump_in_the_action_that_is_configured() -> None:
     faults = [fault("autopilot", "home", from_s=10.0), fault("autopilot", "jump", from_s=30.0)]
     seen: list[Observation] = []

@@ -19,7 +19,6 @@ The models name each event to an observer, and know nothing of what it keeps.
 | `given_back_unheard` | a pilot who took the vehicle and gives it back within one silence of its link |
 | `reached` | the vehicle counts as arrived, or a waypoint as reached; `off_m` is the true distance to that place |
 | `jumped_unheard` | its reported position jumps within a silence of the vehicle's link |
-| `emptied` | the vehicle's second battery is empty in the air |
 | `flight_over` | the drone, and its altitude |
 """
 

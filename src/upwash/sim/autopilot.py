@@ -122,7 +122,7 @@ class ModelAutopilot:
     @property
     def _charges_percent(self) -> dict[int, float | None]:
         first = {} if self.battery_percent is None else {1: self.battery_percent}
-        return {**self._battery.charges_percent, **first}
+        return {**first, **self._battery.second_reported_percent}
 
     @property
     def stopping_place(self) -> Position:

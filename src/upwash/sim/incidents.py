@@ -23,8 +23,7 @@ class Incidents:
     """Carries out each incident at its time.
 
     `observe` gets "given_back_unheard" when a pilot gives the vehicle back before any report of the takeover has
-    reached the program, "jumped_unheard" when its position jumps within a silence of the link, and "emptied" when its
-    second battery is empty in the air.
+    reached the program, and "jumped_unheard" when its position jumps within a silence of the link.
     """
 
     def __init__(
@@ -92,7 +91,6 @@ class Incidents:
         if self._battery.second_percent > 0:
             self._loop.call_later(_LOOK_S, self._drain_second)
         elif self._vehicle.flies:
-            self._observe("emptied")
             self._vehicle.fall()
             self._link.take_soon()
 
@@ -148,12 +146,11 @@ class ModelBattery:
         return 100.0 * max(0.0, 1 - self.flown_s / self._endurance_s)
 
     @property
-    def charges_percent(self) -> dict[int, float]:
-        """The charge of each battery that is reported, by number."""
-        charges = {} if self.percent is None else {1: self.percent}
-        if self._second is not None and self._loop.time() < self._second.told_until_s:
-            charges[2] = self.second_percent
-        return charges
+    def second_reported_percent(self) -> dict[int, float | None]:
+        """The reported charge of the second battery, if there is one, by its number; None once it is silent."""
+        if self._second is None:
+            return {}
+        return {2: self.second_percent if self._loop.time() < self._second.told_until_s else None}
 
     @property
     def second_percent(self) -> float:

@@ -123,7 +123,7 @@ def vehicle_first(history: History) -> Iterator[Breach]:
     A mission that ends on the ground disarms the vehicle. No rule holds once another party has the vehicle.
     """
     events = {type(event): event for event in history.run.events}  # the last of each kind
-    yield from _flown_empty(history)
+    yield from _flown_below_reserve(history)
     for over in history.own("flight_over"):
         if schema.Landed in events and over.altitude_m > 0:
             yield events[schema.Landed], f"the vehicle is {over.altitude_m:.1f} m up"
@@ -146,14 +146,29 @@ def vehicle_first(history: History) -> Iterator[Breach]:
         yield last, f"{begun.action} neither succeeded nor was given up"
 
 
-def _flown_empty(history: History) -> Iterator[Breach]:
-    """A battery is empty in the air only where the program could not bring the vehicle down."""
-    others = [
-        fault for fault in history.config.faults if fault.target == "autopilot" and fault.kind != "battery"
-    ]
-    if not others and history.config.autopilot.on_failure != "hold":
-        for fact in history.own("emptied"):
-            yield fact, "the vehicle's second battery was flown empty"
+_ENDS = (
+    schema.Stopping, schema.SafeEnd, schema.Returning, schema.Landing, schema.Landed, schema.ControlChanged,
+    schema.MissionEnded,
+)  # fmt: skip
+_LOOKS_S = 2.5  # of the reserve's watch
+
+
+def _flown_below_reserve(history: History) -> Iterator[Breach]:
+    """No leg begins once the second battery is below the reserve, which the watch sees each second."""
+    least_percent = history.config.mission.reserve_percent
+    took_off = next((fact for fact in history.own("commanded") if fact.command == "take-off"), None)
+    second = next((fault for fault in history.config.faults if fault.kind == "battery"), None)
+    if least_percent is None or took_off is None or second is None:
+        return
+    low_s = max(took_off.t, second.from_s) + second.lasts_s * (1 - least_percent / 100)
+    for event in history.run.events:
+        if event.t < took_off.t:
+            continue
+        if isinstance(event, _ENDS):
+            return
+        if isinstance(event, schema.SetOff) and low_s + _LOOKS_S < event.t < second.to_s:
+            yield event, f"a leg began {event.t - low_s:.1f} s after the second battery was below the reserve"
+            return
 
 
 def pilot_wins(history: History) -> Iterator[Breach]:

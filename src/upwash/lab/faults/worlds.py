@@ -38,7 +38,7 @@ _LASTS_S = (0.02, 0.5, 2.0, 5.0, 12.0, 40.0, LONGEST_FAULT_S)  # of a fault
 _MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the ground and up or down
 _ENDS_SHARE = 1 / 8  # of worlds: their returns hover or end at a rally point
 _RALLY_M = (8.0, 300.0)  # from the start
-_RESERVE_PERCENT, _SECOND_LASTS_S = 65.0, (220.0, 320.0)  # more than two minutes are left for the way home
+_RESERVE_PERCENT, _SECOND_LASTS_S = 65.0, (60.0, 320.0)
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
     "selected", "found_stopped", "found_running", "started", "deselected", "decided", "call", "leg", "arrived",

@@ -19,6 +19,7 @@ _SMALL_STEP = 8  # a larger one is a gap of lost messages if a later number foll
 _JUDGED_EACH = 32  # distinct messages
 _LEAST_STEP, _LARGEST_STEP = 0.75, 16.0  # on average: some come late, and 15 of 16 may be lost
 _REMEMBERED = 64  # messages, to recognize copies
+_AS_GOOD_LATE = ("STATUSTEXT", "BATTERY_STATUS")  # no state, and one that changes slowly
 _COPIED_WITHIN_S = 0.5  # a later repetition is the vehicle's, not the link's
 
 _OUT_OF_ORDER_S = 1.0  # a time that is older by no more arrived out of order
@@ -52,7 +53,7 @@ class Numbering:
             self._boot_ms.clear()
         is_copy = self._is_copy(message, now_s)
         is_ahead = self._is_ahead(message.get_seq(), now_s)
-        is_ahead |= message.get_type() == "STATUSTEXT" and not is_copy  # no state, so as good when it is late
+        is_ahead |= message.get_type() in _AS_GOOD_LATE and not is_copy
         if not is_copy:
             self._judge()
         return is_ahead if self.counts_up else self._is_latest_of_its_kind(message, is_copy=is_copy)
