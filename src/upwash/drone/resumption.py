@@ -85,7 +85,7 @@ def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:
 
 
 def ordered_down(events: Iterable[Event]) -> ComingDown | None:
-    """How the program last ordered the vehicle to come down; None once it stood, or anybody else flew it."""
+    """How the program last ordered the vehicle to come down; None after a landing or another owner."""
     ordered: ComingDown | None = None
     for event in events:
         match event:

@@ -147,7 +147,7 @@ class ModelBattery:
 
     @property
     def second_reported_percent(self) -> dict[int, float | None]:
-        """The reported charge of the second battery, if there is one, by its number; None once it is silent."""
+        """The reported charge of the second battery by its number, None once it is silent; empty without one."""
         if self._second is None:
             return {}
         return {2: self.second_percent if self._loop.time() < self._second.told_until_s else None}
@@ -160,7 +160,7 @@ class ModelBattery:
         return 100.0 * max(0.0, 1 - (self.flown_s - self._second.from_s) / self._second.lasts_s)
 
     def add_second(self, *, lasts_s: float, told_until_s: float) -> None:
-        """Add a full second battery that lasts so long in flight, and is reported until a time."""
+        """Add a full second battery; it lasts `lasts_s` in flight, and is reported until `told_until_s` of the world."""
         self._second = _SecondBattery(self.flown_s, lasts_s, told_until_s)
 
     @property

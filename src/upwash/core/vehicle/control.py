@@ -194,7 +194,7 @@ class Latch:
     def claim(self, now_s: float, *, own_mode: str, resumes: bool, ordered_mode: str = "") -> None:
         """Claim the vehicle for the program, if law 2 allows it; `control` has the result, and why.
 
-        `ordered_mode` is the mode in which an earlier run of the program ordered the vehicle to come down, if any.
+        `ordered_mode` is the mode that an earlier run of the program commanded last, to bring the vehicle down, or "".
         """
         reported = self._reported
         if self.control.owner is not Owner.NOBODY or reported is None:
@@ -285,7 +285,7 @@ class Latch:
         if report.armed and not before.armed:
             self._take(*_armed_or_disarmed(report), now_s)
         changed = report.armed and report.mode != before.mode  # disarmed it may go back to an earlier mode
-        if changed or (report.failsafe and report.failsafe != before.failsafe):  # which may be told late
+        if changed or (report.failsafe and report.failsafe != before.failsafe):  # the cause may come late
             self._take_mode(report, now_s, "")
         elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):
             why = f"the vehicle is in mode {report.mode} (the remote control moved)"

@@ -19,7 +19,7 @@ _SMALL_STEP = 8  # a larger one is a gap of lost messages if a later number foll
 _JUDGED_EACH = 32  # distinct messages
 _LEAST_STEP, _LARGEST_STEP = 0.75, 16.0  # on average: some come late, and 15 of 16 may be lost
 _REMEMBERED = 64  # messages, to recognize copies
-_AS_GOOD_LATE = ("STATUSTEXT", "BATTERY_STATUS")  # no state, and one that changes slowly
+_AS_GOOD_LATE = ("STATUSTEXT", "BATTERY_STATUS")  # a text is no state, and a charge changes slowly
 _COPIED_WITHIN_S = 0.5  # a later repetition is the vehicle's, not the link's
 
 _OUT_OF_ORDER_S = 1.0  # a time that is older by no more arrived out of order
