@@ -106,10 +106,9 @@ class Flight:
     """One mission from the first check of the services to the landed vehicle.
 
     `done` resumes an interrupted mission: these waypoints are complete, the plan has the others, and the vehicle may
-    be in the air, and `ordered` is how that mission last ordered it to come down. If no waypoint is left, the vehicle
-    is brought to the ground. `order` is the order of the
-    waypoints, decided here if None. `speed_why` is the reason of a ground speed that was chosen. `parts` has the
-    programs before sending, by their services' names.
+    be in the air. If no waypoint is left, the vehicle is brought to the ground. `ordered` is how that mission last
+    ordered the vehicle to come down. `order` is the order of the waypoints, decided here if None. `speed_why` is the
+    reason of a ground speed that was chosen. `parts` has the programs before sending, by their services' names.
     """
 
     def __init__(

@@ -160,7 +160,7 @@ class ModelBattery:
         return 100.0 * max(0.0, 1 - (self.flown_s - self._second.from_s) / self._second.lasts_s)
 
     def add_second(self, *, lasts_s: float, told_until_s: float) -> None:
-        """Add a full second battery; it lasts `lasts_s` in flight, and is reported until `told_until_s` of the world."""
+        """Add a full second battery, which lasts `lasts_s` in flight; `told_until_s` is when its reports end."""
         self._second = _SecondBattery(self.flown_s, lasts_s, told_until_s)
 
     @property

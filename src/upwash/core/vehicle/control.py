@@ -194,7 +194,7 @@ class Latch:
     def claim(self, now_s: float, *, own_mode: str, resumes: bool, ordered_mode: str = "") -> None:
         """Claim the vehicle for the program, if law 2 allows it; `control` has the result, and why.
 
-        `ordered_mode` is the mode that an earlier run of the program commanded last, to bring the vehicle down, or "".
+        `ordered_mode` is the mode that an earlier run of the program commanded last to bring the vehicle down, or "".
         """
         reported = self._reported
         if self.control.owner is not Owner.NOBODY or reported is None:

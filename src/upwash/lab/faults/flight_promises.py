@@ -146,10 +146,7 @@ def vehicle_first(history: History) -> Iterator[Breach]:
         yield last, f"{begun.action} neither succeeded nor was given up"
 
 
-_ENDS = (
-    schema.Stopping, schema.SafeEnd, schema.Returning, schema.Landing, schema.Landed, schema.ControlChanged,
-    schema.MissionEnded,
-)  # fmt: skip
+_ENDS = schema.Stopping, schema.SafeEnd, schema.Returning, schema.Landing, schema.MissionEnded
 _LOOKS_S = 2.5  # of the reserve's watch
 
 
@@ -162,9 +159,8 @@ def _flown_below_reserve(history: History) -> Iterator[Breach]:
         return
     low_s = max(took_off.t, second.from_s) + second.lasts_s * (1 - least_percent / 100)
     for event in history.run.events:
-        if event.t < took_off.t:
-            continue
-        if isinstance(event, _ENDS):
+        lost = isinstance(event, schema.ControlChanged) and event.owner is not Owner.PROGRAM
+        if lost or isinstance(event, _ENDS):
             return
         if isinstance(event, schema.SetOff) and low_s + _LOOKS_S < event.t < second.to_s:
             yield event, f"a leg began {event.t - low_s:.1f} s after the second battery was below the reserve"
