@@ -79,6 +79,7 @@ ARGUMENTS = {
     "--listen": option("udp:HOST:PORT or tcp:HOST:PORT", default="udp:127.0.0.1:14550", type=None),
     "--version X.Y.Z": "of its firmware (default: 4.7.0-dev, PX4: 1.16.1): its names of parameters, and what it "
     "knows",
+    "--serial N": option("of its board, as two vehicles differ (default: one of its own; 0: none)", type=int),
     # where it stands, and its state at boot
     "--home LAT,LON": option("where it stands", type=_place, default="39.3666,22.9507"),
     "--home-altitude M": option("of the ground above the sea (default: 0)", type=float, default=0.0),
@@ -147,6 +148,8 @@ def _of_both(options: argparse.Namespace) -> dict[str, Any]:
         "faults": tuple(read_fault(text) for text in options.faults),
         "rally": tuple(_rally_point(text) for text in options.rally),
     }
+    if options.serial is not None:
+        settings["serial"] = options.serial
     if options.armable_after is not None:
         settings["armable_after_s"] = options.armable_after
     if options.version is not None:

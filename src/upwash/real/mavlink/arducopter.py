@@ -239,10 +239,11 @@ class ArduCopterAutopilot(MavlinkAutopilot):
 
             def changed(near_m: float = near_m) -> bool:
                 nearer = distance_m(self.position, target) <= near_m
-                return arrived(target) or not vehicle.is_ours or nearer
+                return arrived(target) or not vehicle.may_steer or nearer
 
             progress = await vehicle.happens(step, changed, within_s=self._settings.progress_s)
             vehicle.require_control(step)
+            vehicle.require_one(step)
             if not progress:
                 await self._send_target(step, target)
             elif not self._obeys_speed or self._is_too_fast():

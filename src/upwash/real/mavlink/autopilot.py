@@ -23,6 +23,7 @@ from upwash.real.mavlink.reports import ReportingAutopilot, check_speed
 
 _TURN_S = 20.0  # half a turn, of a vehicle that turns slowly
 _POINTS_WITHIN_DEG = 5.0
+_ALL_TELL_S = 2.0  # in which each vehicle on the link has told whether it stands
 _EXTENDED_SYS_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 
 
@@ -60,8 +61,9 @@ class MavlinkAutopilot(ReportingAutopilot):
         return self._telemetry.home.altitude_m if self._telemetry.home else None
 
     async def inspect(self) -> None:
-        """Checks the vehicle by questions alone; raises AutopilotRefused if it cannot be flown."""
+        """Checks the vehicle, and that it is alone, by questions; raises AutopilotRefused if it cannot be flown."""
         require_version(self.vehicle)
+        await self.vehicle.look_for_others("arm")
 
     async def ready(self) -> None:
         """Checks the vehicle, and waits until it may be armed, without a command; reports the reasons of the wait."""
@@ -150,6 +152,7 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def takeoff(self, altitude_m: float) -> None:
         """Takes off straight up to the altitude above home; returns when it is reached."""
         step = f"takeoff to {altitude_m:g} m"
+        self.vehicle.require_one(step)
         async with self.vehicle.limited(step, self._vertical_s(altitude_m)):
             await self._climb(step, altitude_m)
 
@@ -242,10 +245,11 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _while_ours(self, step: str, done: Callable[[], bool]) -> None:
         """Return when `done` is true; raise if the vehicle is lost, or stops its motors, before."""
         vehicle = self.vehicle
-        await vehicle.until(step, lambda: done() or not vehicle.is_ours or not self._telemetry.armed)
+        await vehicle.until(step, lambda: done() or not vehicle.may_steer or not self._telemetry.armed)
         if done():
             return
         vehicle.require_control(step)
+        vehicle.require_one(step)
         raise AutopilotRefused(step, "the vehicle disarmed", vehicle.said_lately)
 
     def _arrived(self, target: Position) -> bool:
@@ -268,7 +272,10 @@ class MavlinkAutopilot(ReportingAutopilot):
         """Whether a landed state came since then; without such reports, whether the motors have stopped."""
         if self._telemetry.stands is None:
             return not self._telemetry.armed
-        return self.stands and self.vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
+        telemetry, vehicle = self._telemetry, self.vehicle
+        if vehicle.identity.two_with_one_id and vehicle.now_s - telemetry.airborne_s < _ALL_TELL_S:
+            return False  # one of the two still flies
+        return self.stands and vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
 
     async def _touch_down(self, step: str, begun_s: float) -> None:
         """Return on touchdown; raise if the vehicle is lost, or its motors stop in the air, before."""

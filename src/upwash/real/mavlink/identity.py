@@ -4,9 +4,12 @@ The evidence, and what it means:
 
 - A heartbeat of component 1 that names ArduPilot or PX4 and the type of a vehicle is an autopilot's. Gimbals,
   cameras, ground stations and companion computers have other types or no autopilot, and never count.
+- Flown are the types that name a multicopter by its rotors, three or more. Rotors of a helicopter, coaxial ones too,
+  run up before a take-off and are steered otherwise. A generic multirotor is a type that neither autopilot reports
+  of a multicopter: PX4 does not even fly it as one.
 - Two systems with an autopilot are two vehicles. The configuration has to name the vehicle to fly.
 - A heartbeat with the followed ids and another autopilot or type is another program's, and is ignored.
-- Two clocks since boot, or two serial numbers of hardware, with the followed ids are two vehicles with one system id.
+- Two vehicles with one system id are known by what one vehicle cannot report (`twins`).
 """
 
 from __future__ import annotations
@@ -23,24 +26,26 @@ from upwash.mavlink.packets import Message, name_of, sender_of
 from upwash.mavlink.signing import SignatureRefusal
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.news import VehicleNewsFeed
-from upwash.real.mavlink.numbering import Twins
 from upwash.real.mavlink.receiver import from_autopilot
 from upwash.real.mavlink.telemetry import FirmwareProfile
+from upwash.real.mavlink.twins import Twins
 
 _COPTERS = (
-    mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_TYPE_HELICOPTER, mavlink.MAV_TYPE_HEXAROTOR,
-    mavlink.MAV_TYPE_OCTOROTOR, mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_TYPE_DODECAROTOR,
-    mavlink.MAV_TYPE_DECAROTOR,
+    mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_HEXAROTOR, mavlink.MAV_TYPE_OCTOROTOR,
+    mavlink.MAV_TYPE_DECAROTOR, mavlink.MAV_TYPE_DODECAROTOR,
 )  # fmt: skip
 _OTHER_VEHICLES = (
     mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_TYPE_AIRSHIP, mavlink.MAV_TYPE_FREE_BALLOON,
     mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT, mavlink.MAV_TYPE_SUBMARINE,
     mavlink.MAV_TYPE_VTOL_DUOROTOR, mavlink.MAV_TYPE_VTOL_QUADROTOR, mavlink.MAV_TYPE_VTOL_TILTROTOR,
-    mavlink.MAV_TYPE_GENERIC_MULTIROTOR,
+    mavlink.MAV_TYPE_VTOL_RESERVED2, mavlink.MAV_TYPE_VTOL_RESERVED3, mavlink.MAV_TYPE_VTOL_RESERVED4,
+    mavlink.MAV_TYPE_GENERIC_MULTIROTOR, mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_TYPE_HELICOPTER,
 )  # fmt: skip
 _AUTOPILOTS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}
 
 _LOOKED_EACH_S = 1.0
+_FLOWN = "multicopters whose type names three rotors or more; no helicopters, coaxial or generic types"
+_MOST_SENDERS = 8  # that are named
 _DEFINITE_S = 10.0  # the wait for the vehicle ends this long after the first heartbeat of a wrong vehicle
 _TOLD_AFTER_S, _TOLD_EACH_S = 3.0, 15.0
 _REMEDIES = {
@@ -65,7 +70,7 @@ class AutopilotInfo:
     @property
     def kind(self) -> str:
         """The vehicle's type in words, such as "quadrotor"."""
-        return name_of("MAV_TYPE", self.type).removeprefix("MAV_TYPE_").replace("_", " ").lower()
+        return _kind_of(self.type)
 
     @property
     def is_vehicle(self) -> bool:
@@ -80,6 +85,10 @@ class AutopilotInfo:
 
     def __str__(self) -> str:
         return f"system {self.system}, component {self.component} ({self.runs})"
+
+
+def _kind_of(number: int) -> str:
+    return name_of("MAV_TYPE", number).removeprefix("MAV_TYPE_").replace("_", " ").lower()
 
 
 class Identity:
@@ -101,7 +110,8 @@ class Identity:
         self._firmwares = {firmware.autopilot: firmware for firmware in firmwares}
         self._news = news
         self._heard: dict[int, AutopilotInfo] = {}  # by system
-        self._twins = Twins()
+        self._senders: dict[tuple[int, int], str] = {}  # of no autopilot's heartbeat: what they sent
+        self.twins = Twins()
 
     @property
     def ids(self) -> tuple[int, int] | None:
@@ -127,12 +137,25 @@ class Identity:
 
     def overhear(self, message: Message) -> None:
         """Note the sender of a message that is not followed, for example at another address."""
-        if not from_autopilot(message) or self.ids == sender_of(message):
+        if not from_autopilot(message):
+            self._note_sender(message)
+            return
+        if self.ids == sender_of(message):
             return
         sender = self._described(message)
         self._heard[sender.system] = sender
         if self._others():
             self._news.once("another-vehicle", f"{self._others()[0]} is on the link too: it is ignored")
+
+    def _note_sender(self, message: Message) -> None:
+        """Note what another sender sent, its heartbeat before all else, until the vehicle is found."""
+        sender, kind = sender_of(message), message.get_type()
+        if self.vehicle is not None or (sender not in self._senders and len(self._senders) == _MOST_SENDERS):
+            return
+        if kind == "HEARTBEAT":
+            self._senders[sender] = _kind_of(message.type)
+        else:
+            self._senders.setdefault(sender, kind)
 
     def believes(self, message: Message, now_s: float) -> bool:
         """Whether a message with the followed ids is the vehicle's own."""
@@ -145,16 +168,26 @@ class Identity:
                     "that program a component id of its own",
                 )
             return False
-        self._twins.take(message, now_s)
-        if self._twins.evidence:
-            self._news.once("same-id", self._twins_problem())
+        self.twins.take(message, now_s)
+        if self.two_with_one_id:
+            self._news.once("same-id", self.two_with_one_id)
         return True
+
+    @property
+    def two_with_one_id(self) -> str:
+        """What shows that two vehicles send with the followed ids, and what to do; "" if nothing does."""
+        if self.vehicle is None or not self.twins.evidence:
+            return ""
+        return (
+            f"two vehicles with system {self.vehicle.system} are on the link ({self.twins.evidence}): give one of "
+            "them another id (SYSID_THISMAV or MAV_SYSID of ArduPilot, MAV_SYS_ID of PX4), or switch it off"
+        )
 
     @property
     def doubt(self) -> str:
         """Why it is uncertain which vehicle is followed, and what to do; "" if it is certain."""
-        if self._twins.evidence:
-            return self._twins_problem()
+        if self.two_with_one_id:
+            return self.two_with_one_id
         if self.vehicle is None or not self._others():
             return ""
         vehicles = sorted((self.vehicle, *self._others()), key=lambda vehicle: vehicle.system)
@@ -175,13 +208,15 @@ class Identity:
         if candidate is not None and not candidate.firmware:
             return (
                 f"{name_of('MAV_AUTOPILOT', candidate.autopilot)} with {name_of('MAV_TYPE', candidate.type)} was "
-                f"heard on {connection}, as system {candidate.system}; only multicopters with "
-                f"{' or '.join(firmware.name for firmware in self._firmwares.values())} can be flown"
+                f"heard on {connection}, as system {candidate.system}; upwash flies "
+                f"{' and '.join(firmware.name for firmware in self._firmwares.values())} {_FLOWN}"
             )
-        if not self._heard:
+        if not self._heard and not self._senders:
             return ""
-        others = ", ".join(f"{other.system} ({other.runs})" for other in self._heard.values())
-        return f"system {self.system} was not heard on {connection}; heard: {others}"
+        vehicle = "no autopilot was" if self.system is None else f"system {self.system} was not"
+        others = [f"{other.system} ({other.runs})" for other in self._heard.values()]
+        others += [f"{system}, component {part} ({what})" for (system, part), what in self._senders.items()]
+        return f"{vehicle} heard on {connection}; heard: {', '.join(others)}"
 
     def _in_question(self) -> AutopilotInfo | None:
         """The configured system, or without it the first autopilot; None before its heartbeat."""
@@ -204,13 +239,6 @@ class Identity:
             if other.system != self.vehicle.system and other.is_vehicle
         ]
 
-    def _twins_problem(self) -> str:
-        assert self.vehicle is not None  # noqa: S101
-        return (
-            f"two vehicles with system {self.vehicle.system} are on the link ({self._twins.evidence}): give one of "
-            "them another id (SYSID_THISMAV or MAV_SYSID of ArduPilot, MAV_SYS_ID of PX4), or switch it off"
-        )
-
 
 async def first_heartbeat(
     link: MavlinkLink,
@@ -231,7 +259,7 @@ async def first_heartbeat(
         if _is_definite(link, identity):
             until_s = min(until_s, waited_s + _DEFINITE_S)
         if waited_s >= until_s:
-            raise _not_found(link, identity, within_s)
+            raise _not_found(link, identity, waited_s)
         if waited_s >= told_s:
             told_s += _TOLD_EACH_S
             waiting(_why_waiting(link, identity), waited_s)
@@ -249,17 +277,22 @@ def _why_waiting(link: MavlinkLink, identity: Identity) -> str:
     if link.refused is not None:
         return f"an autopilot was heard on {link.connection}, and its messages {link.refused.value}"
     instead = identity.heard_instead(link.connection)
-    return instead or f"no autopilot was heard on {link.connection}{link.why_silent}"
+    return f"{instead or f'no autopilot was heard on {link.connection}'}{link.why_silent}"
 
 
-def _not_found(link: MavlinkLink, identity: Identity, within_s: float) -> AutopilotError:
+def _not_found(link: MavlinkLink, identity: Identity, waited_s: float) -> AutopilotError:
     if link.refused is not None:
         remedy = _REMEDIES[link.refused]
     elif identity.heard_instead(""):
-        remedy = f"nothing else came within {within_s:g} s"
+        remedy = f"nothing else came within {waited_s:.0f} s"
+        remedy += (
+            ""
+            if identity.is_unflyable
+            else ": check that the vehicle is powered and its messages are passed on"
+        )
     else:
         remedy = (
-            f"{within_s:g} s were waited: check that it is powered, that the address or device and its speed are "
+            f"{waited_s:.0f} s were waited: check that it is powered, that the address or device and its speed are "
             "right, and that no other program holds it"
         )
     kind = AutopilotError if _is_definite(link, identity) else AutopilotNotHeard

@@ -107,10 +107,11 @@ class MavlinkLink:
         if self._line:
             self._line.write(data)
 
-    def reopen(self) -> None:
-        """Breaks a TCP connection off; it is opened again."""
-        if self._line and self._connects:
-            self._line.trouble = "nothing came"
+    def reopen_if_dead(self, after_s: float) -> None:
+        """Breaks a TCP connection off that brought nothing, of any sender, for that long; it is opened again."""
+        silent_s = asyncio.get_running_loop().time() - max(self._receiver.taken_s, self.opened_s)
+        if self._line and self._connects and silent_s > after_s:
+            self._line.trouble = f"nothing came for {silent_s:.0f} s"
             self._line.ended.set()
 
     async def close(self) -> None:

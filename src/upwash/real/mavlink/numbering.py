@@ -1,15 +1,15 @@
 """The order and the clock of a vehicle's messages: sequence numbers, and times since boot.
 
 A vehicle numbers its messages, so a message that arrives out of order is known by its number. Not all numbers are the
-vehicle's: bridges pack each message with number 0, count each kind of message by itself, or merge two streams. If
-more distinct messages come than the numbers count, or the numbers leap about, they are ignored; the time since boot,
-which some messages contain, gives the order.
+vehicle's: bridges pack each message with number 0, count each kind of message by itself, or merge two ports of one
+vehicle. If more distinct messages come than the numbers count, or the numbers leap about, they are ignored; the time
+since boot, which some messages contain, gives the order. Whether two vehicles send them is asked elsewhere (`twins`).
 """
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict, deque
+from collections import OrderedDict
 
 from upwash.mavlink.packets import Message
 
@@ -26,9 +26,6 @@ _OUT_OF_ORDER_S = 1.0  # a time that is older by no more arrived out of order
 _CONFIRMED_AFTER_S = 1.0  # in this time a second vehicle, or the true clock after a lie, is heard
 _PAUSE_S = 0.5  # no message is later, and no second vehicle is silent for longer
 _AHEAD_S, _FASTEST = 5.0, 20.0  # a simulated vehicle's clock may be faster than this computer's
-
-_LATEST_S = 2.0  # no message comes later
-_TIMES, _WITHIN_S = 3, 10.0  # one vehicle restarts less often
 
 
 class Numbering:
@@ -149,35 +146,3 @@ class BootClock:
             return False
         self.boot_s, self._restarted_s = boot_s, None
         return True
-
-
-class Twins:
-    """Tells two vehicles with the same ids apart, by their clocks since boot and their hardware."""
-
-    def __init__(self) -> None:
-        self.evidence = ""  # of two vehicles; empty without any
-        self._first: dict[int, tuple[int, float]] = {}  # by message number: time since boot, and arrival
-        self._boot_ms: dict[int, int] = {}  # the last time since boot, by message number
-        self._went_back_s: dict[int, deque[float]] = {}  # by message number: a restart shows once in each
-        self._hardware: set[tuple[int, bytes]] = set()
-
-    def take(self, message: Message, now_s: float) -> None:
-        """Take in a message with the followed ids."""
-        if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
-            self._take_clock(message.get_msgId(), boot_ms, now_s)
-        elif message.get_type() == "AUTOPILOT_VERSION" and len(self._hardware) < 2:
-            self._hardware.add((message.uid, bytes(message.uid2)))
-            if len(self._hardware) > 1:
-                self.evidence = "two serial numbers of hardware"
-
-    def _take_clock(self, number: int, boot_ms: int, now_s: float) -> None:
-        first_ms, first_s = self._first.setdefault(number, (boot_ms, now_s))
-        before_ms = self._boot_ms.get(number, boot_ms)
-        self._boot_ms[number] = boot_ms
-        # A simulated vehicle's clock may be fast: a late message is then late by more of the vehicle's time.
-        fastness = max(1.0, (before_ms - first_ms) / 1000.0 / max(now_s - first_s, 1.0))
-        if boot_ms < before_ms - 1000.0 * _LATEST_S * fastness:
-            times_s = self._went_back_s.setdefault(number, deque(maxlen=_TIMES))
-            times_s.append(now_s)
-            if len(times_s) == _TIMES and now_s - times_s[0] <= _WITHIN_S:
-                self.evidence = "two clocks since boot"

@@ -38,7 +38,9 @@ from upwash.support.background import end, kept_up, only_logged, start
 from upwash.support.text import worded
 
 _HEARTBEAT_S = 1.0
+_LOOKS_EACH_S = 0.5
 _HEARTBEAT, _SYSTEM_TIME = mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
+_HOME_POSITION = mavlink.MAVLINK_MSG_ID_HOME_POSITION
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE")
 _TELL_WHY = ("FENCE_STATUS", "STATUSTEXT", "EVENT")
 _TELL_WHOSE = ("HEARTBEAT", "CURRENT_MODE", "POSITION_TARGET_GLOBAL_INT", "POSITION_TARGET_LOCAL_NED")
@@ -88,6 +90,7 @@ class ObservedVehicle:
         self._numbering = Numbering()
         self._clock = BootClock()
         self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, news=self.news)
+        self._looked = False  # for other vehicles, since reports were asked for
         self._asks = False  # whether to ask for reports: not before the right vehicle is certain
         self._only_signed = True  # whether each message of the vehicle was signed
         self._is_signing = signing is not None
@@ -120,7 +123,7 @@ class ObservedVehicle:
             self._link, self.identity, self._news.wait, within_s=within_s, waiting=waiting
         )  # the vehicle's first message sets the event
         if self.identity.system is None:
-            await asyncio.sleep(self.patience.others_s)
+            await self.look_for_others("connect")
         self.require_alone("connect")
         self._asks = True
         self._streams.begin(self.firmware, self.now_s)
@@ -132,6 +135,20 @@ class ObservedVehicle:
         )
         if not answered:
             raise AutopilotRefused("connect", f"{self.identity.vehicle} on {self._link.connection} {_SIGNS}")
+
+    async def look_for_others(self, step: str) -> None:
+        """Looks for another vehicle for `others_s`, by questions; raises AutopilotRefused if several may be meant.
+
+        Seconds in which the link is silent do not count.
+        """
+        left_s = self.patience.others_s
+        while left_s > 0:
+            self.ask(self.identity.twins.question(self.now_s))
+            self.ask_for(_HOME_POSITION)
+            await self.happens(step, lambda: bool(self.identity.doubt), within_s=min(_LOOKS_EACH_S, left_s))
+            self.require_alone(step)
+            left_s -= _LOOKS_EACH_S if self.linked else 0.0
+        self._looked = True
 
     def require_alone(self, step: str) -> None:
         """Raises AutopilotRefused while several vehicles may be meant."""
@@ -240,7 +257,9 @@ class ObservedVehicle:
                     await self._news.wait()
             except TimeoutError:
                 link, lost_after_s = self._link, self.patience.lost_after_s
-                problem = f"nothing was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
+                problem = (
+                    f"the vehicle was not heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
+                )
                 raise AutopilotLost(step, problem) from None
 
     async def happens(self, step: str, condition: Callable[[], bool], *, within_s: float) -> bool:
@@ -424,8 +443,9 @@ class ObservedVehicle:
             self.beat()
             self._look_at_reports()
             # A peer that vanished silently leaves a connection behind that brings nothing.
-            if self.now_s - max(self._last_heard_s, self._link.opened_s) > self.patience.dead_after_s:
-                self._link.reopen()
+            self._link.reopen_if_dead(self.patience.dead_after_s)
+            if self.identity.ids:
+                self.ask(self.identity.twins.question(self.now_s))
             await asyncio.sleep(_HEARTBEAT_S)
 
     async def _watch_link(self) -> None:
@@ -445,5 +465,5 @@ class ObservedVehicle:
             return
         numbering = self._numbering
         self._streams.look(self.now_s, linked=self.linked, received_share=numbering.received_share)
-        if numbering.wrong_times >= _WRONG_TIMES:
+        if numbering.wrong_times >= _WRONG_TIMES and self._looked and not self.identity.doubt:
             self.news.once("numbers", _NUMBERS_PROBLEM)

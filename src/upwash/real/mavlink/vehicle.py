@@ -48,6 +48,16 @@ class MavlinkVehicle(ObservedVehicle):
         """Raises AutopilotOverruled unless the program has the vehicle."""
         self.latch.require(step, self.said_lately)
 
+    @property
+    def may_steer(self) -> bool:
+        """Whether the program has the vehicle, and no other vehicle obeys the same commands."""
+        return self.is_ours and not self.identity.two_with_one_id
+
+    def require_one(self, step: str) -> None:
+        """Raises AutopilotRefused if two vehicles obey the same commands: no target may be sent to both."""
+        if self.identity.two_with_one_id:
+            raise AutopilotRefused(step, self.identity.two_with_one_id)
+
     def steer(self, step: str, message: Message) -> None:
         """Sends a command without an answer; raises AutopilotOverruled unless the program has the vehicle."""
         self.require_control(step)

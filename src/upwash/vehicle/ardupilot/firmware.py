@@ -50,7 +50,7 @@ class ArduCopterFirmware(StandInFirmware[Copter]):
         copter = self.copter
         if self._synchronises_s is None or now_s >= self._synchronises_s:
             self._synchronises_s = now_s + _TIMESYNC_S
-            yield mavlink.MAVLink_timesync_message(0, round(now_s * 1e9))
+            yield mavlink.MAVLink_timesync_message(0, round(copter.uptime_s(now_s) * 1e9))
         if not self._placed and copter.has_origin(now_s):
             self._placed = True
             yield from self._origin(now_s)

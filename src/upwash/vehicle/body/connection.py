@@ -208,8 +208,8 @@ class PeerConnection:
 
     def _hear_timesync(self, message: Message) -> None:
         if message.tc1 == 0:
-            now_ns = round(self._vehicle.now_s() * 1e9)
-            self.send(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
+            uptime_s = self._firmware.copter.uptime_s(self._vehicle.now_s())
+            self.send(mavlink.MAVLink_timesync_message(round(uptime_s * 1e9), message.ts1))
 
     def _hear_version_request(self, _message: Message) -> None:
         self._tell(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from functools import partial
 from typing import ClassVar
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, ground_distance_m
@@ -17,6 +19,7 @@ from upwash.vehicle.body.parameters import ParameterTable
 HOME = Position(0.0, 0.0)
 GRAVITY_M_S2 = 9.8
 _NO_VERSION = Version(0, 0)
+_SERIAL_BITS = 64
 _FARTHEST_M, _HIGHEST_M = 10_000.0, 1_000.0
 
 
@@ -96,6 +99,9 @@ class StandInSettings:
     parameters: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[VehicleFault, ...] = ()
     rally: tuple[GeoPosition, ...] = ()  # its rally points, with altitudes above home
+    serial: int = field(
+        default_factory=partial(secrets.randbits, _SERIAL_BITS)
+    )  # of its board; 0: it has none
 
     def __post_init__(self) -> None:
         for name in ("endurance_s", "speedup"):
@@ -105,6 +111,8 @@ class StandInSettings:
             raise UsageError(f"vehicle: armable_after_s is {self.armable_after_s}; give a number from 0 on")
         if not 0 <= self.battery_percent <= 100:
             raise UsageError(f"vehicle: battery_percent is {self.battery_percent}; give 0 to 100")
+        if not 0 <= self.serial < 2**_SERIAL_BITS:
+            raise UsageError(f"vehicle: serial is {self.serial}; give 0 to {2**_SERIAL_BITS - 1}")
         if not math.isfinite(self.home_altitude_m):
             raise UsageError(f"vehicle: home_altitude_m is {self.home_altitude_m}; give a number of metres")
 

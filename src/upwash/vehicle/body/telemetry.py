@@ -16,6 +16,7 @@ from upwash.vehicle.body.firmware import AnyCopter, Report
 
 _ONLY_POSITION, _NO_POSITION = 0b110111111000, 0b110000000111
 _UNKNOWN_MV = 0xFFFF
+_UID2_BYTES = 18
 
 
 def made(kind: Any, **fields: Any) -> Message:
@@ -232,11 +233,11 @@ class StandInTelemetry(ABC, Generic[AnyCopter]):
             mavlink.MAVLink_autopilot_version_message,
             capabilities=self.capabilities,
             flight_sw_version=self.copter.settings.version.number,
-            uid=1,
+            uid2=self.copter.settings.serial.to_bytes(_UID2_BYTES, "little"),
             **self._build(),
         )
 
-    def _build(self) -> dict[str, int]:
+    def _build(self) -> dict[str, Any]:
         """Further fields of AUTOPILOT_VERSION."""
         return {}
 

@@ -161,8 +161,9 @@ class Px4Telemetry(StandInTelemetry[Quadrotor]):
     def _mission_current(self, _now_s: float) -> Message:
         return mavlink.MAVLink_mission_current_message(0, total=0xFFFF)
 
-    def _build(self) -> dict[str, int]:
-        return {"middleware_sw_version": self.copter.settings.version.number, "board_version": 1}
+    def _build(self) -> dict[str, Any]:
+        settings = self.copter.settings
+        return {"middleware_sw_version": settings.version.number, "board_version": 1, "uid": settings.serial}
 
 
 UNMODELLED: tuple[int, ...] = (
