@@ -239,8 +239,61 @@ def test_no_longer_wait_is_made_for_a_vehicle_that_cannot_be_flown() -> None:
     error, ended_s, _ = wait_for_a_vehicle(link, within_s=40.0)
     assert ended_s == 10.0
     assert not isinstance(error, AutopilotNotHeard)
-    assert "nothing else came within 40 s" in str(error)
-    assert wait_for_a_vehicle(link, within_s=7.0)[1] == 7.0
+    assert "nothing else came within 10 s" in str(error)
+    error, ended_s, _ = wait_for_a_vehicle(link, within_s=7.0)
+    assert ended_s == 7.0
+    assert "nothing else came within 7 s" in str(error)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        PLANE,
+        mavlink.MAV_TYPE_HELICOPTER,
+        mavlink.MAV_TYPE_COAXIAL,
+        mavlink.MAV_TYPE_GENERIC_MULTIROTOR,
+        mavlink.MAV_TYPE_VTOL_QUADROTOR,
+    ],
+)
+@pytest.mark.parametrize("autopilot", [APM, PX])
+def test_only_multicopters_that_their_type_names_are_flown(autopilot: int, kind: int) -> None:
+    link = Link()
+    link.hear(beat(1, autopilot, kind))
+    assert link.identity.is_unflyable
+    rule = "upwash flies ArduCopter and PX4 multicopters whose type names three rotors or more"
+    assert rule in link.identity.heard_instead("udp:1")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        mavlink.MAV_TYPE_TRICOPTER,
+        QUAD,
+        HEXA,
+        mavlink.MAV_TYPE_OCTOROTOR,
+        mavlink.MAV_TYPE_DECAROTOR,
+        mavlink.MAV_TYPE_DODECAROTOR,
+    ],
+)
+def test_multicopters_are_flown_however_many_rotors_they_have(kind: int) -> None:
+    link = Link()
+    link.hear(beat(kind=kind))
+    assert link.identity.ids == (1, 1)
+
+
+@pytest.mark.parametrize(("system", "who"), [(None, "no autopilot was"), (1, "system 1 was not")])
+def test_what_came_instead_of_the_vehicle_is_named(system: int | None, who: str) -> None:
+    link = Link(system)
+    radio = from_(mavlink.MAVLink_radio_status_message(0, 0, 0, 0, 0, 0, 0), 51, 68)
+    link.hear(
+        radio,
+        beat(255, NONE, mavlink.MAV_TYPE_GCS, component=190),
+        beat(1, NONE, mavlink.MAV_TYPE_GIMBAL, component=154),
+    )
+    error, _, _ = wait_for_a_vehicle(link, within_s=20.0)
+    came = "system 51, component 68 (RADIO_STATUS), system 255, component 190 (gcs), system 1, component 154 (gimbal)"
+    assert f"{who} heard on udp:1; heard: {came}; nothing else came within 20 s" in str(error)
+    assert isinstance(error, AutopilotNotHeard)
 
 
 @pytest.mark.parametrize("refused", [SignatureRefusal.UNSIGNED, SignatureRefusal.OTHER_KEY])

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.real.mavlink.numbering import BootClock, Numbering, Twins
+from upwash.real.mavlink.numbering import BootClock, Numbering
 
 Numbers = Callable[[str, int], int]  # the number of the so-manieth message of that kind
 PERIODS = {
@@ -342,26 +342,3 @@ def test_a_clock_goes_on_starts_anew_or_is_not_believed(
 def test_after_a_restart_time_passes_by_the_new_clock() -> None:
     restarts, elapsed_s = clock((500.0, 0.0), (1.0, 0.5), (2.0, 1.5), (3.0, 2.5))
     assert (restarts, elapsed_s) == ([False, True, False, False], 2.5)
-
-
-@pytest.mark.parametrize(
-    ("times", "twins"),
-    [
-        ([(9_000, 0.0), (6_999, 0.0), (9_000, 0.5), (6_999, 0.5), (9_000, 1.0), (6_999, 1.0)], True),
-        ([(9_000, 0.0), (7_000, 0.0), (9_000, 0.5), (7_000, 0.5), (9_000, 1.0), (7_000, 1.0)], False),
-        ([(9_000, 0.0), (6_999, 0.0), (9_000, 0.5), (6_999, 0.5)], False),
-        ([(9_000, 7.0), (6_000, 7.0), (9_000, 9.0), (6_000, 9.0), (9_000, 17.0), (6_000, 17.0)], True),
-        ([*[(9_000, 7.0), (6_000, 7.0)] * 2, (9_000, 17.0 + TICK_S), (6_000, 17.0 + TICK_S)], False),
-        ([(1_000, 5.0), *[(101_000, 15.0), (81_000, 15.0)] * 3], False),  # a clock that is ten times as fast
-        ([(1_000, 5.0), *[(101_000, 15.0), (80_999, 15.0)] * 3], True),
-        ([(0, 5.0), *[(9_000, 5.5), (6_000, 5.5)] * 3], False),  # less than a second says nothing of its speed
-    ],
-)  # fmt: skip
-def test_a_clock_that_goes_back_three_times_in_ten_seconds_is_of_two_vehicles(
-    times: list[tuple[int, float]], *, twins: bool
-) -> None:
-    both = Twins()
-    for boot_ms, now_s in times:
-        assert both.evidence == ""
-        both.take(message("ATTITUDE", boot_ms), now_s)
-    assert both.evidence == ("two clocks since boot" if twins else "")

@@ -215,7 +215,9 @@ class Identity:
             return ""
         vehicle = "no autopilot was" if self.system is None else f"system {self.system} was not"
         others = [f"{other.system} ({other.runs})" for other in self._heard.values()]
-        others += [f"{system}, component {part} ({what})" for (system, part), what in self._senders.items()]
+        others += [
+            f"system {system}, component {part} ({what})" for (system, part), what in self._senders.items()
+        ]
         return f"{vehicle} heard on {connection}; heard: {', '.join(others)}"
 
     def _in_question(self) -> AutopilotInfo | None:

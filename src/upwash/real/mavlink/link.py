@@ -79,7 +79,8 @@ class MavlinkLink:
     def why_silent(self) -> str:
         """The known reasons of a silence, in brackets; empty without any."""
         peer = self._peer
-        reasons = [self.trouble] if self.trouble else []
+        heard_since = self.opened.is_set() and self._receiver.taken_s >= self.opened_s
+        reasons = [self.trouble] if self.trouble and not heard_since else []
         if self.refused is not None:
             reasons.append(f"an autopilot was heard, and its messages {self.refused.value}")
         if peer is not None and peer.last_ignored is not None:
@@ -107,11 +108,16 @@ class MavlinkLink:
         if self._line:
             self._line.write(data)
 
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the last message, of any sender."""
+        return asyncio.get_running_loop().time() - self._receiver.taken_s
+
     def reopen_if_dead(self, after_s: float) -> None:
-        """Breaks a TCP connection off that brought nothing, of any sender, for that long; it is opened again."""
-        silent_s = asyncio.get_running_loop().time() - max(self._receiver.taken_s, self.opened_s)
-        if self._line and self._connects and silent_s > after_s:
-            self._line.trouble = f"nothing came for {silent_s:.0f} s"
+        """Breaks a TCP connection off that brought no message for that long; it is opened again."""
+        opened_s = asyncio.get_running_loop().time() - self.opened_s
+        if self._line and self._connects and min(self.silent_s, opened_s) > after_s:
+            self._line.trouble = "nothing came"
             self._line.ended.set()
 
     async def close(self) -> None:

@@ -144,11 +144,12 @@ class ObservedVehicle:
         left_s = self.patience.others_s
         while left_s > 0:
             self.ask(self.identity.twins.question(self.now_s))
-            self.ask_for(_HOME_POSITION)
+            if self._asks:
+                self.ask_for(_HOME_POSITION)
             await self.happens(step, lambda: bool(self.identity.doubt), within_s=min(_LOOKS_EACH_S, left_s))
             self.require_alone(step)
             left_s -= _LOOKS_EACH_S if self.linked else 0.0
-        self._looked = True
+        self._looked = self._asks
 
     def require_alone(self, step: str) -> None:
         """Raises AutopilotRefused while several vehicles may be meant."""
@@ -257,9 +258,8 @@ class ObservedVehicle:
                     await self._news.wait()
             except TimeoutError:
                 link, lost_after_s = self._link, self.patience.lost_after_s
-                problem = (
-                    f"the vehicle was not heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
-                )
+                what = "nothing" if link.silent_s >= lost_after_s else "only others, not the vehicle,"
+                problem = f"{what} was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
                 raise AutopilotLost(step, problem) from None
 
     async def happens(self, step: str, condition: Callable[[], bool], *, within_s: float) -> bool:
