@@ -260,7 +260,7 @@ def test_only_multicopters_that_their_type_names_are_flown(autopilot: int, kind:
     link = Link()
     link.hear(beat(1, autopilot, kind))
     assert link.identity.is_unflyable
-    rule = "upwash flies ArduCopter and PX4 multicopters whose type names three rotors or more"
+    rule = "only multicopters with ArduCopter or PX4 can be flown, of a type that names three rotors or more"
     assert rule in link.identity.heard_instead("udp:1")
 
 

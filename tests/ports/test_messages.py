@@ -369,7 +369,7 @@ async def test_reports_that_nobody_asked_for_take_no_room(flown: Flight) -> None
         await flown.say(
             mavlink.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, numbers, numbers, numbers, 0, 0, uid)
         )
-    assert len(flown.vehicle.identity._twins._hardware) <= 2
+    assert len(flown.vehicle.identity.twins._hardware) <= 2
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

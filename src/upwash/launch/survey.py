@@ -95,6 +95,7 @@ async def _inspected(autopilot: MavlinkAutopilot) -> tuple[str, list[VehicleSett
     try:
         await autopilot.inspect()
         await autopilot.learn()
+        await autopilot.vehicle.look_for_others("check")
     except AutopilotRefused as error:
         return error.problem, settings
     return "", settings

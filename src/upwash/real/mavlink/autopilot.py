@@ -61,9 +61,8 @@ class MavlinkAutopilot(ReportingAutopilot):
         return self._telemetry.home.altitude_m if self._telemetry.home else None
 
     async def inspect(self) -> None:
-        """Checks the vehicle, and that it is alone, by questions; raises AutopilotRefused if it cannot be flown."""
+        """Checks the vehicle by questions alone; raises AutopilotRefused if it cannot be flown."""
         require_version(self.vehicle)
-        await self.vehicle.look_for_others("arm")
 
     async def ready(self) -> None:
         """Checks the vehicle, and waits until it may be armed, without a command; reports the reasons of the wait."""
@@ -83,6 +82,7 @@ class MavlinkAutopilot(ReportingAutopilot):
                     self._tell_delay(self._reasons_since(begun_s) or self._own_reasons())
             if vehicle.now_s >= deadline_s and vehicle.linked and not self._may_be_armed():
                 raise self._not_ready(self._delayed_by or ())
+        await vehicle.look_for_others("arm")
 
     def _refuse_two_vehicles(self) -> None:
         if self._tracker.leaps_to_and_fro:

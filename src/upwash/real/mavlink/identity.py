@@ -44,7 +44,7 @@ _OTHER_VEHICLES = (
 _AUTOPILOTS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}
 
 _LOOKED_EACH_S = 1.0
-_FLOWN = "multicopters whose type names three rotors or more; no helicopters, coaxial or generic types"
+_RULE = "of a type that names three rotors or more: no helicopter, no coaxial or generic type"
 _MOST_SENDERS = 8  # that are named
 _DEFINITE_S = 10.0  # the wait for the vehicle ends this long after the first heartbeat of a wrong vehicle
 _TOLD_AFTER_S, _TOLD_EACH_S = 3.0, 15.0
@@ -208,8 +208,8 @@ class Identity:
         if candidate is not None and not candidate.firmware:
             return (
                 f"{name_of('MAV_AUTOPILOT', candidate.autopilot)} with {name_of('MAV_TYPE', candidate.type)} was "
-                f"heard on {connection}, as system {candidate.system}; upwash flies "
-                f"{' and '.join(firmware.name for firmware in self._firmwares.values())} {_FLOWN}"
+                f"heard on {connection}, as system {candidate.system}; only multicopters with "
+                f"{' or '.join(firmware.name for firmware in self._firmwares.values())} can be flown, {_RULE}"
             )
         if not self._heard and not self._senders:
             return ""

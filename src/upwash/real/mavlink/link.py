@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import math
 import os
 import socket
 import termios
@@ -79,8 +80,7 @@ class MavlinkLink:
     def why_silent(self) -> str:
         """The known reasons of a silence, in brackets; empty without any."""
         peer = self._peer
-        heard_since = self.opened.is_set() and self._receiver.taken_s >= self.opened_s
-        reasons = [self.trouble] if self.trouble and not heard_since else []
+        reasons = [self.trouble] if self.trouble and math.isinf(self.silent_s) else []
         if self.refused is not None:
             reasons.append(f"an autopilot was heard, and its messages {self.refused.value}")
         if peer is not None and peer.last_ignored is not None:
@@ -110,11 +110,11 @@ class MavlinkLink:
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the last message, of any sender."""
-        return asyncio.get_running_loop().time() - self._receiver.taken_s
+        """Seconds since anything came, of any sender; infinite without anything since it was opened."""
+        return asyncio.get_running_loop().time() - self._line.came_s if self._line else math.inf
 
     def reopen_if_dead(self, after_s: float) -> None:
-        """Breaks a TCP connection off that brought no message for that long; it is opened again."""
+        """Breaks a TCP connection off that brought nothing for that long; it is opened again."""
         opened_s = asyncio.get_running_loop().time() - self.opened_s
         if self._line and self._connects and min(self.silent_s, opened_s) > after_s:
             self._line.trouble = "nothing came"
@@ -151,6 +151,7 @@ class _Line(asyncio.BufferedProtocol, asyncio.DatagramProtocol):
         self.write: Callable[[bytes], None] = lambda _: None
         self.peer = peer  # where anyone may send
         self.trouble = ""
+        self.came_s = -math.inf  # when anything last came
         self.ended = asyncio.Event()
         self.close_socket: Callable[[], None] = lambda: None  # where there is no transport
         self._receiver = receiver
@@ -172,13 +173,15 @@ class _Line(asyncio.BufferedProtocol, asyncio.DatagramProtocol):
         self.data_received(bytes(self._buffer[:nbytes]))
 
     def data_received(self, data: bytes) -> None:
+        self.came_s = asyncio.get_running_loop().time()
         self._receiver.take(data, self._reader)
 
     def datagram_received(self, data: bytes, address: Address) -> None:
+        self.came_s = asyncio.get_running_loop().time()
         if self.peer is None:
             self._receiver.take(data)
         else:
-            self.peer.take(data, address, asyncio.get_running_loop().time())
+            self.peer.take(data, address, self.came_s)
 
     def error_received(self, error: Exception) -> None:
         self.trouble = str(error)  # such as "connection refused" by the host: it may well listen later

@@ -90,7 +90,7 @@ class ObservedVehicle:
         self._numbering = Numbering()
         self._clock = BootClock()
         self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, news=self.news)
-        self._looked = False  # for other vehicles, since reports were asked for
+        self._judges_from_s = math.inf  # the sequence numbers, as until then two vehicles may send them
         self._asks = False  # whether to ask for reports: not before the right vehicle is certain
         self._only_signed = True  # whether each message of the vehicle was signed
         self._is_signing = signing is not None
@@ -125,7 +125,7 @@ class ObservedVehicle:
         if self.identity.system is None:
             await self.look_for_others("connect")
         self.require_alone("connect")
-        self._asks = True
+        self._asks, self._judges_from_s = True, self.now_s + self.patience.others_s
         self._streams.begin(self.firmware, self.now_s)
         if self._is_signing or not self._only_signed:
             return
@@ -137,7 +137,7 @@ class ObservedVehicle:
             raise AutopilotRefused("connect", f"{self.identity.vehicle} on {self._link.connection} {_SIGNS}")
 
     async def look_for_others(self, step: str) -> None:
-        """Looks for another vehicle for `others_s`, by questions; raises AutopilotRefused if several may be meant.
+        """Looks for other vehicles for `others_s`, by questions; raises AutopilotRefused if several may be meant.
 
         Seconds in which the link is silent do not count.
         """
@@ -149,7 +149,6 @@ class ObservedVehicle:
             await self.happens(step, lambda: bool(self.identity.doubt), within_s=min(_LOOKS_EACH_S, left_s))
             self.require_alone(step)
             left_s -= _LOOKS_EACH_S if self.linked else 0.0
-        self._looked = self._asks
 
     def require_alone(self, step: str) -> None:
         """Raises AutopilotRefused while several vehicles may be meant."""
@@ -258,7 +257,7 @@ class ObservedVehicle:
                     await self._news.wait()
             except TimeoutError:
                 link, lost_after_s = self._link, self.patience.lost_after_s
-                what = "nothing" if link.silent_s >= lost_after_s else "only others, not the vehicle,"
+                what = "nothing" if link.silent_s > lost_after_s / 2 else "only others, not the vehicle,"
                 problem = f"{what} was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
                 raise AutopilotLost(step, problem) from None
 
@@ -465,5 +464,9 @@ class ObservedVehicle:
             return
         numbering = self._numbering
         self._streams.look(self.now_s, linked=self.linked, received_share=numbering.received_share)
-        if numbering.wrong_times >= _WRONG_TIMES and self._looked and not self.identity.doubt:
+        if numbering.wrong_times >= _WRONG_TIMES and self._is_alone():
             self.news.once("numbers", _NUMBERS_PROBLEM)
+
+    def _is_alone(self) -> bool:
+        """Whether other vehicles had time to show, and none did."""
+        return self.now_s >= self._judges_from_s and not self.identity.doubt

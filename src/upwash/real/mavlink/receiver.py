@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import re
 from collections.abc import Callable
@@ -36,8 +35,6 @@ def is_signed(message: Message) -> bool:
 
 class MessageReceiver:
     """Passes accepted messages to `heard`; `refused` is why an autopilot's last heartbeat was not accepted.
-
-    `taken_s` is when the last message came, of any sender, accepted or not.
     `follows` recognizes the vehicle's heartbeat. `overheard` gets the messages of other senders.
     """
 
@@ -49,7 +46,6 @@ class MessageReceiver:
         overheard: Callable[[Message], object] = lambda _: None,
     ) -> None:
         self.refused: SignatureRefusal | None = None
-        self.taken_s = -math.inf
         self._heard = heard
         self._follows = follows
         self._overheard = overheard
@@ -95,8 +91,6 @@ class MessageReceiver:
         """The accepted messages, and whether an autopilot's heartbeat was refused only for its age."""
         read = reader.read(data)
         late = False
-        if read:
-            self.taken_s = asyncio.get_running_loop().time()
         for message, refusal in read:
             if from_autopilot(message):
                 self.refused = refusal
