@@ -58,7 +58,7 @@ async def test_a_connection_is_opened_again_a_second_after_it_failed_or_broke() 
     await link.opened.wait()
     assert link.opened_s == begun_s + 8.0
     link.send_bytes(b"one")
-    link.reopen()  # which is for TCP alone
+    link.reopen_if_dead(0.0)  # which is for TCP alone
     await asyncio.sleep(3.0)
     assert link.opened.is_set() and len(lines) == 1
     lines[0].connection_lost(None)
@@ -166,6 +166,35 @@ async def test_a_port_that_is_taken_is_told_and_free_after_the_end() -> None:
     await link.close()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
         again.bind(("127.0.0.1", port))
+
+
+async def test_tcp_is_broken_off_only_if_nothing_came_of_anybody() -> None:
+    others: asyncio.Queue[asyncio.StreamWriter] = asyncio.Queue()
+    server = await asyncio.start_server(lambda _, writer: others.put_nowait(writer), "127.0.0.1", 0)
+    heard: asyncio.Queue[Any] = asyncio.Queue()
+    link = MavlinkLink(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", heard.put_nowait)
+    async with asyncio.timeout(10.0):
+        ground_station = await others.get()
+        await link.opened.wait()
+        await asyncio.sleep(0.2)
+        ground_station.write(beat(255))
+        await heard.get()
+        link.reopen_if_dead(0.15)
+        await asyncio.sleep(0.05)
+        assert link.opened.is_set(), "a ground station's heartbeat came"
+        await asyncio.sleep(0.2)
+        link.reopen_if_dead(0.15)
+        await asyncio.sleep(0.05)
+        assert not link.opened.is_set()
+        assert link.why_silent == " (nothing came)"
+        ground_station.close()
+        ground_station = await others.get()
+        ground_station.write(beat(255))
+        await heard.get()
+        assert link.why_silent == ""
+    await link.close()
+    ground_station.close()
+    server.close()
 
 
 async def test_a_computer_that_reads_nothing_costs_messages_and_no_memory() -> None:

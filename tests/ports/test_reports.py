@@ -145,6 +145,17 @@ async def test_a_wait_ends_after_two_minutes_of_silence(script: Script) -> None:
     assert script.now_s - begun_s == pytest.approx(120.0, abs=0.01)
 
 
+@played(tell, flies=True)
+async def test_a_wait_beside_others_says_that_others_came(script: Script) -> None:
+    await script.beat()
+    script.mute = True
+    other = bytes(script.heartbeat().pack(mavlink.MAVLink(None, 255, 190)))
+    for second in range(1, 125):
+        asyncio.get_running_loop().call_later(second, script._line.datagram_received, other, ("", 1))
+    with pytest.raises(AutopilotLost, match="others, and not the vehicle, were heard on memory for 120 s"):
+        await script.autopilot.border_crossed([])
+
+
 @played(tell)
 async def test_the_vehicles_time_goes_on_between_its_reports(script: Script) -> None:
     await script.say(mavlink.MAVLink_system_time_message(1_770_000_000_500_000, 1), script.place(HERE))

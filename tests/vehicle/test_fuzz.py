@@ -184,6 +184,7 @@ async def test_a_driver_that_hears_nonsense_goes_on_and_tells_nobody_to_move() -
     asked = {(message.get_type(), getattr(message, "command", None)) for message in fake.heard}
     assert asked <= {
         ("HEARTBEAT", None),
+        ("TIMESYNC", None),
         ("COMMAND_LONG", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL),
         ("COMMAND_LONG", mavlink.MAV_CMD_REQUEST_MESSAGE),  # whose the vehicle is, after a silence
     }

@@ -440,8 +440,28 @@ def test_parameters_have_the_names_and_units_of_the_version(version: str, name: 
         client.say(mavlink.MAVLink_command_long_message(1, 1, 520, 0, 1, *(0.0,) * 6))
         told = await client.next("AUTOPILOT_VERSION")
         assert Version.of(told.flight_sw_version) == Version.read(version)
+        assert int.from_bytes(bytes(told.uid2), "little") == serial
 
-    talk(scenario, replace(SETTINGS, version=Version.read(version), parameters={name: value}))
+    serial = 0 if version == "4.7.0" else 2**64 - 1
+    talk(scenario, replace(SETTINGS, serial=serial, version=Version.read(version), parameters={name: value}))
+
+
+def test_its_clock_in_timesync_counts_from_its_boot() -> None:
+    async def scenario(client: Client, vehicle: StandIn) -> None:
+        await asyncio.sleep(2.0)
+        client.say(mavlink.MAVLink_timesync_message(0, 77))
+        answer = await client.next("TIMESYNC")
+        while answer.ts1 != 77:
+            answer = await client.next("TIMESYNC")
+        uptime_s = vehicle.firmware.copter.uptime_s(vehicle.now_s())
+        assert answer.tc1 / 1e9 == pytest.approx(uptime_s, abs=0.5)
+
+    talk(scenario, SETTINGS)
+
+
+def test_a_serial_number_that_no_message_can_carry_is_refused() -> None:
+    with pytest.raises(UsageError, match="serial is -1; give 0 to 18446744073709551615"):
+        replace(SETTINGS, serial=-1)
 
 
 def test_a_parameter_of_another_version_is_refused() -> None:

@@ -23,7 +23,7 @@ from upwash.real.mavlink.reports import ReportingAutopilot, check_speed
 
 _TURN_S = 20.0  # half a turn, of a vehicle that turns slowly
 _POINTS_WITHIN_DEG = 5.0
-_ALL_TELL_S = 2.0  # in which each vehicle on the link has told whether it stands
+_ALL_TELL_S = 2.0  # each vehicle on the link reports its landed state within this time
 _EXTENDED_SYS_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 
 

@@ -80,7 +80,8 @@ class MavlinkLink:
     def why_silent(self) -> str:
         """The known reasons of a silence, in brackets; empty without any."""
         peer = self._peer
-        reasons = [self.trouble] if self.trouble and math.isinf(self.silent_s) else []
+        is_over = self._connects and not math.isinf(self.silent_s)  # bytes came later
+        reasons = [self.trouble] if self.trouble and not is_over else []
         if self.refused is not None:
             reasons.append(f"an autopilot was heard, and its messages {self.refused.value}")
         if peer is not None and peer.last_ignored is not None:
@@ -110,7 +111,7 @@ class MavlinkLink:
 
     @property
     def silent_s(self) -> float:
-        """Seconds since anything came, of any sender; infinite without anything since it was opened."""
+        """Seconds since the last bytes of any sender; infinite if no bytes came since the connection was opened."""
         return asyncio.get_running_loop().time() - self._line.came_s if self._line else math.inf
 
     def reopen_if_dead(self, after_s: float) -> None:
@@ -151,7 +152,7 @@ class _Line(asyncio.BufferedProtocol, asyncio.DatagramProtocol):
         self.write: Callable[[bytes], None] = lambda _: None
         self.peer = peer  # where anyone may send
         self.trouble = ""
-        self.came_s = -math.inf  # when anything last came
+        self.came_s = -math.inf  # when the last bytes came
         self.ended = asyncio.Event()
         self.close_socket: Callable[[], None] = lambda: None  # where there is no transport
         self._receiver = receiver

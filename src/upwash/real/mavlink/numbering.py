@@ -3,7 +3,7 @@
 A vehicle numbers its messages, so a message that arrives out of order is known by its number. Not all numbers are the
 vehicle's: bridges pack each message with number 0, count each kind of message by itself, or merge two ports of one
 vehicle. If more distinct messages come than the numbers count, or the numbers leap about, they are ignored; the time
-since boot, which some messages contain, gives the order. Whether two vehicles send them is asked elsewhere (`twins`).
+since boot, which some messages contain, gives the order. `twins` decides whether two vehicles send the messages.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ class ObservedVehicle:
     async def look_for_others(self, step: str) -> None:
         """Looks for other vehicles for `others_s`, by questions; raises AutopilotRefused if several may be meant.
 
-        Seconds in which the link is silent do not count.
+        Once the vehicle is found, silences of the link do not count.
         """
         left_s = self.patience.others_s
         while left_s > 0:
@@ -148,7 +148,7 @@ class ObservedVehicle:
                 self.ask_for(_HOME_POSITION)
             await self.happens(step, lambda: bool(self.identity.doubt), within_s=min(_LOOKS_EACH_S, left_s))
             self.require_alone(step)
-            left_s -= _LOOKS_EACH_S if self.linked else 0.0
+            left_s -= _LOOKS_EACH_S if self.linked or not self._asks else 0.0
 
     def require_alone(self, step: str) -> None:
         """Raises AutopilotRefused while several vehicles may be meant."""
@@ -257,8 +257,10 @@ class ObservedVehicle:
                     await self._news.wait()
             except TimeoutError:
                 link, lost_after_s = self._link, self.patience.lost_after_s
-                what = "nothing" if link.silent_s > lost_after_s / 2 else "only others, not the vehicle,"
-                problem = f"{what} was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
+                what = (
+                    "nothing was" if link.silent_s > lost_after_s / 2 else "others, and not the vehicle, were"
+                )
+                problem = f"{what} heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
                 raise AutopilotLost(step, problem) from None
 
     async def happens(self, step: str, condition: Callable[[], bool], *, within_s: float) -> bool:

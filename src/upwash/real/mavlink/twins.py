@@ -1,6 +1,6 @@
 """Whether two vehicles send with the same ids: what one vehicle cannot report.
 
-The evidence, none of which one vehicle gives, even if its messages are lost, repeated or late, or come by two links:
+One vehicle gives none of this evidence, even if its messages are lost, repeated or late, or come by two links:
 
 - Two serial numbers of hardware.
 - Two clocks since boot. Each question for the time is answered between its sending and the answer's arrival, so two
@@ -30,16 +30,16 @@ _LATEST_S = 2.0  # no message comes later
 _TIMES, _WITHIN_S = 3, 10.0  # one vehicle restarts less often
 _QUESTIONS = 16  # whose answers may still come
 _STAMPED_WITHIN_S = 0.05  # an autopilot's own inaccuracy
-_SPEED_KNOWN_S = 1.0  # how long a clock is heard until its speed is known
+_SPEED_KNOWN_S = 1.0  # of a clock's stamps, until its speed is known
 _LONGEST_BOOT_NS = (
     2**32 * 10**6
-)  # as long as a time since boot can be in milliseconds: another one counts from 1970
+)  # the longest time since boot in milliseconds; a longer time counts from 1970
 _REPORTS, _REPORTS_S, _SPAN_S = (
     256,
     10.0,
     1.0,
 )  # of places that are compared, and three neighbours' longest time
-_ODD_TIMES, _ODD_WITHIN_S = 5, 5.0  # a filter that is set anew moves less often
+_ODD_TIMES, _ODD_WITHIN_S = 5, 5.0  # a position filter resets less often
 _PLACE_M, _CURVE_M_S2 = (
     0.5,
     2.0,
@@ -63,7 +63,7 @@ class Twins:
         return self._answers.question(now_s)
 
     def take(self, message: Message, now_s: float) -> None:
-        """Take in a message with the followed ids, also one that came before."""
+        """Take in a message with the followed ids, copies included."""
         if not self.evidence:
             self.evidence = self._shown_by(message, now_s)
 
@@ -91,7 +91,7 @@ class Twins:
 
 
 class _Often:
-    """Whether something happened `times` times within some seconds."""
+    """Whether an event happened `times` times within some seconds."""
 
     def __init__(self, times: int, within_s: float) -> None:
         self._happened_s: deque[float] = deque(maxlen=times)
