@@ -69,8 +69,9 @@ UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
 class EnergyFacts(Struct, frozen=True):
     """A vehicle's reports of its battery's low stages and of its way home; None for what it has not reported.
 
-    `low_percents` has the low stage of each battery whose stage differs, by its number. It returns to its `home` or to
-    one of its `rally` points. `guessed` names its parameters that are not known; a usual value replaces each.
+    `low_percents` has the low stage of each battery whose stage differs, by its number. The vehicle returns to its
+    `home` or to one of its `rally` points. `guessed` names its parameters that are not known; a usual value replaces
+    each.
     """
 
     low_percent: float | None = None
