@@ -601,5 +601,5 @@ _MORE_FAULTS = (  # the stream of each, and the share of worlds with it
     ("incidents", 1 / 8, _incidents),
     ("lies", 1 / 3, _lies),
     ("useless instances", 1 / 8, _useless_instances),
-    ("second batteries", 1 / 16, _second_batteries),
+    ("second battery", 1 / 16, _second_batteries),
 )
