@@ -78,6 +78,7 @@ FOUND_BY_SEED = {
     "every landing is said to be at home": 48,
     "the way home counts as one to home alone": 48,
     "the time until a hover is seen is not counted": 152,
+    "the first battery alone counts": 129,
 }
 
 
