@@ -29,6 +29,7 @@ class Vehicle:
     def __init__(self, facts: EnergyFacts = EnergyFacts()) -> None:  # noqa: B008 - frozen
         self.energy = facts
         self.position = HERE
+        self.position_is_sure = True
         self.control = OURS
         self.stands = False
         self.told: list[str] = []
@@ -115,7 +116,9 @@ AT_5_M = Position(0.3, 0.2, 5.0)
 TOLD = EnergyFacts(home=HOME, way_home=replace(ARDUCOPTER, low_m=5.0, waits_s=math.inf))
 
 
-def hovering(facts: EnergyFacts, *, for_s: float, owner: Control = OURS, hurry: bool = False) -> Scene:
+def hovering(
+    facts: EnergyFacts, *, for_s: float, owner: Control = OURS, hurry: bool = False, at: Position = AT_5_M
+) -> Scene:
     """A return that has come to 5 m above home, and stays there."""
 
     async def look() -> Scene:
@@ -124,7 +127,7 @@ def hovering(facts: EnergyFacts, *, for_s: float, owner: Control = OURS, hurry: 
         task = await scene.begin("return")
         scene.vehicle.position = AT_5_M.at_altitude(15.0)
         await asyncio.sleep(4.0)
-        scene.vehicle.position = AT_5_M
+        scene.vehicle.position = at
         if hurry:
             scene.homecoming.hurry("20 % is left")
         await asyncio.sleep(for_s)
@@ -158,6 +161,41 @@ def test_a_hover_with_the_reserve_used_up_is_landed_at_once() -> None:
     scene = hovering(TOLD, for_s=5.0, hurry=True)
     assert scene.vehicle.told == ["return", "land"]
     assert [event.why for event in scene.events(schema.ReserveOnTheWayDown)] == ["20 % is left"]
+    (hovers,) = scene.events(schema.ReturnHovers)
+    assert hovers.why == "the vehicle's return hovers 5 m above home, and the reserve is used up"
+
+
+def test_a_vehicle_that_rests_on_the_ground_does_not_hover() -> None:
+    """An ArduCopter in strong wind does not notice its landing."""
+    scene = hovering(TOLD, at=HOME, for_s=20.0)
+    assert scene.vehicle.told == ["return", "land"]
+    (told,) = scene.events(schema.ReturnHovers)
+    assert told.why == "the vehicle rests at the height of home and does not report its landing"
+
+
+def test_a_vehicle_that_should_stand_already_has_no_time_left() -> None:
+    """Otherwise it would be on the ground in 0 s again and again."""
+
+    async def look() -> float | None:
+        scene = Scene(TOLD)
+        scene.vehicle.position = Position(0.0, 0.0)
+        await scene.begin("land")
+        return scene.homecoming.left_s
+
+    assert run_virtually(look()) is None
+
+
+def test_a_landing_in_doubt_of_the_position_has_no_place() -> None:
+    """A return flies to where the vehicle believes home to be; a glitch of 56 m lands it 56 m beside."""
+
+    async def look(*, is_sure: bool) -> schema.Landed:
+        scene = Scene(TOLD)
+        scene.vehicle.position, scene.vehicle.position_is_sure = Position(0.0, 0.0), is_sure
+        return scene.homecoming.landed()
+
+    sure, unsure = run_virtually(look(is_sure=True)), run_virtually(look(is_sure=False))
+    assert (sure.at, sure.from_home_m) == ("home", 0.0)
+    assert (unsure.at, unsure.from_home_m) == ("", None)
 
 
 @pytest.mark.parametrize(

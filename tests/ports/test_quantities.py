@@ -15,7 +15,7 @@ from tests.ports.memory import AGILE, Air, Bench, bench, driven
 from tests.ports.scripted import SYSTEM, Px4Script, Script, scripted
 from tests.ports.steps import take_off
 
-from upwash.core.geo import GeoPosition
+from upwash.core.geo import GeoPosition, Position, ground_distance_m
 from upwash.core.vehicle.course import Abilities
 from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
 from upwash.errors import AutopilotTimeout
@@ -214,6 +214,8 @@ async def test_a_flight_that_is_taken_up_in_the_air_knows_the_way_home(
             await autopilot.claim(resumes=True)
             assert autopilot.energy.way_home is not None
             assert autopilot.energy.way_home.altitude_m == 100.0
+            assert autopilot.energy.home is not None
+            assert ground_distance_m(autopilot.energy.home, Position(0.0, 0.0)) <= 0.1
 
 
 @pytest.mark.virtual

@@ -19,6 +19,7 @@ from upwash.support.background import first
 _LOOK_S = 1.0
 _SAME_RETURN_S = 5.0  # after the last look: a safe end goes on with the mission's return
 _TELL_AGAIN_S = 60.0
+_ON_GROUND_M = 1.0  # a hover is higher
 
 
 class Homecoming:
@@ -37,13 +38,13 @@ class Homecoming:
 
     @property
     def left_s(self) -> float | None:
-        """Seconds to the ground; None unless the program brings its vehicle down, or while it comes no nearer."""
+        """Seconds to the ground; None unless the program brings its vehicle down, and it still comes nearer."""
         vehicle = self._autopilot
         if self._way is None or self.doing is None or vehicle.stands or not vehicle.control.is_ours:
             return None
         if self.doing == "return" and self._watch is not None and self._watch.no_nearer_s:
             return None
-        return self._way.left_s(vehicle.position, now_s=_now_s())
+        return self._way.left_s(vehicle.position, now_s=_now_s()) or None
 
     async def return_and_land(self) -> None:
         """Returns on touchdown; raises AutopilotError as the autopilot's verbs do."""
@@ -52,7 +53,7 @@ class Homecoming:
             if not self._lands_return and not await first(self._returned(), self._look(watch)):
                 return
             if not self._lands_return:
-                self._tell_hover()
+                self._tell_hover(watch)
             self._lands_return = True
             self._begin_landing()
             await self._autopilot.land()
@@ -77,8 +78,10 @@ class Homecoming:
             self._watch.hurries = True
 
     def landed(self) -> schema.Landed:
-        """The event of a vehicle that has landed here."""
+        """The event of a vehicle that has landed here; in doubt of its position without a name of the place."""
         here, facts = self._autopilot.position, self._autopilot.energy
+        if not self._autopilot.position_is_sure:
+            return schema.Landed(position=rounded(here))
         away_m = None if facts.home is None else round(ground_distance_m(here, facts.home), 1)
         place = facts.returns_to(here)
         near = facts.home is not None and ground_distance_m(here, place.position) <= AT_PLACE_M
@@ -129,10 +132,16 @@ class Homecoming:
         away_m, for_s = round(watch.away_m, 1), round(watch.no_nearer_s, 1)
         self._journal.record(schema.NoNearer(to=to, away_m=away_m, for_s=for_s))
 
-    def _tell_hover(self) -> None:
+    def _tell_hover(self, watch: ReturnWatch) -> None:
         here = rounded(self._autopilot.position)
         where = self._place.name if self._place is not None else "home"
-        why = f"the vehicle's return does not land: it hovers {here.altitude_m:.0f} m above {where}"
+        hovers = f"hovers {here.altitude_m:.0f} m above {where}"
+        if here.altitude_m < _ON_GROUND_M:
+            why = f"the vehicle rests at the height of {where} and does not report its landing"
+        elif watch.hurries:
+            why = f"the vehicle's return {hovers}, and the reserve is used up"
+        else:
+            why = f"the vehicle's return does not land: it {hovers}"
         self._journal.record(schema.ReturnHovers(why=why, position=here))
 
 

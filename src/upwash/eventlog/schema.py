@@ -669,14 +669,17 @@ class Landing(_AtPlace, frozen=True, kw_only=True):
 
 
 class Landed(_AtPlace, frozen=True, kw_only=True):
-    """The vehicle is on the ground, `from_home_m` from its home, and `at` its home or one of its rally points."""
+    """The vehicle is on the ground, `from_home_m` from its home, and `at` its home or one of its rally points.
+
+    Both are absent in doubt of the reported position.
+    """
 
     at: Text = ""
     from_home_m: Number | None = None
 
 
 class ReturnHovers(_Explained, frozen=True, kw_only=True):
-    """A return has brought the vehicle to its end and does not land it; the program lands it there."""
+    """A return hovers at its end for longer than it may, or than the reserve allows; the program lands it there."""
 
     position: Position
 

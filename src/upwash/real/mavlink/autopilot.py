@@ -44,6 +44,7 @@ class MavlinkAutopilot(ReportingAutopilot):
         self.vehicle.claim("start", resumes=resumes, ordered_mode=ordered_mode)
         if self._telemetry.armed:  # it flies already: `limits` is for a vehicle that stands
             self._tracker.fix_ground()
+            await self._know_home()
             await self.learn()
             await self._learn_rally_in_flight()
 
