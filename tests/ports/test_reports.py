@@ -260,6 +260,7 @@ async def test_motors_stop_on_the_ground_after_a_second_there(
     script: Script, *, stood_s: float, why: str
 ) -> None:
     script.mute = True
+    await asyncio.sleep(0.25)  # another vehicle's heartbeats may come between two of its own
     await script.say(landed(IN_AIR))
     await script.say(landed(ON_GROUND))
     await asyncio.sleep(stood_s)
@@ -303,6 +304,25 @@ async def test_one_disarmed_heartbeat_is_no_stop_of_the_motors_but_holds_back_co
     assert script.commands(mavlink.MAV_CMD_DO_REPOSITION) != []
     assert script.autopilot.control.is_ours
     holding.cancel()
+
+
+@played(tell, flies=True)
+async def test_a_second_vehicle_that_says_disarmed_between_two_heartbeats_stops_no_motors(
+    script: Script,
+) -> None:
+    """It stands, and answers the question for a heartbeat before the vehicle in flight does."""
+    script.mute = True
+    for _ in range(5):
+        await script.say(landed(IN_AIR))
+        await script.beat(armed=True, mode=mavlink.COPTER_MODE_GUIDED)
+        await asyncio.sleep(0.9)
+        script.sent.clear()
+        for _ in range(2):
+            await script.say(landed(ON_GROUND))
+            await script.beat(armed=False, mode=mavlink.COPTER_MODE_STABILIZE)
+        assert script.asked_for(HEARTBEAT) == [script.now_s]
+        assert script.autopilot.control.is_ours and script.autopilot.armed
+        await asyncio.sleep(0.1)
 
 
 @pytest.mark.parametrize(("mode", "ordered"), [("RTL", "return"), ("LAND", "land")])

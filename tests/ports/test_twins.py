@@ -17,7 +17,7 @@ from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import LocalFrame, Position
 from upwash.errors import AutopilotRefused
-from upwash.eventlog.schema import LinkTrouble
+from upwash.eventlog.schema import LinkTrouble, PositionDoubted
 from upwash.mavlink.packets import PacketReader
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.twins import Twins
@@ -177,10 +177,12 @@ async def test_a_second_one_that_is_seen_in_the_air_ends_the_leg_and_both_return
             with pytest.raises(AutopilotRefused, match="two vehicles with system 1"):
                 await leg
             assert first.now_s - begun_s < 5.0
+            assert not autopilot.position_is_sure, "it is that of either"
             await autopilot.return_home_and_land()
             assert not first.copter.flying(first.now_s)
             assert not second.copter.flying(second.now_s)
         assert [each.about for each in news if isinstance(each, LinkTrouble)] == ["same-id"]
+        assert sum(isinstance(each, PositionDoubted) for each in news) < 10, "places of two are no jumps"
 
 
 @pytest.mark.virtual

@@ -415,7 +415,7 @@ class ObservedVehicle:
         if self.telemetry.mode is None or message.get_type() not in (*_TELL_THE_MODE, *_TELL_WHY):
             return
         if self.telemetry.disarms:
-            if message.get_type() == "HEARTBEAT":
+            if message.get_type() == "HEARTBEAT" and self.telemetry.disarms == 1:
                 self.ask_for(_HEARTBEAT)  # a second one in a row confirms that its motors stopped
             return
         if message.get_type() in _TELL_THE_MODE:
@@ -466,6 +466,8 @@ class ObservedVehicle:
             return
         numbering = self._numbering
         self._streams.look(self.now_s, linked=self.linked, received_share=numbering.received_share)
+        if numbering.counts_up:  # a vehicle that joins later shows within this time, too
+            self._judges_from_s = self.now_s + self.patience.others_s
         if numbering.wrong_times >= _WRONG_TIMES and self._is_alone():
             self.news.once("numbers", _NUMBERS_PROBLEM)
 

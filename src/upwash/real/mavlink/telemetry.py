@@ -31,6 +31,7 @@ _GIMBAL_FROM_NOSE = mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME
 _ROUND_CDEG = 36_000  # UINT16_MAX stands for an unknown heading
 _TEXTS_KEPT = 32
 _LATELY_S = 3.0  # older texts are not about what has just happened
+_TWO_HEARTBEATS_S = 1.25  # longer than from one to the next
 _TOLD_LATE_S = 1.0  # a vehicle may say after the change of its mode why it changed
 _CHUNK_BYTES = 50  # of a text; a longer text arrives in several chunks
 _MOST_CHUNKS = 20
@@ -91,7 +92,7 @@ class VehicleTelemetry:
     mode: int | None = None
     mode_s: float = -math.inf  # when the present mode was first reported
     armed: bool = False
-    disarms: bool = False  # by its last heartbeat, which a second one must confirm
+    disarms: int = 0  # heartbeats in a row that say so, while it is not confirmed
     disarmed_s: float = -math.inf  # when its motors were last said to stop
     system_status: int = mavlink.MAV_STATE_UNINIT
     status_s: float = -math.inf  # when the present status was first reported
@@ -122,6 +123,7 @@ class VehicleTelemetry:
     texts_heard: int = 0
     answers: dict[int, int] = field(default_factory=dict)  # MAV_RESULT by MAV_CMD
     _dead_man_s: float = -math.inf
+    _said_armed_s: float = -math.inf
     _text: int = 0  # the number of the incomplete text, and its parts
     _chunks: list[str] = field(default_factory=list)
 
@@ -159,18 +161,29 @@ class VehicleTelemetry:
                 self._take_health(message, now_s)
 
     def _take_heartbeat(self, message: Message, now_s: float) -> None:
-        """Take in a heartbeat; the first one of an armed vehicle that says "disarmed" may be a bridge's old one."""
-        was_armed, armed = self.armed, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        self.disarms = was_armed and not armed and not self.disarms
-        if self.disarms:
-            self.disarmed_s = now_s
+        """Take in a heartbeat; one that says "disarmed" of an armed vehicle has to be confirmed."""
+        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self.armed and not armed and not self._confirms_disarming(now_s):
+            self.disarmed_s = self.disarmed_s if self.disarms else now_s
+            self.disarms += 1
             return
+        self.disarms = 0
+        self._said_armed_s = now_s if armed else self._said_armed_s
         self.change_mode(message.custom_mode, now_s)
         self.armed = armed
         if message.system_status != self.system_status:
             self.system_status, self.status_s = message.system_status, now_s
         if now_s - self._dead_man_s > _LATELY_S:
             self.dead_man = ""
+
+    def _confirms_disarming(self, now_s: float) -> bool:
+        """Whether a further "disarmed" is the vehicle's own.
+
+        The first one may be a bridge's old one. While the vehicle flies, another vehicle with its ids may say it
+        twice between two of its own heartbeats.
+        """
+        heard_s = min(self._said_armed_s, self.airborne_s)
+        return self.disarms > 0 and now_s - heard_s >= _TWO_HEARTBEATS_S
 
     def change_mode(self, mode: int, now_s: float) -> None:
         """Take in the reported mode."""

@@ -78,8 +78,9 @@ class PositionTracker:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the reported position can be true, and the vehicle reports that it is sure of it."""
-        return self._telemetry.knows_its_place is not False and not self._continuity.doubt_m
+        """Whether the reported position can be true and is one vehicle's, and the vehicle is sure of it."""
+        one_tells = not self._vehicle.identity.two_with_one_id
+        return one_tells and self._telemetry.knows_its_place is not False and not self._continuity.doubt_m
 
     @property
     def doubt(self) -> str:
@@ -149,7 +150,7 @@ class PositionTracker:
         doubted = continuity.doubt_m > 0
         if doubted != self._doubted:
             self._doubted = doubted
-            if self._telemetry.armed:
+            if self._telemetry.armed and not self._vehicle.identity.two_with_one_id:
                 self._vehicle.news.tell(PositionDoubted(jumped_m=round(continuity.doubt_m, 1)))
 
     def _jumps_lately(self) -> int:
@@ -161,6 +162,8 @@ class PositionTracker:
         now, before = self._present_home(), self._home
         if self._ground_m is None or now is None or before is None or distance_m(now, before) <= _STAYS_M:
             return
+        if self._vehicle.identity.two_with_one_id:
+            return  # it may be the other one's
         self._home = now
         self._vehicle.news.tell(HomeMoved.of(now.at_altitude(now.altitude_m - self._ground_m)))
 
