@@ -161,7 +161,7 @@ class VehicleTelemetry:
                 self._take_health(message, now_s)
 
     def _take_heartbeat(self, message: Message, now_s: float) -> None:
-        """Take in a heartbeat; one that says "disarmed" of an armed vehicle has to be confirmed."""
+        """Take in a heartbeat; of an armed vehicle, "disarmed" counts only once it is confirmed."""
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if self.armed and not armed and not self._confirms_disarming(now_s):
             self.disarmed_s = self.disarmed_s if self.disarms else now_s

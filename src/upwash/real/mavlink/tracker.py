@@ -163,7 +163,7 @@ class PositionTracker:
         if self._ground_m is None or now is None or before is None or distance_m(now, before) <= _STAYS_M:
             return
         if self._vehicle.identity.two_with_one_id:
-            return  # it may be the other one's
+            return  # it may be the other vehicle's
         self._home = now
         self._vehicle.news.tell(HomeMoved.of(now.at_altitude(now.altitude_m - self._ground_m)))
 
