@@ -530,6 +530,20 @@ async def test_a_jump_in_flight_is_told_until_the_receiver_agrees(script: Script
     assert script.autopilot.vehicle.hindrance() == ""
 
 
+@pytest.mark.parametrize(("unsure_s", "told"), [(1.0, []), (4.0, [True, False])])
+@played(tell, flies=True)
+async def test_a_vehicle_that_is_unsure_of_its_place_for_long_is_told(
+    script: Script, *, unsure_s: float, told: list[bool]
+) -> None:
+    begun_s = script.now_s
+    while (passed_s := script.now_s - begun_s) < 8.0:
+        flags = mavlink.EKF_CONST_POS_MODE if passed_s < unsure_s else mavlink.EKF_POS_HORIZ_ABS
+        await script.say(mavlink.MAVLink_ekf_status_report_message(flags, *[0.0] * 5), script.place(HERE))
+        await asyncio.sleep(0.5)
+    doubts = [news for news in script.news if isinstance(news, PositionDoubted)]
+    assert [(doubt.jumped_m, doubt.unsure) for doubt in doubts] == [(0.0, unsure) for unsure in told]
+
+
 async def jump_to_and_fro(script: Script, times: int) -> None:
     """Its place jumps that often, once in a quarter of a second, while it stands."""
     for number in range(times + 1):

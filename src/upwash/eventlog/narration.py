@@ -342,6 +342,8 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
                 return Sentence(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             return Sentence(f"the vehicle's {name} is {known(value)}: {advice}", Tone.TROUBLE)
+        case schema.PositionDoubted(unsure=True):
+            return Sentence("the vehicle is not sure of its position: no arrival counts", Tone.TROUBLE)
         case schema.PositionDoubted(jumped_m=0):
             return Sentence("the vehicle's position can be true again")
         case schema.PositionDoubted(jumped_m=jumped_m):

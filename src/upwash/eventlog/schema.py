@@ -517,10 +517,14 @@ class LinkRestored(Event, frozen=True, kw_only=True):
     silent_s: Number
 
 
-class PositionDoubted(Event, frozen=True, kw_only=True):
-    """The reported position jumped by `jumped_m`, farther than the vehicle can fly; 0 when plausible again."""
+class PositionDoubted(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The reported position jumped by `jumped_m`, farther than the vehicle can fly, or the vehicle is `unsure` of it.
+
+    With neither the position is plausible again.
+    """
 
     jumped_m: Number
+    unsure: bool = False
 
 
 class HomeMoved(Event, frozen=True, kw_only=True):

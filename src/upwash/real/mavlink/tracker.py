@@ -26,6 +26,7 @@ _NO_PLACE = (
 _STAYS_M = 1.0  # what a home that was set again may differ by
 _RESTLESS_S = 5.0  # for this time after a jump the vehicle cannot be armed
 _MANY_JUMPS = 3  # in that time: no filter settles so
+_UNSURE_S = 2.0  # reports of less are no news
 _FLIES_ON_S = 0.5  # after its last report at most
 
 
@@ -42,7 +43,8 @@ class PositionTracker:
         self._continuity = Continuity()
         self._last_jump: tuple[float, float] | None = None
         self._jumped_s: deque[float] = deque(maxlen=_MANY_JUMPS)  # by this computer's clock
-        self._doubted = False
+        self._unsure_since_s: float | None = None  # by the vehicle's own reports
+        self._doubted = (False, False)  # for a jump, and as the vehicle is unsure
         vehicle.hindrance = lambda: f": {self.doubt}" if self.doubt else ""
         self.watches_targets = True  # not where the vehicle itself flies round obstacles
 
@@ -120,11 +122,15 @@ class PositionTracker:
                 self._reported_s = self._vehicle.now_s
                 here = self._frame.position(self._telemetry.position)
                 self._continuity.take_estimate(here, time_s=time_s, velocity=velocity)
-                self._look_at_jumps()
+                self._look_at_doubts()
             case "GPS_RAW_INT" if message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX:
                 there = self._frame.position(place_of_e7(message.lat, message.lon))
                 self._continuity.take_receiver(there, time_s=time_s, velocity=velocity)
-                self._look_at_jumps()
+                self._look_at_doubts()
+            case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
+                is_unsure = self._telemetry.in_the_air and self._telemetry.knows_its_place is False
+                since_s = self._vehicle.now_s if self._unsure_since_s is None else self._unsure_since_s
+                self._unsure_since_s = since_s if is_unsure else None
             case "HOME_POSITION":
                 self._look_at_home()
             case "POSITION_TARGET_GLOBAL_INT" if self._steers_by_targets:
@@ -139,7 +145,7 @@ class PositionTracker:
         firmware, mode = self._vehicle.firmware, self._vehicle.mode_name
         return self.watches_targets and firmware.keeps_targets and mode == firmware.own_mode
 
-    def _look_at_jumps(self) -> None:
+    def _look_at_doubts(self) -> None:
         continuity, now_s = self._continuity, self._vehicle.now_s
         jumps = continuity.jumps
         if jumps and jumps[-1] != self._last_jump:
@@ -147,11 +153,13 @@ class PositionTracker:
             self._jumped_s.append(now_s)
         if not self._telemetry.armed and not self._jumps_lately():
             continuity.believe()  # it stands, and its filter has settled
-        doubted = continuity.doubt_m > 0
-        if doubted != self._doubted:
-            self._doubted = doubted
+        jumped, since_s = continuity.doubt_m > 0, self._unsure_since_s
+        unsure = not jumped and since_s is not None and now_s - since_s >= _UNSURE_S
+        if (jumped, unsure) != self._doubted:
+            self._doubted = jumped, unsure
             if self._telemetry.armed and not self._vehicle.identity.two_with_one_id:
-                self._vehicle.news.tell(PositionDoubted(jumped_m=round(continuity.doubt_m, 1)))
+                doubted = PositionDoubted(jumped_m=round(continuity.doubt_m, 1), unsure=unsure)
+                self._vehicle.news.tell(doubted)
 
     def _jumps_lately(self) -> int:
         since_s = self._vehicle.now_s - _RESTLESS_S
