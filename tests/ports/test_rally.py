@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.core.vehicle.return_place import NO_RALLY_POINTS
 from upwash.core.vehicle.way_home import ARDUCOPTER
 from upwash.errors import AutopilotError, AutopilotRefused, AutopilotTimeout
+from upwash.mavlink.px4 import EventMessage
 from upwash.ports import VehicleLimits, VehicleNews
 from upwash.real.mavlink import FlightSettings
 from upwash.real.mavlink.settings import Patience
@@ -141,6 +143,29 @@ async def test_a_px4_whose_return_ends_who_knows_where_is_refused(
 ) -> None:
     with pytest.raises(AutopilotRefused, match=said):
         await limits_of(Px4Script, {"RTL_TYPE": float(kind)}, mission=mission)
+
+
+async def test_a_px4_that_cannot_use_the_frame_of_a_point_is_refused() -> None:
+    """It tells the frame as usable, and flies its return to no known place; every 2 s it says why."""
+    async with scripted(kind=Px4Script) as script:
+        script.parameters |= {"RTL_TYPE": 1.0}
+        script.lists = {RALLY: numbered((item(100.0, 5.0, frame=6),)), MISSION: []}
+        await script.say(HOME_TOLD)
+        reading = asyncio.create_task(script.autopilot.limits())
+        await asyncio.sleep(2.0)
+        await script.say(
+            EventMessage(
+                id_of_event=26128688,
+                event_time_boot_ms=2000,
+                sequence=0,
+                destination_component=0,
+                destination_system=0,
+                log_levels=0x33,
+                arguments=bytes(40),
+            )
+        )
+        with pytest.raises(AutopilotRefused, match="in a frame that its returns cannot use"):
+            await reading
 
 
 async def test_a_px4_with_a_mission_without_a_landing_or_with_none_is_flown() -> None:

@@ -31,6 +31,8 @@ _ABOVE_HOME = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RE
 _LANDINGS = mavlink.MAV_CMD_NAV_LAND, mavlink.MAV_CMD_NAV_VTOL_LAND, mavlink.MAV_CMD_DO_LAND_START
 _TOTAL, _LIMIT, _HOME_COUNTS, _TYPE = "RALLY_TOTAL", "RALLY_LIMIT_KM", "RALLY_INCL_HOME", "RTL_TYPE"
 _PREFERS_POINTS, _BY_MISSION, _MAY_USE_MISSION, _POINTS_ONLY = 1, (2, 4), (1, 3), 5  # of RTL_TYPE
+_UNUSABLE_FRAME = 26128688  # PX4's event rtl_unsupported_mav_frame
+_LOOKS_S = 3.0  # PX4 looks at its rally points each 2 s
 _AT_HOME_M, _NEARER_M = 10.0, 2.0  # PX4's MAX_DIST_FROM_HOME_FOR_LAND_APPROACHES and MIN_DIST_THRESHOLD
 
 
@@ -84,6 +86,7 @@ async def px4_rally(vehicle: MavlinkVehicle, site: RallySite) -> RallyPoints:
     ]
     if points:
         _require(told, _TYPE)
+        await _require_usable_frames(vehicle)
     elif kind == _POINTS_ONLY:
         raise AutopilotRefused(
             "arm",
@@ -92,6 +95,27 @@ async def px4_rally(vehicle: MavlinkVehicle, site: RallySite) -> RallyPoints:
         )
     home_counts = kind not in (_PREFERS_POINTS, _POINTS_ONLY)
     return RallyPoints(tuple(points), home_counts=home_counts, nearer_by_m=_NEARER_M)
+
+
+async def _require_usable_frames(vehicle: MavlinkVehicle) -> None:
+    """Raise AutopilotRefused if a PX4 says that it cannot use the frame of a point: its returns then fly anywhere.
+
+    PX4 stores any frame, and tells each one as if it were usable.
+    """
+    said: list[Message] = []
+
+    def hear(message: Message) -> None:
+        if message.get_type() == "EVENT" and message.id_of_event == _UNUSABLE_FRAME:
+            said.append(message)
+
+    with vehicle.listening(hear):
+        if await vehicle.happens(_RALLY.name, lambda: bool(said), within_s=_LOOKS_S):
+            raise AutopilotRefused(
+                "arm",
+                "the vehicle has rally points in a frame that its returns cannot use, such as "
+                "MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, and would fly to no known place; upload them in "
+                "MAV_FRAME_GLOBAL_RELATIVE_ALT, as QGroundControl does, or clear them; nothing was sent",
+            )
 
 
 def _refused(what: str) -> AutopilotRefused:
