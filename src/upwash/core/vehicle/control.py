@@ -309,7 +309,7 @@ class Latch:
 
 
 _DISARMED = {
-    True: "it was disarmed on the ground, or disarmed itself, as a vehicle does that stands armed for long",
+    True: "it was disarmed on the ground, or disarmed itself, as a vehicle does after a landing or a long stand",
     False: "its motors stopped in the air, and it does not say who stopped them",
     None: "its motors stopped, and it does not say whether it stands on the ground",
 }
