@@ -515,6 +515,7 @@ def test_a_place_that_the_vehicle_is_not_sure_of_is_no_arrival_and_a_hold_all_th
         await asyncio.sleep(10.0)
         assert distance_m(autopilot.position, waypoint) < 1 and autopilot.telemetry.ground_speed_m_s == 0.0
         assert not leg.done()
+        assert autopilot.vehicle.hindrance() == ": it is not sure of its position"
         leg.cancel()
         await autopilot.hold()
         leg = asyncio.create_task(autopilot.goto(waypoint))

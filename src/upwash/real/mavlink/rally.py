@@ -100,7 +100,7 @@ async def px4_rally(vehicle: MavlinkVehicle, site: RallySite) -> RallyPoints:
 async def _require_usable_frames(vehicle: MavlinkVehicle) -> None:
     """Raise AutopilotRefused if a PX4 says that it cannot use the frame of a point: its returns then fly anywhere.
 
-    PX4 stores any frame, and tells each one as if it were usable.
+    PX4 stores any frame, and tells it as a usable one.
     """
     said: list[Message] = []
 

@@ -86,9 +86,10 @@ class PositionTracker:
 
     @property
     def doubt(self) -> str:
-        """Why the reported position cannot be true; "" if it can."""
-        doubt_m = self._continuity.doubt_m
-        return f"its reported position jumped {doubt_m:.0f} m, farther than it can fly" if doubt_m else ""
+        """Why the reported position counts for no arrival; "" if it counts."""
+        if doubt_m := self._continuity.doubt_m:
+            return f"its reported position jumped {doubt_m:.0f} m, farther than it can fly"
+        return "" if self.is_sure else "it is not sure of its position"
 
     @property
     def restless(self) -> str:
