@@ -342,13 +342,8 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
                 return Sentence(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             return Sentence(f"the vehicle's {name} is {known(value)}: {advice}", Tone.TROUBLE)
-        case schema.PositionDoubted(unsure=True):
-            return Sentence("the vehicle is not sure of its position: no arrival counts", Tone.TROUBLE)
-        case schema.PositionDoubted(jumped_m=0):
-            return Sentence("the vehicle's position can be true again")
-        case schema.PositionDoubted(jumped_m=jumped_m):
-            jump = f"jumped {jumped_m:.0f} m, farther than it can fly: no arrival counts"
-            return Sentence(f"the vehicle's reported position {jump}", Tone.TROUBLE)
+        case schema.PositionDoubted():
+            return _of_position(event)
         case schema.HomeMoved(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
             up = f"{abs(altitude_m):.0f} m {'higher' if altitude_m >= 0 else 'lower'}"
             there = f"{east_m:.0f} m east, {north_m:.0f} m north, {up}"
@@ -365,6 +360,15 @@ def _vehicle_sentence(event: Event) -> Sentence | None:
             said = f"battery{which} {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % to spare"
             return Sentence(f"{said} ({in_words(guessed)})" if guessed else said, Tone.ASIDE)
     return None
+
+
+def _of_position(doubted: schema.PositionDoubted) -> Sentence:
+    if doubted.unsure:
+        return Sentence("the vehicle is not sure of its position: no arrival counts", Tone.TROUBLE)
+    if not doubted.jumped_m:
+        return Sentence("the vehicle's position can be true again")
+    jump = f"jumped {doubted.jumped_m:.0f} m, farther than it can fly: no arrival counts"
+    return Sentence(f"the vehicle's reported position {jump}", Tone.TROUBLE)
 
 
 def landed(at: str, from_home_m: float | None) -> str:

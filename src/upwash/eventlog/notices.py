@@ -274,11 +274,11 @@ def _by_content(event: Event) -> Iterator[Notice]:
             cause = f"{who_has_it(owner)} has the vehicle: {why}"
             level = Level.CAUTION if owner is Owner.PILOT else Level.ALARM  # who has taken it over knows
             yield Notice("control", cause[:1].upper() + cause[1:], "Nothing is sent to it any more.", level)
-        case schema.PositionDoubted(unsure=True):
-            yield _alarm("position", "The vehicle is not sure of its position", "Look where it is.")
-        case schema.PositionDoubted(jumped_m=jumped_m):
+        case schema.PositionDoubted(jumped_m=jumped_m, unsure=unsure):
             doubt = f"The vehicle's reported position jumped {jumped_m:.0f} m, farther than it can fly"
-            yield _alarm("position", doubt, "Look where it is.") if jumped_m else Notice("position")
+            doubt = "The vehicle is not sure of its position" if unsure else doubt
+            doubts = jumped_m or unsure
+            yield _alarm("position", doubt, "Look where it is.") if doubts else Notice("position")
         case schema.ArmingDelayed(reasons=reasons):
             said = "; ".join(reasons) or "it does not say why"
             yield Notice("arming", f"The vehicle cannot be armed yet: {said}")
