@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from tests.core.test_selection import (
@@ -215,6 +216,30 @@ def test_a_ready_server_that_is_expected_to_answer_first_computes_a_call_of_the_
     assert (raced, again_s) == (Remote("s1", 3.0, "s1 is ready, and sooner", raced=True), math.inf)
     assert overtaking(selection, began_s=20.0 - 7.25) == (None, math.inf), "the drone is as soon"
     assert overtaking(selection, began_s=20.0 - 7.2)[0] is not None
+
+
+def test_a_server_with_a_call_of_the_drone_is_not_free_for_another() -> None:
+    """It overtakes nothing, is no second server and gets no trial; what is sent there in spite of it takes longer."""
+    selection, doubted = machine(), slow()
+    for each in (selection, doubted):
+        each.lanes.hold("a loser", "s1", 22.0)
+    assert overtaking(selection, began_s=19.0) == (None, math.inf)
+    about: Any = {"beside": "s2", "now_s": 20.0, "position": UNDER_S1}
+    assert selection.second(HEAVY, begins=True, **about) is None
+    assert selection.second(HEAVY, begins=False, **about) is selection.current, "it may be free by then"
+    behind, _ = selection.decide(HEAVY, now_s=20.0, position=UNDER_S1)
+    assert isinstance(behind, Remote)
+    assert (behind.inputs.remote_s, behind.deadline_s) == (2.75, 8.0), (
+        "0.75 s after 2 s; 4 times that, at most 8 s"
+    )
+    overdue, _ = selection.decide(HEAVY, now_s=30.0, position=UNDER_S1)
+    assert overdue.inputs.remote_s == 0.75
+    trial, _ = doubted.decide(HEAVY, now_s=20.0, position=UNDER_S1)
+    assert trial == Local("s1 failed or was slow, and still has an earlier call")
+    for each in (selection, doubted):
+        each.lanes.release("a loser")
+    assert overtaking(selection, began_s=19.0)[0] is not None
+    assert isinstance(doubted.decide(HEAVY, now_s=20.0, position=UNDER_S1)[0], Remote)
 
 
 def test_a_server_that_is_out_of_range_or_checked_overtakes_nothing() -> None:

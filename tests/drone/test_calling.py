@@ -15,6 +15,7 @@ from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.policies.policy import Local, Remote
 from upwash.core.selection import events
+from upwash.core.selection.lanes import Lanes
 from upwash.drone.calling import CallAnswer, Calling, Invocation
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
 from upwash.eventlog import schema
@@ -64,8 +65,16 @@ class Field:
         this: Any = self
         own: Any = SimpleNamespace(call=self._onboard)
         self.session = self.selection = self.estimates = this
+        self.lanes = Lanes()
         self.servers = {"s1": SimpleNamespace(check=CHECK)}
         self.calling = Calling(this, this, own, this, this)
+
+    def hold(self, computing: asyncio.Task[Any], place: str, takes_s: float | None) -> None:
+        self.lanes.hold(computing, place, 0.0)
+        computing.add_done_callback(self.lanes.release)
+
+    def remote_s(self, server: str, operation: Operation) -> float | None:
+        return None
 
     def tell(self, event: object) -> None:
         self.told.append(event)

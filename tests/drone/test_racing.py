@@ -15,6 +15,7 @@ from upwash.core.policies.policy import Local, Remote
 from upwash.core.selection import events
 from upwash.core.selection.deadlines import Deadline, Deadlines
 from upwash.core.selection.hedging import Hedge
+from upwash.core.selection.lanes import Lanes
 from upwash.drone.calling import Attempt, CallAnswer, Calling, Invocation
 from upwash.errors import InstanceError
 from upwash.eventlog import schema
@@ -47,8 +48,21 @@ class Field(Calling):
 
     def __post_init__(self) -> None:
         this: Any = self
-        self.selection, self.estimates = this, ANY
+        self.selection = self.estimates = this
+        self.lanes = Lanes()
         super().__init__(this, this, this, this, this)
+
+    # --- the lanes
+
+    def hold(self, computing: asyncio.Task[Any], place: str, takes_s: float | None) -> None:
+        self.lanes.hold(computing, place, 0.0)
+        computing.add_done_callback(self.lanes.release)
+
+    def remote_s(self, server: str, operation: Operation) -> float | None:
+        return None
+
+    def local_s(self, operation: Operation) -> float | None:
+        return None
 
     # --- the decisions and the journal
 

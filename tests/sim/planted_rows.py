@@ -14,6 +14,8 @@ from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.demand_map import DemandMap
+from upwash.core.selection.call_placement import CallPlacement
+from upwash.core.selection.lanes import Lanes
 from upwash.drone import legs, line
 from upwash.drone.legs import Legs
 from upwash.drone.line import CallLine
@@ -78,7 +80,13 @@ plant(
     "leave_open",
     lambda self, answer: self._open.append(answer),
 )
-plant("the line knows no busy place", CallLine, "_busy", lambda *_: {})
+plant("the line knows no busy place", Lanes, "hold", lambda *_: None)
+
+
+@planted("a server with a call of the drone overtakes another", CallPlacement, "overtake")
+def overtakes_where_busy(overtake: Any, self: CallPlacement, *about: Any) -> Any:
+    with patch.object(self._lanes, "is_free", lambda _: True):
+        return overtake(self, *about)
 
 
 @planted("the line is left from its other end", line._Line, "__init__")

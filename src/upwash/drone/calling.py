@@ -8,8 +8,8 @@
     with two answers          the drone computes the first, at once or where the server is late; a server's answer
                               by the deadline is better, whenever the server is READY (docs/two-answers.md)
 
-The loser runs on, as a computation cannot be broken off, and its answer is dropped. The drone's own service is busy
-until then: the next call of that service waits for it.
+The loser runs on, as a computation cannot be broken off, and its answer is dropped. The lane of its place is held
+until then (core/selection/lanes.py): the next call waits for it, or goes elsewhere.
 """
 
 from __future__ import annotations
@@ -231,7 +231,7 @@ class Calling:
         if decision.raced:
             attempt = self._begin_at_server(call, decision)
             return await self._race(self._begin_onboard(call), attempt)
-        is_busy = any(not loser.done() for loser in self._losers)
+        is_busy = any(not loser.done() for loser in self._losers) or not self._is_free(ON_DRONE)
         within_s = self._deadlines.within_s(call.operation)
         hedge = self._hedging.plan(decision, call.operation, is_busy=is_busy, within_s=within_s)
         if hedge is not None:
@@ -272,10 +272,6 @@ class Calling:
             await asyncio.shield(loser)
         return now_s() - began_s
 
-    def is_computing(self, service: str) -> bool:
-        """Whether the drone's service is busy."""
-        return self._turns[service].locked()
-
     async def stop_losers(self) -> None:
         """Ends the computations that go on after their calls were answered."""
         await end(*self._losers)
@@ -295,12 +291,12 @@ class Calling:
         if plan is None or plan.after_s is None:
             return await self.at_server(attempt)
         tries = [replace(attempt, of=attempt)]
-        replies = [begin(self.at_server(tries[0]))]
+        replies = [self._sent(tries[0])]
         try:
             await asyncio.wait(replies, timeout=plan.after_s)
             if not _settles(tries[0], replies[0]) and (other := self._ask_second(attempt, began_s)):
                 tries.append(other)
-                replies.append(begin(self.at_server(other)))
+                replies.append(self._sent(other))
             while not any(map(_settles, tries, replies)) and (
                 left := [one for one in replies if not one.done()]
             ):
@@ -502,6 +498,8 @@ class Calling:
         except BaseException:
             await end(remote)
             raise
+        while not remote.done() and not self._is_free(ON_DRONE):  # with an earlier call
+            await self._decisions.until_told(remote, until_s=math.inf)
         if remote.done():
             if (reply := remote.result()) is not None:
                 return CallAnswer(reply, call, attempt)
@@ -588,17 +586,16 @@ class Calling:
                 attempt = self.attempt(call, replace(sent, deadline_s=deadline_s))
                 attempt.twice = twice
                 is_sent, twice.is_sent = twice.is_sent, False
-                with contextlib.ExitStack() as places:
+                twice.turn.sends()
+                attempt.reply = self._sent(attempt)
+                try:
+                    reply = await asyncio.shield(attempt.reply)
+                except BaseException:
+                    await end(attempt.reply)
+                    raise
+                finally:
                     if is_sent:
-                        places.callback(twice.turn.leave)
-                    else:
-                        places.enter_context(twice.turn.at_server(sent.server))
-                    attempt.reply = begin(self.at_server(attempt))
-                    try:
-                        reply = await asyncio.shield(attempt.reply)
-                    except BaseException:
-                        await end(attempt.reply)
-                        raise
+                        twice.turn.leave()
                 if reply is not None:
                     attempt.answer = reply
                     return attempt
@@ -663,7 +660,21 @@ class Calling:
     def _begin_at_server(self, call: Invocation, decision: Remote) -> Attempt:
         attempt = self.attempt(call, decision)
         attempt.reply = begin(self.at_servers(attempt))
+        self._hold(attempt.reply, attempt)
         return attempt
+
+    def _sent(self, attempt: Attempt) -> asyncio.Task[Any | None]:
+        reply = begin(self.at_server(attempt))
+        self._hold(reply, attempt)
+        return reply
+
+    def _hold(self, reply: asyncio.Task[Any], attempt: Attempt) -> None:
+        """Hold the lane of the server until the reply is there."""
+        expected_s = self._estimates.remote_s(attempt.server, attempt.call.operation)
+        self._decisions.hold(reply, attempt.server, expected_s)
+
+    def _is_free(self, place: str) -> bool:
+        return self._decisions.selection.lanes.is_free(place)
 
     def _begin_onboard(self, call: Invocation) -> _Computing:
         computing = _Computing(call, now_s())
@@ -675,6 +686,7 @@ class Calling:
                 return await self.onboard(call)
 
         computing.task = begin(compute())
+        self._decisions.hold(computing.task, ON_DRONE, self._estimates.local_s(call.operation))
         return computing
 
     async def _overtaken(self, computing: _Computing) -> Remote | None:

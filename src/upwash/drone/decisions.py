@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NoReturn
+from typing import Any, Literal, NoReturn
 
 from msgspec.structs import asdict
 
@@ -88,10 +88,21 @@ class Decisions:
         self.wake()
         self.looked_after()
 
-    def free_place(self, operation: Operation, busy_until_s: Mapping[str, float]) -> Place:
+    def free_place(self, operation: Operation, *, is_wanted: bool = False) -> Place:
         """Where a call may be decided now, one of several that are open; "" while it waits for a busy place."""
         position = self._autopilot.position
-        return self.selection.free_place(operation, busy_until_s, now_s=now_s(), position=position)
+        return self.selection.free_place(operation, is_wanted=is_wanted, now_s=now_s(), position=position)
+
+    def hold(self, computing: asyncio.Task[Any], place: str, takes_s: float | None) -> None:
+        """Hold the lane of the place until the task is over, which is expected to take that long."""
+        lanes = self.selection.lanes
+        lanes.hold(computing, place, now_s() + (takes_s or 0.0))
+
+        def release(_: object) -> None:
+            lanes.release(computing)
+            self.wake()
+
+        computing.add_done_callback(release)
 
     async def told(self) -> None:
         """Return after the next event of the core, or `wake`."""

@@ -7,7 +7,8 @@
     only servers    the calls of each service that no drone can run have a line of their own, and hold up no others; a
                     free server takes them before calls that the drone could compute
 
-A place is busy from the decision on until the call is answered, wherever it is computed in the end.
+The lane of a place is held from the decision on until the call is answered, wherever it is computed in the end, and
+for as long as any other call of the drone is computed there (core/selection/lanes.py).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import asyncio
 import bisect
 import contextlib
 import math
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
@@ -32,8 +33,8 @@ class Turn:
     """The turn of a call to be decided; `take` gets the decision, None for the drone without one.
 
     With `on_drone` only the drone is free for it, and with `drone_is_busy` only a server. `leave` frees its place
-    before the call is answered. `at_server` is a block with the server as a further place, for a better answer;
-    `is_next(server, by_s)` tells whether the server is free for it, of the calls that it can answer by their times.
+    before the call is answered. `is_next(server, by_s)` tells whether the server is free for its better answer, of
+    the calls that it can answer by their times; `sends` notes that it is sent there.
     """
 
     take: Callable[[Decision | None], None]
@@ -41,7 +42,7 @@ class Turn:
     drone_is_busy: bool = False
     leave: Callable[[], None] = lambda: None
     is_next: Callable[[str, float], bool] = lambda *_: True
-    at_server: Callable[[str], contextlib.AbstractContextManager[object]] = contextlib.nullcontext
+    sends: Callable[[], object] = lambda: None
 
 
 @dataclass(slots=True, eq=False)
@@ -82,26 +83,16 @@ AT_ONCE = Turn(lambda _: None)  # of a call that waits for no other
 
 
 class CallLine:
-    """Lets calls be decided one after the other, each once a place is free for it.
+    """Lets calls be decided one after the other, each once a place is free for it."""
 
-    `is_computing(service)` is whether the drone's own service is busy, perhaps with a call that a server answered.
-    """
-
-    def __init__(
-        self,
-        decisions: Decisions,
-        is_computing: Callable[[str], bool],
-        *,
-        first: Literal["oldest", "newest"],
-    ) -> None:
+    def __init__(self, decisions: Decisions, *, first: Literal["oldest", "newest"]) -> None:
         self._decisions = decisions
-        self._is_computing = is_computing
+        self._lanes = decisions.selection.lanes
         self._first = 0 if first == "oldest" else -1
         self._lines: dict[str, _Line] = {
             "": _Line(self._first)
         }  # by the service, of those that only servers run
         self._is_deciding = False
-        self._placed: dict[object, tuple[str, float]] = {}  # calls, with the place and its expected end
         self._wanted: dict[object, float] = {}  # calls for a better answer, and by when each must be sent
         self._only_on_drone = False
 
@@ -133,21 +124,21 @@ class CallLine:
         def take(decision: Decision | None) -> None:
             nonlocal is_placed
             is_placed = True
-            self._placed[call] = self._place(operation, decision)
+            self._lanes.hold(call, *self._place(operation, decision))
             self._go_on()
 
         def leave() -> None:
-            self._placed.pop(call, None)
+            self._lanes.release(call)
             self._decisions.wake()
 
         try:
             yield Turn(
                 take,
                 on_drone=free == "drone",
-                drone_is_busy=ON_DRONE in self._busy(operation),
+                drone_is_busy=not self._lanes.is_free(ON_DRONE),
                 leave=leave,
                 is_next=partial(self._is_next, call, operation),
-                at_server=partial(self._at_server, call, operation),
+                sends=partial(self._wanted.pop, call, None),
             )
         finally:
             if not is_placed:
@@ -158,29 +149,13 @@ class CallLine:
     def _is_next(self, call: object, operation: Operation, server: str, by_s: float) -> bool:
         """Whether the call is the next for a better answer of the server, which is free."""
         self._wanted[call] = by_s - self._takes_s(server, operation)
-        if self._is_deciding or server in self._busy_places:
+        if self._is_deciding or not self._lanes.is_free(server):
             return False
         in_time = [wanted for wanted, latest_s in self._wanted.items() if latest_s >= now_s()]
         return bool(in_time) and in_time[self._first] is call
 
     def _takes_s(self, server: str, operation: Operation) -> float:
         return self._decisions.selection.estimates.remote_s(server, operation) or 0.0
-
-    @contextlib.contextmanager
-    def _at_server(self, call: object, operation: Operation, server: str) -> Iterator[None]:
-        """The server as the place of a call that the drone has computed, or computes."""
-        self._wanted.pop(call, None)
-        place = object()
-        self._placed[place] = server, now_s() + self._takes_s(server, operation)
-        try:
-            yield
-        finally:
-            del self._placed[place]
-            self._decisions.wake()
-
-    @property
-    def _busy_places(self) -> set[str]:
-        return {place for place, _ in self._placed.values()}
 
     def keep_on_drone(self) -> None:
         """From now on have every call run on the drone."""
@@ -192,23 +167,20 @@ class CallLine:
         if self._is_deciding or call is not line.first:
             return ""
         if self._needs_server(operation):
-            return self._decisions.free_place(operation, self._busy(operation))
+            return self._decisions.free_place(operation)
         if on_drone or self._only_on_drone:
-            return "" if ON_DRONE in self._busy_places or self._is_computing(operation.service) else "drone"
-        busy, server = self._busy(operation), self._decisions.selection.current
-        if server is not None and call not in line.urgent and self._is_wanted(busy):
-            busy[server.name] = math.inf
-        return self._decisions.free_place(operation, busy)
+            return "drone" if self._lanes.is_free(ON_DRONE) else ""
+        is_wanted = call not in line.urgent and self._is_wanted()
+        return self._decisions.free_place(operation, is_wanted=is_wanted)
 
     def _needs_server(self, operation: Operation) -> bool:
         return self._decisions.selection.estimates.needs_server(operation)
 
-    def _is_wanted(self, busy: dict[str, float]) -> bool:
+    def _is_wanted(self) -> bool:
         """Whether the server in use is free for a call that only servers compute."""
         heads = [line.first.operation for line in self._lines.values() if line.first is not None]
         return any(
-            self._needs_server(operation) and self._decisions.free_place(operation, busy)
-            for operation in heads
+            self._needs_server(operation) and self._decisions.free_place(operation) for operation in heads
         )
 
     def _go_on(self) -> None:
@@ -225,13 +197,6 @@ class CallLine:
         else:
             takes_s = estimates.remote_s(server, operation)
         return name_of(server), now_s() + (takes_s or 0.0)
-
-    def _busy(self, operation: Operation) -> dict[str, float]:
-        busy = dict(self._placed.values())
-        if ON_DRONE not in busy and self._is_computing(operation.service):
-            local_s = self._decisions.selection.estimates.local_s(self._computed(operation))
-            busy[ON_DRONE] = now_s() + (local_s or 0.0)
-        return busy
 
     def _computed(self, operation: Operation) -> Operation:
         """What the drone computes of a call of the operation."""

@@ -97,7 +97,7 @@ class Offloading:
             deadlines=deadlines,
             before_sending=before_sending,
         )
-        self._line = CallLine(self._decisions, self._calling.is_computing, first=first) if first else None
+        self._line = CallLine(self._decisions, first=first) if first else None
         self.server_calls = (
             ServerCalls(
                 self._decisions,

@@ -3,13 +3,14 @@
 With probing, a server that failed is in doubt until it answers a call in time. Until then calls to it are trials: the
 drone's own service computes them too. A call that runs on the drone is also sent to a server that becomes READY.
 
+A lane that a call of the drone holds is not free (lanes.py): nothing is raced, overtaken or sent a second time there.
+
 An operation that only servers run has its place at the server in use, once that is READY, or none yet.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -20,6 +21,7 @@ from upwash.core.knowledge.servers import CHECKING, Server, State
 from upwash.core.operation import ON_DRONE, Operation
 from upwash.core.policies.policy import CallInputs, Decision, Inputs, Local, Policy, Remote, Wait
 from upwash.core.selection.commands import Effect
+from upwash.core.selection.lanes import Lanes
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
 
@@ -35,18 +37,18 @@ class CallPlacement:
     _radios: Radios
     _estimates: Estimates
     _recovery: Recovery | None
+    _lanes: Lanes
 
-    def free_place(
-        self, operation: Operation, busy_until_s: Mapping[str, float], now_s: float, first: Operation
-    ) -> Place:
+    def free_place(self, operation: Operation, now_s: float, first: Operation, *, is_wanted: bool) -> Place:
         """Where a call may be decided now, one of several that are open; "" while it waits for a busy place.
 
         It is "either" place, or only the drone, because the server is busy for longer than the drone would take.
-        `busy_until_s` has the expected end of what each busy place computes, `first` what the drone would compute.
+        A server that `is_wanted` by a call that only servers compute is not there for others. `first` is what the
+        drone would compute.
         """
-        server, is_drone_free = self._radios.in_use, ON_DRONE not in busy_until_s
+        server, is_drone_free = self._radios.in_use, self._lanes.is_free(ON_DRONE)
+        is_free = server is not None and not is_wanted and self._lanes.is_free(server.name)
         if self._estimates.needs_server(operation):
-            is_free = server is not None and server.name not in busy_until_s
             return "either" if is_free and isinstance(self._at_server(operation, now_s), Remote) else ""
         local_s = self._estimates.local_s(operation)
         remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
@@ -56,12 +58,11 @@ class CallPlacement:
             self._policy.decide(self._call(server, operation, local_s, remote_s, now_s)), Remote
         ):
             return "either" if is_drone_free else ""
-        remote_end_s = max(now_s, busy_until_s.get(server.name, now_s)) + remote_s
-        first_s = self._first_s(first, local_s)
-        local_end_s = max(now_s, busy_until_s.get(ON_DRONE, now_s)) + first_s
+        remote_end_s = math.inf if is_wanted else self._lanes.rest_s(server.name, now_s) + remote_s
+        local_end_s = self._lanes.rest_s(ON_DRONE, now_s) + self._first_s(first, local_s)
         if remote_end_s < local_end_s:
-            return "" if server.name in busy_until_s else "either"
-        is_for_both = first != operation and server.name not in busy_until_s
+            return "either" if is_free else ""
+        is_for_both = first != operation and is_free
         return ("either" if is_for_both else "drone") if is_drone_free else ""
 
     def _first_s(self, first: Operation, local_s: float) -> float:
@@ -128,6 +129,8 @@ class CallPlacement:
         for server in self._radios.selected:
             if server.name == beside or not server.in_range or server.state is not State.READY:
                 continue
+            if begins and not self._lanes.is_free(server.name):
+                continue
             if self._estimates.remote_s(server.name, operation) is None:
                 continue
             if self._recovery is not None and self._recovery.in_doubt(server.name, operation):
@@ -156,6 +159,11 @@ class CallPlacement:
             is_first=self._estimates.is_first_call(server.name, operation),
         )
 
+    def _expected_s(self, server: Server, operation: Operation, now_s: float) -> float | None:
+        """The seconds of a call sent now, behind what its server still computes; None without an estimate."""
+        remote_s = self._estimates.remote_s(server.name, operation)
+        return None if remote_s is None else self._lanes.rest_s(server.name, now_s) + remote_s
+
     def _check_s(self, server: Server) -> float | None:
         return self._estimates.check_s(server.name, running=server.state is State.CHECK_R)
 
@@ -169,7 +177,7 @@ class CallPlacement:
             server.name,
             server.state,
             server.check,
-            remote_s=self._estimates.remote_s(server.name, operation),
+            remote_s=self._expected_s(server, operation, now_s),
             check_s=self._check_s(server),
             check_elapsed_s=now_s - server.checked_since_s,
             whole_s=whole_s,
@@ -197,6 +205,8 @@ class CallPlacement:
         """
         server = self._radios.in_use
         if self._recovery is None or server is None or not server.in_range or server.state is not State.READY:
+            return None, math.inf
+        if not self._lanes.is_free(server.name):
             return None, math.inf
         local_s = self._estimates.local_s(operation)
         usual_s = self._estimates.usual_s(server.name, operation)
@@ -251,5 +261,7 @@ class CallPlacement:
             return Local(f"{name} failed or was slow: it is not waited for")
         if self._recovery.trial_due_s(name, operation) > now_s:
             return Local(f"{name} failed or was slow: it is tried again soon")
+        if not self._lanes.is_free(name):
+            return Local(f"{name} failed or was slow, and still has an earlier call")
         self._recovery.trial_begun(name)
         return Remote(name, max(_TRIAL_S, local_s), "on trial", raced=True)

@@ -38,6 +38,7 @@ from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement, Place
 from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
 from upwash.core.selection.events import SelectionEvent
+from upwash.core.selection.lanes import Lanes
 from upwash.core.selection.mission_times import Lighter, Timetable
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
@@ -69,7 +70,8 @@ class Selection:
         self._table = table = ServerTable(areas, idle_s=settings.idle_s)
         self.servers: Mapping[str, Server] = table.servers
         self._radios = radios = Radios(settings, table, estimates, recovery)
-        self._placement = CallPlacement(policy, radios, estimates, recovery)
+        self.lanes = Lanes()
+        self._placement = CallPlacement(policy, radios, estimates, recovery, self.lanes)
         model = MissionModel(beliefs, areas, index)
         self._planning = planning = ServerPlanning(
             policy, settings, table, radios, estimates, recovery, mission=model
@@ -142,13 +144,16 @@ class Selection:
         return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
 
     def free_place(
-        self, operation: Operation, busy_until_s: Mapping[str, float], *, now_s: float, position: Position
+        self, operation: Operation, *, is_wanted: bool = False, now_s: float, position: Position
     ) -> Place:
-        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place."""
+        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place.
+
+        If the server in use `is_wanted` by a call that only servers compute, it is not there for this one.
+        """
         self._locate(position, now_s)
         first = self._settings.two_answers.get(operation)
         return self._placement.free_place(
-            operation, busy_until_s, now_s, first=first.first if first else operation
+            operation, now_s, first=first.first if first else operation, is_wanted=is_wanted
         )
 
     def two_answers(self, operation: Operation) -> TwoAnswers | None:

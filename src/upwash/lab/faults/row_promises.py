@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from upwash.config import waypoints
 from upwash.core.geo import distance_m
-from upwash.core.operation import ON_DRONE
+from upwash.core.operation import ON_DRONE, name_of
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.history import (
@@ -99,14 +99,21 @@ def _two_at_a_place(history: History) -> Iterator[Breach]:
 def _placed(call: FlownCall) -> Iterator[tuple[schema.Decided, str, float]]:
     """The decision for each place of the call, and until when it had the place.
 
-    Where a call has two answers these are the drone, and the server of the better one.
+    Where a call has two answers these are the drone, and the server of the better one. A server that gets a call
+    beside the drone has it until the answer, or, if that is not its own, for a time that the log does not tell.
     """
     ended, tried = call.ended, [decided for decided in call.decisions if decided.decision != "wait"]
     if not tried:
         return
+    for decided in tried:
+        if decided.raced and decided.server not in (None, ended.server):
+            yield decided, name_of(decided.server), decided.t
     place = ON_DRONE if tried[0].raced else tried[0].server or ON_DRONE
+    beside = [decided for decided in tried if decided.raced and decided.server == ended.server]
     if ended.first_s is None:
         yield tried[0], place, ended.t
+        if beside:
+            yield beside[-1], name_of(ended.server), ended.t
         return
     first_at_s = ended.t - ended.delay_s + ended.first_s
     if place == ON_DRONE and tried[0].t < first_at_s:  # else the drone began it while a server was waited for
