@@ -16,7 +16,7 @@ from upwash.core.operation import Operation
 from upwash.core.planning.demand_map import DemandMap
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.lanes import Lanes
-from upwash.drone import legs, line
+from upwash.drone import legs
 from upwash.drone.legs import Legs
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
@@ -89,9 +89,18 @@ def overtakes_where_busy(overtake: Any, self: CallPlacement, *about: Any) -> Any
         return overtake(self, *about)
 
 
-@planted("the line is left from its other end", line._Line, "__init__")
-def other_end(init: Any, self: line._Line, first: int) -> None:
-    init(self, -1 - first)
+@planted("the line is left from its other end", CallLine, "__init__")
+def other_end(init: Any, self: CallLine, decisions: Any, **how: Any) -> None:
+    init(self, decisions, **how)
+    self._lanes.newest_first = not self._lanes.newest_first
+
+
+@planted("a free drone takes the last call of the line", CallPlacement, "next_in_line")
+def takes_the_last(next_in_line: Any, self: CallPlacement, now_s: float) -> Any:
+    found = next_in_line(self, now_s)
+    if found is None or found[1] != "drone":
+        return found
+    return self._lanes.line[-1], "drone"
 
 
 @planted("a call that the mission waits for joins the line", CallLine, "turn")

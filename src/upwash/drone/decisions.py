@@ -30,6 +30,7 @@ from upwash.core.selection.commands import (
     ServerPaused,
 )
 from upwash.core.selection.events import PartFailed, SelectionEvent, Tick
+from upwash.core.selection.lanes import InLine
 from upwash.core.selection.selection import Selection
 from upwash.core.selection.settings import TwoAnswers
 from upwash.errors import AutopilotLost
@@ -88,10 +89,9 @@ class Decisions:
         self.wake()
         self.looked_after()
 
-    def free_place(self, operation: Operation, *, is_wanted: bool = False) -> Place:
-        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place."""
-        position = self._autopilot.position
-        return self.selection.free_place(operation, is_wanted=is_wanted, now_s=now_s(), position=position)
+    def next_in_line(self) -> tuple[InLine, Place] | None:
+        """The call to be decided now, of those in line, and where; None while all wait for a place."""
+        return self.selection.next_in_line(now_s=now_s(), position=self._autopilot.position)
 
     def hold(self, computing: asyncio.Task[Any], place: str, takes_s: float | None) -> None:
         """Hold the lane of the place until the task is over, which is expected to take that long."""

@@ -1,11 +1,11 @@
 """The line of calls that are open at the same time: one is computed on the drone, and one on a server.
 
-    first in line   the oldest call, or the newest, as configured; a call that the mission waits for comes before all
-    its place       where it is expected to be answered soonest (core/selection): it waits until that place is free;
-                    the drone, for a call that runs once, and for all calls once deciding has failed
-    decided         once its place is free, as any call is; then the next call is first
-    only servers    the calls of each service that no drone can run have a line of their own, and hold up no others; a
-                    free server takes them before calls that the drone could compute
+    in line         the oldest call is first, or the newest, as configured; a call that the mission waits for comes
+                    before all, and one that only servers compute before those that the drone could compute
+    its place       a free place takes the first call that it would answer before the other place gets to it
+                    (core/planning/earliest.py); the drone takes a call that runs once, and all calls, in line, once
+                    deciding has failed
+    decided         once its place is free, as any call is; then the next one is
 
 The lane of a place is held from the decision on until the call is answered, wherever it is computed in the end, and
 for as long as any other call of the drone is computed there (core/selection/lanes.py).
@@ -14,7 +14,6 @@ for as long as any other call of the drone is computed there (core/selection/lan
 from __future__ import annotations
 
 import asyncio
-import bisect
 import contextlib
 import math
 from collections.abc import AsyncIterator, Callable
@@ -25,6 +24,7 @@ from typing import Literal
 from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.policies.policy import Decision, Remote
 from upwash.core.selection.call_placement import Place
+from upwash.core.selection.lanes import InLine
 from upwash.drone.decisions import Decisions, now_s
 
 
@@ -46,37 +46,10 @@ class Turn:
 
 
 @dataclass(slots=True, eq=False)
-class _InLine:
-    """A call in line."""
+class _Waiting(InLine):
+    """A call in line; `has_news` is set when it is first, or may be decided."""
 
-    operation: Operation
-    since_s: float
-    is_first: asyncio.Event = field(default_factory=asyncio.Event)  # set once it may be
-
-
-class _Line:
-    """Calls one behind the other; those that the mission waits for come before all others."""
-
-    def __init__(self, first: int) -> None:
-        self._first = first
-        self.urgent: list[_InLine] = []
-        self.others: list[_InLine] = []
-
-    @property
-    def first(self) -> _InLine | None:
-        """The first in line."""
-        return self.urgent[0] if self.urgent else self.others[self._first] if self.others else None
-
-    def enter(self, call: _InLine, *, urgent: bool) -> None:
-        """Put the call behind all that were made before it."""
-        line = self.urgent if urgent else self.others
-        bisect.insort(line, call, key=lambda call: call.since_s)
-
-    def leave(self, call: _InLine) -> None:
-        """Take the call out, and wake the first of the others."""
-        (self.urgent if call in self.urgent else self.others).remove(call)
-        if self.first is not None:
-            self.first.is_first.set()
+    has_news: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 AT_ONCE = Turn(lambda _: None)  # of a call that waits for no other
@@ -88,10 +61,7 @@ class CallLine:
     def __init__(self, decisions: Decisions, *, first: Literal["oldest", "newest"]) -> None:
         self._decisions = decisions
         self._lanes = decisions.selection.lanes
-        self._first = 0 if first == "oldest" else -1
-        self._lines: dict[str, _Line] = {
-            "": _Line(self._first)
-        }  # by the service, of those that only servers run
+        self._lanes.newest_first = first == "newest"
         self._is_deciding = False
         self._wanted: dict[object, float] = {}  # calls for a better answer, and by when each must be sent
         self._only_on_drone = False
@@ -104,18 +74,18 @@ class CallLine:
 
         With `on_drone` the call runs nowhere else. `since_s` is when a call was made that is in line again.
         """
-        call, needs_server = _InLine(operation, since_s), self._needs_server(operation)
-        line = self._lines.setdefault(operation.service if needs_server else "", _Line(self._first))
-        line.enter(call, urgent=urgent)
+        call = _Waiting(operation, since_s, urgent, self._needs_server(operation), on_drone)
+        self._lanes.enter(call)
         try:
-            while not (free := self._free_place(call, line, on_drone=on_drone)):
-                if call is line.first:
+            while (place := self._place_of(call)) is None:
+                if call is self._lanes.first:
                     await self._decisions.told()
                 else:
-                    call.is_first.clear()
-                    await call.is_first.wait()
+                    call.has_news.clear()
+                    await call.has_news.wait()
         finally:
-            line.leave(call)
+            self._lanes.leave(call)
+            self._have_look(self._lanes.first)
             self._decisions.wake()  # another is first now
         self._is_deciding = True
 
@@ -134,7 +104,7 @@ class CallLine:
         try:
             yield Turn(
                 take,
-                on_drone=free == "drone",
+                on_drone=place == "drone",
                 drone_is_busy=not self._lanes.is_free(ON_DRONE),
                 leave=leave,
                 is_next=partial(self._is_next, call, operation),
@@ -152,7 +122,7 @@ class CallLine:
         if self._is_deciding or not self._lanes.is_free(server):
             return False
         in_time = [wanted for wanted, latest_s in self._wanted.items() if latest_s >= now_s()]
-        return bool(in_time) and in_time[self._first] is call
+        return bool(in_time) and in_time[-1 if self._lanes.newest_first else 0] is call
 
     def _takes_s(self, server: str, operation: Operation) -> float:
         return self._decisions.selection.estimates.remote_s(server, operation) or 0.0
@@ -162,26 +132,29 @@ class CallLine:
         self._only_on_drone = True
         self._decisions.wake()
 
-    def _free_place(self, call: _InLine, line: _Line, *, on_drone: bool) -> Place:
-        operation = call.operation
-        if self._is_deciding or call is not line.first:
-            return ""
-        if self._needs_server(operation):
-            return self._decisions.free_place(operation)
-        if on_drone or self._only_on_drone:
-            return "drone" if self._lanes.is_free(ON_DRONE) else ""
-        is_wanted = call not in line.urgent and self._is_wanted()
-        return self._decisions.free_place(operation, is_wanted=is_wanted)
+    def _place_of(self, call: InLine) -> Place | None:
+        """Where the call may be decided now; None while it waits, and another that may be decided has a look."""
+        if self._is_deciding or (following := self._next()) is None:
+            return None
+        chosen, place = following
+        if chosen is call:
+            return place
+        self._have_look(chosen)
+        return None
+
+    def _next(self) -> tuple[InLine, Place] | None:
+        if not self._only_on_drone:
+            return self._decisions.next_in_line()
+        calls = (call for call in self._lanes.line if not call.needs_server)
+        call = next(calls, None) if self._lanes.is_free(ON_DRONE) else None
+        return None if call is None else (call, "drone")
+
+    def _have_look(self, call: InLine | None) -> None:
+        if isinstance(call, _Waiting):
+            call.has_news.set()
 
     def _needs_server(self, operation: Operation) -> bool:
         return self._decisions.selection.estimates.needs_server(operation)
-
-    def _is_wanted(self) -> bool:
-        """Whether the server in use is free for a call that only servers compute."""
-        heads = [line.first.operation for line in self._lines.values() if line.first is not None]
-        return any(
-            self._needs_server(operation) and self._decisions.free_place(operation) for operation in heads
-        )
 
     def _go_on(self) -> None:
         self._is_deciding = False

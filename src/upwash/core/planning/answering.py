@@ -1,7 +1,7 @@
 """When photos are expected to be answered that a drone takes in flight: on the drone, or on one server at a time.
 
     in line     photos that wait; the oldest is first, or the newest
-    its place   where a photo is answered first (core/selection/call_placement.py)
+    a place     takes, once free, the first photo that it would answer before the other place (earliest.py)
     a server    the fastest in range, used after its check, until the drone leaves its range
 
 Calls take their estimates and nothing fails. A photo that a server had when its range ended is first in line again.
@@ -10,6 +10,7 @@ Calls take their estimates and nothing fails. A photo that a server had when its
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from upwash.core.geo import Reach
+from upwash.core.planning.earliest import first_taken
 
 _LEAST_S = 1e-6  # of a call
 Stay = tuple[float, float]  # in range, from one time to another
@@ -130,32 +132,29 @@ class Answering:
     def _compute(self) -> None:
         """Start the first photos in line, as far as their places are free."""
         server = self._ready_server()
-        while self._line:
-            if server is not None and self._remote_end_s(server) < self._local_end_s():
-                if self._remote is not None:
-                    return
-                self._remote = _Computed(self._first(), self._remote_end_s(server))
-            elif self._drone is None and self._local_s < math.inf:
-                self._drone = _Computed(self._first(), self._local_end_s())
-            else:
-                return
-        if server is not None and self._drone is not None and self._remote is None:
-            sooner_s = min(self._drone.end_s, self._remote_end_s(server))
+        call_s = math.inf if server is None else server.call_s
+        if self._remote is None and (photo := self._taken(call_s, self._local_s, self._drone)) is not None:
+            self._remote = _Computed(photo, self.now_s + call_s)
+        if self._drone is None:
+            if (photo := self._taken(self._local_s, call_s, self._remote, in_ties=True)) is not None:
+                self._drone = _Computed(photo, self.now_s + self._local_s)
+        elif self._remote is None and not self._line:
+            sooner_s = min(self._drone.end_s, self.now_s + call_s)
             self._drone = _Computed(self._drone.photo, sooner_s)  # it is sent there too
+
+    def _taken(
+        self, own_s: float, other_s: float, other: _Computed | None, *, in_ties: bool = False
+    ) -> int | None:
+        """The photo that a free place takes out of the line."""
+        other_in_s = 0.0 if other is None else other.end_s - self.now_s
+        line = itertools.repeat((own_s, other_s), len(self._line))
+        taken = first_taken(line, other_in_s=other_in_s, in_ties=in_ties)
+        return None if taken is None else self._line.pop(-1 - taken if self._newest else taken)
 
     def _ready_server(self) -> ServerBelief | None:
         if self._server is None or self._ready_s > self.now_s:
             return None
         return self._servers[self._server]
-
-    def _remote_end_s(self, server: ServerBelief) -> float:
-        return (self.now_s if self._remote is None else self._remote.end_s) + server.call_s
-
-    def _local_end_s(self) -> float:
-        return (self.now_s if self._drone is None else self._drone.end_s) + self._local_s
-
-    def _first(self) -> int:
-        return self._line.pop(-1 if self._newest else 0)
 
     def _next_s(self) -> float:
         times_s = [self._coming[0][0]] if self._coming else []

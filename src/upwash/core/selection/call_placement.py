@@ -4,6 +4,7 @@ With probing, a server that failed is in doubt until it answers a call in time. 
 drone's own service computes them too. A call that runs on the drone is also sent to a server that becomes READY.
 
 A lane that a call of the drone holds is not free (lanes.py): nothing is raced, overtaken or sent a second time there.
+A free lane takes the first call in line that it would answer before the other one (planning/earliest.py).
 
 An operation that only servers run has its place at the server in use, once that is READY, or none yet.
 """
@@ -11,6 +12,7 @@ An operation that only servers run has its place at the server in use, once that
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -19,13 +21,15 @@ from msgspec import structs
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import CHECKING, Server, State
 from upwash.core.operation import ON_DRONE, Operation
+from upwash.core.planning.earliest import first_taken
 from upwash.core.policies.policy import CallInputs, Decision, Inputs, Local, Policy, Remote, Wait
 from upwash.core.selection.commands import Effect
-from upwash.core.selection.lanes import Lanes
+from upwash.core.selection.lanes import InLine, Lanes
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
+from upwash.core.selection.settings import TwoAnswers
 
-Place: TypeAlias = Literal["", "either", "drone"]
+Place: TypeAlias = Literal["either", "drone"]
 _TRIAL_S = 10.0  # for the server's answer to a call on trial
 
 
@@ -38,32 +42,71 @@ class CallPlacement:
     _estimates: Estimates
     _recovery: Recovery | None
     _lanes: Lanes
+    _two_answers: Mapping[Operation, TwoAnswers]
 
-    def free_place(self, operation: Operation, now_s: float, first: Operation, *, is_wanted: bool) -> Place:
-        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place.
+    def next_in_line(self, now_s: float) -> tuple[InLine, Place] | None:
+        """The call to be decided now, of those in line, and where; None while all wait for a place.
 
-        It is "either" place, or only the drone, because the server is busy for longer than the drone would take.
-        A server that `is_wanted` by a call that only servers compute is not there for others. `first` is what the
-        drone would compute.
+        It is "either" place, or only the drone, which answers the call before the server gets to it.
         """
-        server, is_drone_free = self._radios.in_use, self._lanes.is_free(ON_DRONE)
-        is_free = server is not None and not is_wanted and self._lanes.is_free(server.name)
-        if self._estimates.needs_server(operation):
-            return "either" if is_free and isinstance(self._at_server(operation, now_s), Remote) else ""
-        local_s = self._estimates.local_s(operation)
+        line, server = self._lanes.line, self._radios.in_use
+        times = self._times(line, now_s)
+        if server is not None and (taken := self._next_at(server, line, times, now_s)) is not None:
+            return line[taken], "either"
+        if not self._lanes.is_free(ON_DRONE):
+            return None
+        server_in_s = 0.0 if server is None else self._lanes.rest_s(server.name, now_s)
+        if (taken := first_taken(times, other_in_s=server_in_s, in_ties=True)) is None:
+            return None
+        call, (_, remote_s) = line[taken], times[taken]
+        is_for_both = server is not None and self._lanes.is_free(server.name) and self._is_twice(call)
+        is_open = remote_s == math.inf and not call.on_drone
+        return call, "either" if is_open or is_for_both else "drone"
+
+    def _next_at(
+        self, server: Server, line: Sequence[InLine], times: Sequence[tuple[float, float]], now_s: float
+    ) -> int | None:
+        """The number of the call in line that the server in use takes; None if it is not free, or takes none."""
+        if not self._lanes.is_free(server.name):
+            return None
+        at_server = [(remote_s, local_s) for local_s, remote_s in times]
+        taken = first_taken(at_server, other_in_s=self._lanes.rest_s(ON_DRONE, now_s))
+        is_behind = bool(taken) and self._is_twice(
+            line[taken or 0]
+        )  # the first ones want a better answer there
+        return None if is_behind else taken
+
+    def _is_awaited(self, server: Server, now_s: float) -> bool:
+        """Whether the server takes a call of the line."""
+        line = self._lanes.line
+        return bool(line) and self._next_at(server, line, self._times(line, now_s), now_s) is not None
+
+    def _is_twice(self, call: InLine) -> bool:
+        return call.operation in self._two_answers
+
+    def _times(self, line: Sequence[InLine], now_s: float) -> list[tuple[float, float]]:
+        """The seconds of each call on the drone and at the server in use; infinite where it does not run."""
+        known = {operation: self._both_s(operation, now_s) for operation in {call.operation for call in line}}
+        return [
+            (known[call.operation][0], math.inf if call.on_drone else known[call.operation][1])
+            for call in line
+        ]
+
+    def _both_s(self, operation: Operation, now_s: float) -> tuple[float, float]:
+        server = self._radios.in_use
         remote_s = self._estimates.remote_s(server.name, operation) if server is not None else None
-        if server is None or local_s is None or remote_s is None or not self._answers(server, operation):
-            return "either" if is_drone_free else ""
-        if not isinstance(
-            self._policy.decide(self._call(server, operation, local_s, remote_s, now_s)), Remote
-        ):
-            return "either" if is_drone_free else ""
-        remote_end_s = math.inf if is_wanted else self._lanes.rest_s(server.name, now_s) + remote_s
-        local_end_s = self._lanes.rest_s(ON_DRONE, now_s) + self._first_s(first, local_s)
-        if remote_end_s < local_end_s:
-            return "either" if is_free else ""
-        is_for_both = first != operation and is_free
-        return ("either" if is_for_both else "drone") if is_drone_free else ""
+        if self._estimates.needs_server(operation):
+            is_there = remote_s is not None and isinstance(self._at_server(operation, now_s), Remote)
+            return math.inf, remote_s if is_there and remote_s is not None else math.inf
+        local_s = self._estimates.local_s(operation)
+        if local_s is None:
+            return 0.0, math.inf
+        two = self._two_answers.get(operation)
+        computed_s = self._first_s(two.first if two else operation, local_s)
+        if server is None or remote_s is None or not self._answers(server, operation):
+            return computed_s, math.inf
+        decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
+        return computed_s, remote_s if isinstance(decision, Remote) else math.inf
 
     def _first_s(self, first: Operation, local_s: float) -> float:
         first_s = self._estimates.local_s(first)
@@ -206,7 +249,7 @@ class CallPlacement:
         server = self._radios.in_use
         if self._recovery is None or server is None or not server.in_range or server.state is not State.READY:
             return None, math.inf
-        if not self._lanes.is_free(server.name):
+        if not self._lanes.is_free(server.name) or self._is_awaited(server, now_s):
             return None, math.inf
         local_s = self._estimates.local_s(operation)
         usual_s = self._estimates.usual_s(server.name, operation)

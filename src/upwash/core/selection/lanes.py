@@ -1,17 +1,41 @@
-"""The lanes that compute a drone's calls, one on the drone and one at each server, and who holds them.
+"""The lanes that compute a drone's calls, one on the drone and one at each server: who holds them, and who waits.
 
 A lane is held from the decision for it until the answer is there, and beyond that for as long as a computation or a
 request goes on whose answer is of no use any more. Only a free lane gets a call.
+
+Calls wait in one line: first those that the mission waits for, then those that only servers compute, then the others.
+In each group the oldest is first, or the newest.
 """
 
 from __future__ import annotations
+
+import bisect
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from upwash.core.operation import Operation
+
+
+@dataclass(slots=True, eq=False)
+class InLine:
+    """A call in line, made at `since_s`; the mission waits for an `urgent` one, and `on_drone` runs nowhere else."""
+
+    operation: Operation
+    since_s: float
+    urgent: bool = False
+    needs_server: bool = False
+    on_drone: bool = False
 
 
 class Lanes:
     """Which lanes the drone's own calls hold, and until when; a lane has the name of its place."""
 
     def __init__(self) -> None:
+        self.newest_first = False
         self._held: dict[object, tuple[str, float]] = {}
+        self._urgent: list[InLine] = []
+        self._of_servers: list[InLine] = []
+        self._others: list[InLine] = []
 
     def hold(self, holder: object, place: str, until_s: float) -> None:
         """Note that a lane is held, and when that is expected to end; a holder has one lane at a time."""
@@ -29,3 +53,27 @@ class Lanes:
         """The seconds until the lane is expected to be free; 0 where that was expected earlier."""
         ends_s = [until_s for held, until_s in self._held.values() if held == place]
         return max([now_s, *ends_s]) - now_s
+
+    @property
+    def line(self) -> Sequence[InLine]:
+        """The calls that wait, the first in line first."""
+        step = -1 if self.newest_first else 1
+        return [*self._urgent, *self._of_servers[::step], *self._others[::step]]
+
+    @property
+    def first(self) -> InLine | None:
+        """The first in line."""
+        return next(iter(self.line), None)
+
+    def enter(self, call: InLine) -> None:
+        """Put the call behind those of its group that were made before it."""
+        bisect.insort(self._group(call), call, key=lambda call: call.since_s)
+
+    def leave(self, call: InLine) -> None:
+        """Take the call out of the line."""
+        self._group(call).remove(call)
+
+    def _group(self, call: InLine) -> list[InLine]:
+        if call.urgent:
+            return self._urgent
+        return self._of_servers if call.needs_server else self._others

@@ -38,7 +38,7 @@ from upwash.core.selection import events
 from upwash.core.selection.call_placement import CallPlacement, Place
 from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
 from upwash.core.selection.events import SelectionEvent
-from upwash.core.selection.lanes import Lanes
+from upwash.core.selection.lanes import InLine, Lanes
 from upwash.core.selection.mission_times import Lighter, Timetable
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Recovery
@@ -71,7 +71,7 @@ class Selection:
         self.servers: Mapping[str, Server] = table.servers
         self._radios = radios = Radios(settings, table, estimates, recovery)
         self.lanes = Lanes()
-        self._placement = CallPlacement(policy, radios, estimates, recovery, self.lanes)
+        self._placement = CallPlacement(policy, radios, estimates, recovery, self.lanes, settings.two_answers)
         model = MissionModel(beliefs, areas, index)
         self._planning = planning = ServerPlanning(
             policy, settings, table, radios, estimates, recovery, mission=model
@@ -143,18 +143,10 @@ class Selection:
             return now_s  # what is known of a server changes with the place, or a border is crossed unseen
         return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
 
-    def free_place(
-        self, operation: Operation, *, is_wanted: bool = False, now_s: float, position: Position
-    ) -> Place:
-        """Where a call may be decided now, one of several that are open; "" while it waits for a busy place.
-
-        If the server in use `is_wanted` by a call that only servers compute, it is not there for this one.
-        """
+    def next_in_line(self, *, now_s: float, position: Position) -> tuple[InLine, Place] | None:
+        """The call to be decided now, of those in line, and where; None while all wait for a place."""
         self._locate(position, now_s)
-        first = self._settings.two_answers.get(operation)
-        return self._placement.free_place(
-            operation, now_s, first=first.first if first else operation, is_wanted=is_wanted
-        )
+        return self._placement.next_in_line(now_s)
 
     def two_answers(self, operation: Operation) -> TwoAnswers | None:
         """What the drone computes at once of a call with two answers; None for a call with one."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from upwash.config import waypoints
 from upwash.core.geo import distance_m
+from upwash.core.knowledge.servers import State
 from upwash.core.operation import ON_DRONE, name_of
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -18,6 +19,7 @@ from upwash.lab.faults.history import (
     calls_of,
     flies_rows,
     position_jumps,
+    within_s,
 )
 
 _AT_SPOT_M = 1.0
@@ -124,30 +126,52 @@ def _placed(call: FlownCall) -> Iterator[tuple[schema.Decided, str, float]]:
 
 
 def _out_of_line(history: History) -> Iterator[Breach]:
-    """A call that the mission waits for is decided first, and then the oldest, or the newest, of the others."""
+    """A call is decided before those behind it, except those that the drone answers before a server gets to them.
+
+    A call that the mission waits for is before all others.
+    """
     photos = history.config.mission.photos
     assert photos is not None  # noqa: S101 - it flies rows
     urgent = _waits_for(history.run.events)
-    in_line: dict[int | None, float] = {}  # when each was started
+    in_line: dict[int | None, schema.CallStarted] = {}
     for event in history.run.events:
         if isinstance(event, schema.CallStarted):
-            in_line[event.waypoint] = event.t
+            in_line[event.waypoint] = event
         elif isinstance(event, schema.Decided) and event.waypoint in in_line:
-            began_s = in_line.pop(event.waypoint)
-            others_s = [at_s for at_s in in_line.values() if at_s < event.t - ROUNDING_S]
-            if any(at_s < began_s if photos.order == "oldest" else at_s > began_s for at_s in others_s):
-                yield (
-                    event,
-                    f"waypoint {event.waypoint} was not the {photos.order} in line: {list(in_line)}",
-                )
+            begun = in_line.pop(event.waypoint)
+            before = [
+                other
+                for other in in_line.values()
+                if other.t < event.t - ROUNDING_S
+                and (other.t < begun.t if photos.order == "oldest" else other.t > begun.t)
+            ]
+            if not _may_be_decided(event, begun, before, two=bool(within_s(history.config))):
+                where = f"{len(before)} calls before it: {list(in_line)}"
+                yield event, f"waypoint {event.waypoint} was not the {photos.order} in line, with {where}"
             for waypoint, from_s, to_s in urgent:
-                if from_s + ROUNDING_S < event.t < to_s - ROUNDING_S:
-                    yield (
-                        event,
-                        f"the mission waited for the call of waypoint {waypoint}, and this was decided",
-                    )
+                if from_s + ROUNDING_S < event.t < to_s - ROUNDING_S and not _is_beside(event):
+                    why = f"the mission waited for the call of waypoint {waypoint}, and this was decided"
+                    yield event, why
         elif isinstance(event, schema.AnswerTaken):
             in_line.pop(event.waypoint, None)
+
+
+def _may_be_decided(
+    event: schema.Decided, begun: schema.CallStarted, before: Sequence[schema.CallStarted], *, two: bool
+) -> bool:
+    """Whether calls before it in line forbid the decision; by the times of the log, those of one operation."""
+    alike = [other for other in before if other.operation == begun.operation == event.operation]
+    if not alike:
+        return True
+    if not _is_beside(event):
+        return False
+    local_s, remote_s = event.local_s or 0.0, event.remote_s or 0.0
+    return two or len(alike) * remote_s - ROUNDING_S <= local_s <= (2 + len(before)) * remote_s + ROUNDING_S
+
+
+def _is_beside(event: schema.Decided) -> bool:
+    """Whether the drone takes the call while the server in use, which is ready, takes those before it."""
+    return event.decision == "local" and event.state == State.READY
 
 
 def _waits_for(events: Sequence[Event]) -> list[tuple[int | None, float, float]]:
