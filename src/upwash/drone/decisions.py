@@ -17,6 +17,7 @@ from msgspec.structs import asdict
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.servers import Change
 from upwash.core.operation import Operation
+from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Decision, Lightened, Local, Remote, Wait
 from upwash.core.selection.call_placement import Place
@@ -81,6 +82,10 @@ class Decisions:
     def reach_s(self, operation: Operation) -> float | None:
         """Seconds until a server in range answers a call that only servers compute; None where none can."""
         return self.selection.reach_s(operation, now_s=now_s(), position=self._autopilot.position)
+
+    def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
+        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        return self.selection.believed(operations, now_s=now_s(), position=self._autopilot.position)
 
     def tell(self, event: SelectionEvent) -> None:
         """Pass the event to the core, and carry out its effects."""

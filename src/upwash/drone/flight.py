@@ -236,7 +236,8 @@ class Flight:
         seeking = Seeking(
             calls,
             self._ports.journal,
-            estimates=selection.estimates,
+            selection=selection,
+            believed=self._offloading.believed,
             areas={
                 name: area
                 for name, area in server_areas(config).items()
@@ -245,6 +246,8 @@ class Flight:
             plan=self._plan,
             home=lambda: autopilot.energy.returns_to(autopilot.position).position if returns else None,
             ground_speed_m_s=config.mission.ground_speed_m_s,
+            pace=pace,
+            gain_switch=config.policy.gain_switch,
             detour_s=config.policy.detour_s,
             spare_s=self._watch.spare_s,
         )
@@ -256,6 +259,7 @@ class Flight:
             config.camera.photo_s,
             rests=photos is None,
             servers=None if all(spec.on_drone for spec in specs.values()) else (calls, seeking),
+            seeking=seeking,
         )
 
     def _planned(self) -> schema.Planned:

@@ -16,6 +16,7 @@ from typing import Any, Literal, NoReturn, TypeVar
 
 from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation, name_of
+from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.deadlines import Deadlines
@@ -139,6 +140,10 @@ class Offloading:
     def outlook(self) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
         return self._guarded(self._decisions.outlook)
+
+    def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
+        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        return self._guarded(lambda: self._decisions.believed(operations)) or {}
 
     def tell(self, event: SelectionEvent) -> None:
         """Pass the event to the core, and carry out its commands."""

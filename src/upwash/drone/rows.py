@@ -161,7 +161,8 @@ class LegVerbs(Protocol):
 class RowRules:
     """When a drone stops on its rows: with `at_most` open answers, and where the rule finds that this saves time.
 
-    If it `rests`, it stops at each waypoint. `servers` are the calls that only servers compute, with their stops.
+    If it `rests`, it stops at each waypoint. `servers` are the calls that only servers compute, with their stops;
+    `seeking` finds stops for all calls.
     """
 
     at_most: int
@@ -171,6 +172,7 @@ class RowRules:
     photo_s: float
     rests: bool = False
     servers: tuple[ServerCalls, Seeking] | None = None
+    seeking: Seeking | None = None
 
 
 class Rows:
@@ -370,13 +372,29 @@ class Rows:
 
         A place off the leg, as in doubt of the position, is not come back to.
         """
-        here, was_away = self._vehicle.position(), False
+        here, was_away, sought = self._vehicle.position(), False, set[str]()
         is_on_way = bool(self._way) and (self._acts or self._vehicle.passes(here))
         while self._unheard >= count:
-            was_away |= self._take_next()
+            if self._seeks(sought, following=self._following.get(self._last) if self._last else None):
+                was_away, count = True, 1  # all of them, as it is there
+            else:
+                was_away |= self._take_next()
         if was_away and is_on_way:
             self.fly_around(here)
             self._vehicle.fly(here)
+
+    def _seeks(self, sought: set[str], *, back: bool = True, following: Waypoint | None = None) -> bool:
+        """Fly to a range where the open answers come sooner than here; return whether the drone flew."""
+        seeking, here = self._rules.seeking, self._vehicle.position()
+        unheard = [a.pending.operation for a in self._open if not (a.demand.is_heard or a.needs_server)]
+        if seeking is None or not unheard:
+            return False
+        allows = self._vehicle.allows
+        sooner = seeking.sooner(unheard, here, allows, following=following, back=back, but=sought)
+        if (place := self._thread.call(sooner)) is None:
+            return False
+        self._vehicle.fly(place)
+        return True
 
     def stop(self) -> None:
         """Brake, if a leg is flown."""
@@ -394,10 +412,10 @@ class Rows:
         """Wait at rest for every answer, and meet its demand; come back to the last place, or do not."""
         if self._acts:
             return
-        here, was_away = self._vehicle.place(), self._end is not None
+        here, was_away, sought = self._vehicle.place(), self._end is not None, set[str]()
         self.stop()
         while any(not answer.needs_server for answer in self._open):
-            was_away |= self._take_next(waits=True)
+            was_away |= self._seeks(sought, back=comes_back) or self._take_next(waits=True)
         if self._open:
             self._thread.call(asyncio.sleep(0))  # the loop begins the last call
             if demanding := self._taken():

@@ -1,8 +1,13 @@
-"""Stops for calls that only servers compute, where a server can answer them.
+"""Stops for calls that wait for an answer, where a server can give it.
+
+For calls that only servers compute:
 
     in the last range   before a leg after which the rest of the way, home included, passes no range
     beside the way home the place in a range that makes the way least longer, unless home is in a range
     at home             once the drone has landed: until they are answered, or no server there answers
+
+For calls that the drone could compute, while it rests: a range where the line of them ends sooner than here, with the
+way there and on (core/planning/backlog.py).
 
 No stop lasts longer than `policy.detour_s`, or than the reserve of the battery allows.
 """
@@ -10,11 +15,16 @@ No stop lasts longer than `policy.detour_s`, or than the reserve of the battery 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from statistics import fmean
 
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.knowledge.estimates import Estimates
+from upwash.core.operation import Operation
 from upwash.core.planning.answer_stops import AnswerStops, longer_m
+from upwash.core.planning.answering import ServerBelief
+from upwash.core.planning.backlog import Backlog
+from upwash.core.planning.legs import Pace
+from upwash.core.selection.selection import Selection
 from upwash.drone.server_calls import ServerCalls
 from upwash.eventlog import schema
 from upwash.ports import Journal
@@ -26,7 +36,7 @@ class Seeking:
     """Decides about these stops, and waits; on the loop.
 
     `home` returns where the vehicle lands, None if it does not return; `spare_s` the seconds of flight that the
-    reserve leaves, None if unknown.
+    reserve leaves, None if unknown. `believed` returns the servers that may compute these operations.
     """
 
     def __init__(
@@ -34,21 +44,28 @@ class Seeking:
         calls: ServerCalls,
         journal: Journal,
         *,
-        estimates: Estimates,
+        selection: Selection,
+        believed: Callable[[Sequence[Operation]], Mapping[str, ServerBelief]],
         areas: Mapping[str, Circle],
         plan: Sequence[Waypoint],
         home: Callable[[], Position | None],
         ground_speed_m_s: float,
+        pace: Pace,
+        gain_switch: float,
         detour_s: float,
         spare_s: Callable[[], float | None],
     ) -> None:
         self._calls = calls
         self._journal = journal
-        self._estimates = estimates
+        self._selection = selection
+        self._believed = believed
+        self._estimates = selection.estimates
         self._areas = areas
         self._plan = plan
         self._home = home
         self._ground_speed_m_s = ground_speed_m_s
+        self._pace = pace
+        self._gain_switch = gain_switch
         self._detour_s = detour_s
         self._spare_s = spare_s
         self._last_legs: dict[frozenset[str], int] = {}  # of the plan that passes a range of these servers
@@ -56,13 +73,14 @@ class Seeking:
     async def leads_away(self, here: Position, target: Waypoint) -> bool:
         """Whether the leg to the target leaves the last range of the way, while calls wait."""
         stops = self._stops()
-        return stops.contains(here) and not self._leads_through(stops, target)
+        return stops.contains(here) and not self._leads_through(self._hosting(), target)
 
-    def _leads_through(self, stops: AnswerStops, target: Waypoint) -> bool:
-        """Whether the way from the target on passes a range."""
+    def _leads_through(self, names: Iterable[str], target: Waypoint) -> bool:
+        """Whether the way from the target on passes a range of these servers."""
         if target not in self._plan:
             return True  # nothing is known of the way
-        home, servers = self._home(), frozenset(self._hosting())
+        home, servers = self._home(), frozenset(names)
+        stops = AnswerStops([self._areas[name] for name in names])
         places = [waypoint.position for waypoint in self._plan]
         if home is not None and stops.passed([places[-1], home]):
             return True
@@ -86,6 +104,62 @@ class Seeking:
         if place is None or self._most_s(self._extra_s(here, place, home)) < self._needed_s():
             return None
         return place if allows(here, place) and allows(place, home.at_altitude(place.altitude_m)) else None
+
+    async def sooner(
+        self,
+        operations: Sequence[Operation],
+        here: Position,
+        allows: Callable[[Position, Position], bool],
+        *,
+        following: Waypoint | None,
+        back: bool,
+        but: set[str],
+    ) -> Position | None:
+        """The place in a range where these calls, in line, are answered sooner than here; None if there is none.
+
+        If the drone flies `back`, it comes back here; else it flies home. No place is sought where the way from the
+        `following` waypoint on passes a range anyway, and none for the servers in `but`, which gets one more.
+        """
+        backlog = self._backlog(operations, here if back else self._home(), but)
+        if not backlog.servers or (following and self._leads_through(list(backlog.servers), following)):
+            return None
+        onwards = backlog.after or here
+
+        spare_s = self._spare_s()
+        most_s = math.inf if spare_s is None else spare_s + backlog.way_s(here, onwards)
+
+        def may(place: Position) -> bool:
+            fits = (
+                self._extra_s(here, place, onwards) <= self._detour_s
+                and backlog.ends_s(here, place) <= most_s
+            )
+            return fits and allows(here, place) and allows(place, onwards.at_altitude(place.altitude_m))
+
+        if (found := backlog.best(here, may)) is None:
+            return None
+        server, place = found
+        but.add(server)
+        extra_s = round(self._extra_s(here, place, onwards), 1)
+        self._journal.record(schema.SoughtAnswers(waiting=len(operations), position=place, extra_s=extra_s))
+        return place
+
+    def _backlog(self, operations: Sequence[Operation], after: Position | None, but: set[str]) -> Backlog:
+        """These calls; what the drone computes of one with two answers is the first."""
+        computed = [
+            operation if (two := self._selection.two_answers(operation)) is None else two.first
+            for operation in operations
+        ]
+        times_s = [time_s for each in computed if (time_s := self._estimates.local_s(each)) is not None]
+        believed = self._believed(list(dict.fromkeys(operations))) if times_s else {}
+        return Backlog(
+            photos=len(operations),
+            local_s=fmean(times_s) if times_s else 0.0,
+            servers={n: s for n, s in believed.items() if n in self._areas and n not in but},
+            gain_switch=self._gain_switch,
+            ground_speed_m_s=self._ground_speed_m_s,
+            pace=self._pace,
+            after=after,
+        )
 
     async def wait_here(self, here: Position, left_from: Position | None = None) -> None:
         """Wait at the place, which was chosen when the drone was at `left_from`."""

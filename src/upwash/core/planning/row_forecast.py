@@ -12,13 +12,13 @@ import itertools
 import math
 import operator
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, Reach, Via, Waypoint, distance_m, part_way
-from upwash.core.planning.answering import Answering, ServerBelief, Stay
+from upwash.core.geo import Position, Via, Waypoint, distance_m, part_way
+from upwash.core.planning.answering import Answering, ServerBelief
 from upwash.core.planning.legs import Leg, Pace
+from upwash.core.planning.motion import Motion, passes, stay_in
 
 _THERE_M = 1.0  # from a place that need not be flown to
 _ON_WAY_M = 1e-6
@@ -101,28 +101,6 @@ def forecast_rows(mission: RowMission, ground_speed_m_s: float) -> RowForecast:
     return _Flight(mission, ground_speed_m_s).flown()
 
 
-class _Motion(NamedTuple):
-    """A straight leg that is flown."""
-
-    start: Position
-    end: Position
-    leg: Leg
-    begun_s: float
-
-    def place(self, now_s: float) -> Position:
-        length_m = self.leg.length_m
-        share = min(1.0, self.leg.travelled_m(now_s - self.begun_s) / length_m) if length_m else 1.0
-        return part_way(self.start, self.end, share)
-
-    def passes_s(self, spot: Position) -> float | None:
-        """When it passes the spot, or arrives there; None if the spot is not on its way."""
-        if spot == self.end:
-            return self.begun_s + self.leg.duration_s
-        if not _passes(self.start, self.end, spot):
-            return None
-        return self.begun_s + self.leg.reached_s(distance_m(self.start, spot))
-
-
 class _Flight:
     """One mission, flown step by step."""
 
@@ -133,7 +111,7 @@ class _Flight:
             mission.local_s, mission.servers, gain_switch=mission.gain_switch, newest=mission.newest
         )
         self._here = mission.start
-        self._motion: _Motion | None = None
+        self._motion: Motion | None = None
         self._open: set[int] = set()
         self._demanding: list[int] = []  # photos whose answers are there
         self._most_open = self._row_open = self._stops = self._turns_back = 0
@@ -238,7 +216,7 @@ class _Flight:
             return None
         is_on_row = index > 0 and (plan[index - 1].row_start, plan[index - 1].row_end) == (start, end)
         is_on_row |= start is not None and distance_m(self._here, start) < _THERE_M
-        return end if is_on_row and _passes(self._here, end, waypoint.position) else None
+        return end if is_on_row and passes(self._here, end, waypoint.position) else None
 
     def _take_photo(self, photo: int) -> None:
         self._open.add(photo)
@@ -276,7 +254,7 @@ class _Flight:
         left, end = motion.place(self._now_s), motion.end
         self._brake()
         last = self._meet()
-        if spot != end and not (last is not None and _passes(last, end, spot)):
+        if spot != end and not (last is not None and passes(last, end, spot)):
             self._fly(left)
         self._set_off(end, motion.leg.ground_speed_m_s)
 
@@ -302,12 +280,12 @@ class _Flight:
             mission.pace.acceleration_m_s2,
             mission.pace.settling_s,
         )
-        self._motion = _Motion(self._here, end, leg, self._now_s)
+        self._motion = Motion(self._here, end, leg, self._now_s)
         self._answering.moves(
             {
                 name: stay
                 for name, server in self._answering.servers.items()
-                if (stay := _stay(self._motion, server.area)) is not None
+                if (stay := stay_in(self._motion, server.area)) is not None
             }
         )
 
@@ -363,31 +341,3 @@ def _rows(plan: Sequence[Waypoint]) -> Iterator[list[int]]:
     )
     for _, row in rows:
         yield list(row)
-
-
-def _passes(start: Position, end: Position, spot: Position) -> bool:
-    return distance_m(start, spot) + distance_m(spot, end) <= distance_m(start, end) + _ON_WAY_M
-
-
-def _stay(motion: _Motion, area: Reach) -> Stay | None:
-    """When the leg is in the area, up to for ever if it ends there; None if it never is."""
-    if not isinstance(area, Circle):
-        return -math.inf, math.inf
-    way = (motion.end.east_m - motion.start.east_m, motion.end.north_m - motion.start.north_m)
-    off = (motion.start.east_m - area.centre.east_m, motion.start.north_m - area.centre.north_m)
-    square = way[0] ** 2 + way[1] ** 2
-    if square == 0:
-        return (-math.inf, math.inf) if area.contains(motion.start) else None
-    along = -(off[0] * way[0] + off[1] * way[1]) / square
-    beside_m2 = (off[0] + along * way[0]) ** 2 + (off[1] + along * way[1]) ** 2
-    if beside_m2 > area.radius_m**2:
-        return None
-    half = math.sqrt((area.radius_m**2 - beside_m2) / square)
-    first, last = along - half, along + half
-    if last < 0 or first > 1:
-        return None
-    length_m = motion.leg.length_m
-    return (
-        -math.inf if first <= 0 else motion.begun_s + motion.leg.reached_s(first * length_m),
-        math.inf if last >= 1 else motion.begun_s + motion.leg.reached_s(last * length_m),
-    )

@@ -31,6 +31,7 @@ from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.knowledge.servers import CHECKING, SELECTED, Change, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
+from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
@@ -74,7 +75,7 @@ class Selection:
         self._placement = CallPlacement(policy, radios, estimates, recovery, self.lanes, settings.two_answers)
         model = MissionModel(beliefs, areas, index)
         self._planning = planning = ServerPlanning(
-            policy, settings, table, radios, estimates, recovery, mission=model
+            policy, settings, table, radios, estimates, recovery, self.lanes, mission=model
         )
         # A model of its own: it sees the whole mission, from the ground.
         self._timetable = Timetable(planning, beliefs, MissionModel(beliefs, areas, index), settings)
@@ -249,6 +250,13 @@ class Selection:
         """Seconds until a server in range answers a call that only servers compute; None where none can."""
         self._locate(position, now_s)
         return self._planning.reach_s(operation, now_s, position)
+
+    def believed(
+        self, operations: Sequence[Operation], *, now_s: float, position: Position
+    ) -> dict[str, ServerBelief]:
+        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        self._locate(position, now_s)
+        return self._planning.believed(operations, now_s)
 
     def _locate(self, position: Position, now_s: float) -> None:
         if self._table.locate(position, now_s) | self.estimates.locate(position):

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import TypeGuard
 
 from upwash.core.geo import Position
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, ServerTable, State
 from upwash.core.operation import Operation
+from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.planning.legs import Leg, left_m
 from upwash.core.planning.mission_model import ExpectedCall, MissionModel
@@ -34,6 +36,7 @@ from upwash.core.policies.policy import (
 from upwash.core.selection.call_forecast import CallForecast, CallPlace
 from upwash.core.selection.commands import Prepare
 from upwash.core.selection.events import CallOver, CallWaits, LegBegun, LegEnded, TargetUnknown
+from upwash.core.selection.lanes import Lanes
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import REST_S, Recovery
 from upwash.core.selection.settings import SelectionSettings
@@ -86,6 +89,7 @@ class ServerPlanning:
     _radios: Radios
     _estimates: Estimates
     _recovery: Recovery | None
+    _lanes: Lanes
     mission: MissionModel
     under_way: Decision | None = None  # on the call whose answer is not there yet
     changed: bool = True  # since the policy last chose
@@ -261,6 +265,21 @@ class ServerPlanning:
             first={asked: two.first for asked, two in self._settings.two_answers.items()},
         )
 
+    def believed(self, operations: Sequence[Operation], now_s: float) -> dict[str, ServerBelief]:
+        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        beliefs = {}
+        for name, server in self._table.servers.items():
+            times_s = [self._estimates.remote_s(name, operation) for operation in operations]
+            known_s = [time_s for time_s in times_s if time_s is not None]
+            if server.state is State.BLACKLISTED or not known_s or len(known_s) < len(times_s):
+                continue
+            if server in self._radios.selected:
+                check_s = rest_of_check_s(server, self._estimates, now_s)
+            else:
+                check_s = self._estimates.check_s(name, running=server.state is State.AVL_R)
+            beliefs[name] = ServerBelief(server.area, fmean(known_s), check_s, check_s)
+        return beliefs
+
     def _options(self, now_s: float) -> list[Option]:
         return [
             Option(
@@ -305,7 +324,10 @@ class ServerPlanning:
     def _forecast(self, now_s: float, position: Position) -> Forecast | None:
         if not self._policy.horizon:
             return None
-        waiting = [self.made_now(operation, now_s) for operation in self.waiting]
+        backlog = [call.operation for call in self._lanes.line if not call.needs_server]
+        waiting = [
+            self.made_now(operation, now_s) for operation in (*self.waiting, *backlog[: self._policy.horizon])
+        ]
         return make_forecast(
             [*waiting, *self.mission.coming(position, now_s=now_s, count=self._policy.horizon)],
             self._table.servers,
