@@ -21,6 +21,7 @@ from upwash.drone.legs import Legs
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
 from upwash.drone.rows import Rows, ahead_m
+from upwash.drone.seeking import Seeking
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import call_promises
@@ -101,6 +102,12 @@ def takes_the_last(next_in_line: Any, self: CallPlacement, now_s: float) -> Any:
     if found is None or found[1] != "drone":
         return found
     return self._lanes.line[-1], "drone"
+
+
+@planted("a resting drone flies from range to range", Seeking, "sooner")
+async def never_rests(sooner: Any, self: Seeking, *about: Any, but: set[str], **how: Any) -> Any:
+    with patch("upwash.core.planning.backlog._LEAST_GAIN_S", -1e9):
+        return await sooner(self, *about, but=set(), **how)
 
 
 @planted("a call that the mission waits for joins the line", CallLine, "turn")

@@ -315,7 +315,8 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     demand_map: values.DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
     detour_s: values.NotNegative = 120.0
-    """The longest stop, with the way there, for answers of [a service that only servers run](only-servers.md)."""
+    """The longest stop, with the way there, for answers of [a service that only servers run](only-servers.md); for
+    others the longest way to a range where a resting drone has the answers sooner ([rows](rows.md)); 0: none."""
     most_loss: values.Fraction = 0.0
     """The largest `loss` of a part [before sending](less-to-send.md) that may be used; 0: all is sent whole."""
 

@@ -84,7 +84,7 @@ class Decisions:
         return self.selection.reach_s(operation, now_s=now_s(), position=self._autopilot.position)
 
     def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
-        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        """The servers that may compute these operations, and the mean seconds of a call at each."""
         return self.selection.believed(operations, now_s=now_s(), position=self._autopilot.position)
 
     def tell(self, event: SelectionEvent) -> None:

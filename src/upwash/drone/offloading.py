@@ -142,7 +142,7 @@ class Offloading:
         return self._guarded(self._decisions.outlook)
 
     def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
-        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        """The servers that may compute these operations, and the mean seconds of a call at each."""
         return self._guarded(lambda: self._decisions.believed(operations)) or {}
 
     def tell(self, event: SelectionEvent) -> None:

@@ -376,7 +376,7 @@ class Rows:
         is_on_way = bool(self._way) and (self._acts or self._vehicle.passes(here))
         while self._unheard >= count:
             if self._seeks(sought, following=self._following.get(self._last) if self._last else None):
-                was_away, count = True, 1  # all of them, as it is there
+                was_away, count = True, 1  # there it waits for all
             else:
                 was_away |= self._take_next()
         if was_away and is_on_way:

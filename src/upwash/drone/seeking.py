@@ -130,8 +130,7 @@ class Seeking:
 
         def may(place: Position) -> bool:
             fits = (
-                self._extra_s(here, place, onwards) <= self._detour_s
-                and backlog.ends_s(here, place) <= most_s
+                self._extra_s(here, place, onwards) < self._detour_s and backlog.ends_s(here, place) <= most_s
             )
             return fits and allows(here, place) and allows(place, onwards.at_altitude(place.altitude_m))
 

@@ -399,9 +399,10 @@ class Unanswered(_Explained, frozen=True, kw_only=True):
 
 
 class SoughtAnswers(Event, frozen=True, kw_only=True):
-    """The drone stops for `waiting` calls that only servers compute, at a place where a server can answer them.
+    """The drone stops for `waiting` calls at a place where a server can answer them.
 
-    It is the last such place of its way, or lies beside the way home, with `extra_s` more until it has landed.
+    For calls that only servers compute it is the last such place of its way, or lies beside the way home. For others
+    it lies where they are answered sooner than where the drone rests. The way is `extra_s` longer.
     """
 
     waiting: Count

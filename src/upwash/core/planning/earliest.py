@@ -15,7 +15,7 @@ def first_taken(
 ) -> int | None:
     """The number of the call that a free place takes; None if it takes none.
 
-    `line` has the seconds of each call at the place and at the other one, infinite where it does not run. The other
+    `line` has the seconds of each call at both places, its own first; infinite where the call does not run. The other
     place is free `other_in_s` from now. With `in_ties` the place also takes a call that both answer at one time.
     """
     for number, (own_s, other_s) in enumerate(line):

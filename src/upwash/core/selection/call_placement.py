@@ -4,7 +4,7 @@ With probing, a server that failed is in doubt until it answers a call in time. 
 drone's own service computes them too. A call that runs on the drone is also sent to a server that becomes READY.
 
 A lane that a call of the drone holds is not free (lanes.py): nothing is raced, overtaken or sent a second time there.
-A free lane takes the first call in line that it would answer before the other one (planning/earliest.py).
+A free lane takes the first call in line that it would answer before the other lane (planning/earliest.py).
 
 An operation that only servers run has its place at the server in use, once that is READY, or none yet.
 """

@@ -1,7 +1,7 @@
 """The lanes that compute a drone's calls, one on the drone and one at each server: who holds them, and who waits.
 
-A lane is held from the decision for it until the answer is there, and beyond that for as long as a computation or a
-request goes on whose answer is of no use any more. Only a free lane gets a call.
+A lane is held from the decision for it until the answer is there. A computation or a request that goes on after the
+call was answered holds its lane too. Only a free lane gets a call.
 
 Calls wait in one line: first those that the mission waits for, then those that only servers compute, then the others.
 In each group the oldest is first, or the newest.
@@ -42,7 +42,7 @@ class Lanes:
         self._held[holder] = place, until_s
 
     def release(self, holder: object) -> None:
-        """Note that the holder has its lane no more, if it had one."""
+        """Note that the holder has no lane any more."""
         self._held.pop(holder, None)
 
     def is_free(self, place: str) -> bool:

@@ -254,7 +254,7 @@ class Selection:
     def believed(
         self, operations: Sequence[Operation], *, now_s: float, position: Position
     ) -> dict[str, ServerBelief]:
-        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        """The servers that may compute these operations, and the mean seconds of a call at each."""
         self._locate(position, now_s)
         return self._planning.believed(operations, now_s)
 

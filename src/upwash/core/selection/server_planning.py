@@ -266,7 +266,7 @@ class ServerPlanning:
         )
 
     def believed(self, operations: Sequence[Operation], now_s: float) -> dict[str, ServerBelief]:
-        """The servers that may compute these operations, and the mean seconds of such a call there."""
+        """The servers that may compute these operations, and the mean seconds of a call at each."""
         beliefs = {}
         for name, server in self._table.servers.items():
             times_s = [self._estimates.remote_s(name, operation) for operation in operations]

@@ -37,6 +37,7 @@ def on_the_move(history: History) -> Iterator[Breach]:
     yield from _too_many_open(history)
     yield from _two_at_a_place(history)
     yield from _out_of_line(history)
+    yield from _sought_too_often(history)
     yield from _home_too_early(history.run.events)
     yield from _left_unsaid(history)
 
@@ -102,7 +103,7 @@ def _placed(call: FlownCall) -> Iterator[tuple[schema.Decided, str, float]]:
     """The decision for each place of the call, and until when it had the place.
 
     Where a call has two answers these are the drone, and the server of the better one. A server that gets a call
-    beside the drone has it until the answer, or, if that is not its own, for a time that the log does not tell.
+    beside the drone has it until its own answer. How long a loser has the call the log does not tell.
     """
     ended, tried = call.ended, [decided for decided in call.decisions if decided.decision != "wait"]
     if not tried:
@@ -182,6 +183,18 @@ def _waits_for(events: Sequence[Event]) -> list[tuple[int | None, float, float]]
         for call in calls_of(events)
         if call.ended.waypoint not in started and call.decisions
     ]
+
+
+def _sought_too_often(history: History) -> Iterator[Breach]:
+    """A drone that rests flies to the range of each server once at most, until it takes another photo."""
+    servers, sought = len(history.config.servers), 0
+    for event in history.run.events:
+        if isinstance(event, schema.CallStarted):
+            sought = 0
+        elif isinstance(event, schema.SoughtAnswers):
+            sought += 1
+            if sought > servers:
+                yield event, f"this is place {sought} that it flew to for answers, with {servers} servers"
 
 
 def _home_too_early(events: Sequence[Event]) -> Iterator[Breach]:
