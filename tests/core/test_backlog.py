@@ -42,7 +42,7 @@ def test_on_the_way_and_in_the_range_both_places_answer() -> None:
     there = Position(100.0, 55.0, 20.0)
     answered_s = backlog(after=None).ends_s(HERE, there)
     assert 13.0 + 17.0 <= answered_s <= 17.0 + 18.0
-    assert backlog().ends_s(HERE, there) == pytest.approx(answered_s + backlog().way_s(there, HOME))
+    assert backlog().ends_s(HERE, there) == pytest.approx(answered_s + backlog().onwards_s(there))
 
 
 def test_the_best_place_is_in_a_range_only_where_that_ends_the_line_sooner() -> None:

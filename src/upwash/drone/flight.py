@@ -28,6 +28,7 @@ from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
+from upwash.core.vehicle.way_home import UNKNOWN, time_home_s
 from upwash.drone.api import Drone, Mission, User
 from upwash.drone.coming_down import end_safely, follow
 from upwash.drone.deadlines import require_deadlines
@@ -245,6 +246,9 @@ class Flight:
             },
             plan=self._plan,
             home=lambda: autopilot.energy.returns_to(autopilot.position).position if returns else None,
+            home_s=lambda home, place: (
+                pace.home_share * time_home_s(place, home, autopilot.energy.way_home or UNKNOWN)
+            ),
             ground_speed_m_s=config.mission.ground_speed_m_s,
             pace=pace,
             gain_switch=config.policy.gain_switch,

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from statistics import fmean
 
 from upwash.core.geo import Circle, Position, Waypoint
@@ -35,8 +36,9 @@ _LEAST_GAIN_S = 1.0  # a stop that may not last so long is none
 class Seeking:
     """Decides about these stops, and waits; on the loop.
 
-    `home` returns where the vehicle lands, None if it does not return; `spare_s` the seconds of flight that the
-    reserve leaves, None if unknown. `believed` returns the servers that may compute these operations.
+    `home` returns where the vehicle lands, None if it does not return; `home_s(home, place)` the seconds of its return
+    from a place; `spare_s` the seconds of flight that the reserve leaves, None if unknown. `believed` returns the
+    servers that may compute these operations.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Seeking:
         areas: Mapping[str, Circle],
         plan: Sequence[Waypoint],
         home: Callable[[], Position | None],
+        home_s: Callable[[Position, Position], float],
         ground_speed_m_s: float,
         pace: Pace,
         gain_switch: float,
@@ -63,6 +66,7 @@ class Seeking:
         self._areas = areas
         self._plan = plan
         self._home = home
+        self._home_s = home_s
         self._ground_speed_m_s = ground_speed_m_s
         self._pace = pace
         self._gain_switch = gain_switch
@@ -120,13 +124,15 @@ class Seeking:
         If the drone flies `back`, it comes back here; else it flies home. No place is sought where the way from the
         `following` waypoint on passes a range anyway, and none for the servers in `but`, which gets one more.
         """
-        backlog = self._backlog(operations, here if back else self._home(), but)
+        home = None if back else self._home()
+        home_s = partial(self._home_s, home) if home is not None else None
+        backlog = self._backlog(operations, here if back else home, home_s, but)
         if not backlog.servers or (following and self._leads_through(list(backlog.servers), following)):
             return None
         onwards = backlog.after or here
 
         spare_s = self._spare_s()
-        most_s = math.inf if spare_s is None else spare_s + backlog.way_s(here, onwards)
+        most_s = math.inf if spare_s is None else spare_s + backlog.onwards_s(here)
 
         def may(place: Position) -> bool:
             fits = (
@@ -142,7 +148,13 @@ class Seeking:
         self._journal.record(schema.SoughtAnswers(waiting=len(operations), position=place, extra_s=extra_s))
         return place
 
-    def _backlog(self, operations: Sequence[Operation], after: Position | None, but: set[str]) -> Backlog:
+    def _backlog(
+        self,
+        operations: Sequence[Operation],
+        after: Position | None,
+        home_s: Callable[[Position], float] | None,
+        but: set[str],
+    ) -> Backlog:
         """These calls; what the drone computes of one with two answers is the first."""
         computed = [
             operation if (two := self._selection.two_answers(operation)) is None else two.first
@@ -158,6 +170,7 @@ class Seeking:
             ground_speed_m_s=self._ground_speed_m_s,
             pace=self._pace,
             after=after,
+            home_s=home_s,
         )
 
     async def wait_here(self, here: Position, left_from: Position | None = None) -> None:

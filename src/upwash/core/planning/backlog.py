@@ -23,7 +23,8 @@ _LEAST_GAIN_S = 1.0
 class Backlog(Struct, frozen=True, kw_only=True):
     """`photos` without an answer, each of `local_s` on the drone, and the servers that may answer them.
 
-    After the last answer the drone flies to `after`; None: it stays where it is.
+    After the last answer the drone flies to `after`; None: it stays where it is. Where the vehicle returns by itself,
+    `home_s` has the seconds from a place to the ground at home.
     """
 
     photos: int
@@ -33,6 +34,7 @@ class Backlog(Struct, frozen=True, kw_only=True):
     ground_speed_m_s: float
     pace: Pace
     after: Position | None
+    home_s: Callable[[Position], float] | None = None
 
     def ends_s(self, here: Position, place: Position) -> float:
         """The seconds until the drone, which waits at the place, has all answers and is where it has to be."""
@@ -46,11 +48,13 @@ class Backlog(Struct, frozen=True, kw_only=True):
         while answering.next_answer(math.inf) is not None:
             pass
         answered_s = max(leg.duration_s, answering.now_s)
-        return answered_s + (0.0 if self.after is None else self.way_s(place, self.after))
+        return answered_s + self.onwards_s(place)
 
-    def way_s(self, start: Position, end: Position) -> float:
-        """The seconds of the straight way between two places."""
-        return self._leg(start, end).duration_s
+    def onwards_s(self, place: Position) -> float:
+        """The seconds from the place to where the drone has to be afterwards."""
+        if self.home_s is not None:
+            return self.home_s(place)
+        return 0.0 if self.after is None else self._leg(place, self.after).duration_s
 
     def best(self, here: Position, may: Callable[[Position], bool]) -> tuple[str, Position] | None:
         """The server and the place in its range where it waits best, of those where it `may`; None for here."""

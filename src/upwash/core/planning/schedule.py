@@ -46,6 +46,11 @@ class ComingCall(Struct, frozen=True):
     gap_s: float
     offers: Sequence[Offer]
 
+    def times(self, count: int) -> ComingCall:
+        """The call and others like it behind it, as one."""
+        offers = [Offer(offer.server, count * offer.call_s, offer.head_start_s) for offer in self.offers]
+        return ComingCall(count * self.local_s, self.gap_s, offers)
+
 
 class CheckTimes(Struct, frozen=True):
     """The seconds of a check with services stopped or running; they run for `runs_for_s` from now."""

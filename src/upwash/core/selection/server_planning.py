@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import TypeGuard
 
@@ -324,12 +324,12 @@ class ServerPlanning:
     def _forecast(self, now_s: float, position: Position) -> Forecast | None:
         if not self._policy.horizon:
             return None
-        backlog = [call.operation for call in self._lanes.line if not call.needs_server]
-        waiting = [
-            self.made_now(operation, now_s) for operation in (*self.waiting, *backlog[: self._policy.horizon])
-        ]
-        return make_forecast(
-            [*waiting, *self.mission.coming(position, now_s=now_s, count=self._policy.horizon)],
+        backlog = Counter(call.operation for call in self._lanes.line if not call.needs_server)
+        near = {server.name: 0.0 for server in self._table.in_range}
+        in_line = [ExpectedCall(operation, 0.0, near) for operation in backlog]
+        waiting = [self.made_now(operation, now_s) for operation in self.waiting]
+        forecast = make_forecast(
+            [*in_line, *waiting, *self.mission.coming(position, now_s=now_s, count=self._policy.horizon)],
             self._table.servers,
             self._estimates,
             self._radios.selected,
@@ -337,6 +337,10 @@ class ServerPlanning:
             banned_s=dict(self._banned(now_s)),
             idle_s=self._settings.idle_s,
         )
+        if not backlog:
+            return forecast
+        calls = [call.times(count) for call, count in zip(forecast.calls, backlog.values(), strict=False)]
+        return replace(forecast, calls=[*calls, *forecast.calls[len(calls) :]])
 
     def _banned(self, now_s: float) -> Iterator[tuple[str, float]]:
         for server in self._table.blacklisted:
