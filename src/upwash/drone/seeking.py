@@ -36,9 +36,9 @@ _LEAST_GAIN_S = 1.0  # a stop that may not last so long is none
 class Seeking:
     """Decides about these stops, and waits; on the loop.
 
-    `home` returns where the vehicle lands, None if it does not return; `home_s(home, place)` the seconds of its return
-    from a place; `spare_s` the seconds of flight that the reserve leaves, None if unknown. `believed` returns the
-    servers that may compute these operations.
+    `home` returns where the vehicle lands, None if it does not return; `home_s(home, place)` the seconds of its way
+    home from a place; `spare_s` the seconds of flight that the reserve leaves, None if unknown. `believed` returns
+    the servers that may compute these operations.
     """
 
     def __init__(
