@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 from unittest.mock import patch
 
@@ -14,6 +14,7 @@ from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.demand_map import DemandMap
+from upwash.core.selection import call_placement
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.lanes import Lanes
 from upwash.drone import legs
@@ -96,12 +97,10 @@ def other_end(init: Any, self: CallLine, decisions: Any, **how: Any) -> None:
     self._lanes.newest_first = not self._lanes.newest_first
 
 
-@planted("a free drone takes the last call of the line", CallPlacement, "next_in_line")
-def takes_the_last(next_in_line: Any, self: CallPlacement, now_s: float) -> Any:
-    found = next_in_line(self, now_s)
-    if found is None or found[1] != "drone":
-        return found
-    return self._lanes.line[-1], "drone"
+@planted("a free place takes the last call of the line", call_placement, "first_taken")
+def takes_the_last(first_taken: Any, line: Sequence[tuple[float, float]], **about: Any) -> Any:
+    taken = first_taken(line, **about)
+    return None if taken is None else len(line) - 1
 
 
 @planted("a resting drone flies from range to range", Seeking, "sooner")

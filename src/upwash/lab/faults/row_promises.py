@@ -160,7 +160,13 @@ def _out_of_line(history: History) -> Iterator[Breach]:
 def _may_be_decided(
     event: schema.Decided, begun: schema.CallStarted, before: Sequence[schema.CallStarted], *, two: bool
 ) -> bool:
-    """Whether calls before it in line forbid the decision; by the times of the log, those of one operation."""
+    """Whether it may be decided with these calls before it in line.
+
+    Without a server that is ready none may be before it. With one, calls of the same operation are judged by the
+    times of the log.
+    """
+    if event.state != State.READY:
+        return not before
     alike = [other for other in before if other.operation == begun.operation == event.operation]
     if not alike:
         return True
