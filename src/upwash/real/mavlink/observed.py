@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import math
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
 from functools import partial
@@ -439,13 +440,13 @@ class ObservedVehicle:
 
     async def _accompany(self) -> None:
         """Send heartbeats as a companion computer: a second ground station would hide the loss of the real one."""
-        while True:
+        for number in itertools.count():
             await self._link.opened.wait()
             self.beat()
             self._look_at_reports()
             # A peer that vanished silently leaves a connection behind that brings nothing.
             self._link.reopen_if_dead(self.patience.dead_after_s)
-            if self.identity.ids:
+            if self.identity.ids and number % round(1 / self._streams.share) == 0:
                 self.ask(self.identity.twins.question(self.now_s))
             await asyncio.sleep(_HEARTBEAT_S)
 

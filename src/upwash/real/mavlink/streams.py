@@ -76,7 +76,7 @@ class Streams:
         self._is_answered: bool  # whether it acknowledged that question
         self._next_s: float
         self._streams: defaultdict[int, _Stream] = defaultdict(_Stream)
-        self._share = 1.0  # of the rates that are needed, as much as the link carries
+        self.share = 1.0  # of the rates that are needed, as much as the link carries
         self._forgiven_s = _FORGIVEN_S
         self._due: list[int] = []  # the reports whose request was not sent yet
         self._asked_s = -math.inf  # when a report was last asked for with all others
@@ -120,13 +120,13 @@ class Streams:
             self._ask_again(rare, now_s)
         elif now_s - self._asked_s > self._forgiven_s:
             self._times = self._confirmed_times = 0
-            if self._share < 1.0:  # a link may carry more by now: ever more rarely
-                self._share, self._forgiven_s = 2 * self._share, 2 * self._forgiven_s
+            if self.share < 1.0:  # a link may carry more by now: ever more rarely
+                self.share, self._forgiven_s = 2 * self.share, 2 * self._forgiven_s
                 self._ask_for_all(now_s)
 
     def _wanted_hz(self, number: int) -> float:
         needed_hz = self._firmware.streams_hz[number]
-        return max(needed_hz * self._share, min(needed_hz, _LEAST_HZ))
+        return max(needed_hz * self.share, min(needed_hz, _LEAST_HZ))
 
     def _ask_for_all(self, now_s: float, *, together: int = _ASKED_TOGETHER) -> None:
         self._due = list(self._firmware.streams_hz)
@@ -206,9 +206,9 @@ class Streams:
         if number in self._firmware.sent_at_times:
             return
         self._confirmed_times += 1
-        if self._confirmed_times < _CONFIRMED_TIMES or self._share <= _LEAST_SHARE:
+        if self._confirmed_times < _CONFIRMED_TIMES or self.share <= _LEAST_SHARE:
             return
-        self._share, self._confirmed_times, self._times = self._share / 2, 0, 1
+        self.share, self._confirmed_times, self._times = self.share / 2, 0, 1
         self._next_s = -math.inf
         self._ask_for_all(now_s)
         self._news.once(

@@ -31,19 +31,12 @@ _TIMES, _WITHIN_S = 3, 10.0  # one vehicle restarts less often
 _QUESTIONS = 16  # whose answers may still come
 _STAMPED_WITHIN_S = 0.05  # an autopilot's own inaccuracy
 _SPEED_KNOWN_S = 1.0  # of a clock's stamps, until its speed is known
-_LONGEST_BOOT_NS = (
-    2**32 * 10**6
-)  # the longest time since boot in milliseconds; a longer time counts from 1970
-_REPORTS, _REPORTS_S, _SPAN_S = (
-    256,
-    10.0,
-    1.0,
-)  # of places that are compared, and three neighbours' longest time
+_LONGEST_BOOT_NS = 2**32 * 10**6  # 32 bits of milliseconds; a longer time counts from 1970
+_REPORTS, _REPORTS_S = 256, 10.0  # of places that are compared
+_SPAN_S = 1.0  # the longest time of three neighbours
 _ODD_TIMES, _ODD_WITHIN_S = 5, 5.0  # a position filter resets less often
-_PLACE_M, _CURVE_M_S2 = (
-    0.5,
-    2.0,
-)  # beside the line between two reports: noise, and what a turn or a gust explains
+_PLACE_M = 0.5  # beside the line between two reports, by noise
+_CURVE_M_S2 = 2.0  # by a turn or a gust
 _LASTS_S, _PAUSE_S = 5.0, 1.5  # changes to and fro: longer than messages are late, faster than a pilot's
 
 
