@@ -68,7 +68,9 @@ def test_with_too_many_open_answers_it_brakes_and_waits() -> None:
     ("radius_m", "last_answer_s"),
     [
         (1000.0, 24 + 1),  # ready during the take-off, and each answer is there before the next photo
-        (70.0, 24 + 10),  # the last photo alone is out of range, 80 m away
+        # The last photo alone is out of range, 80 m away. The drone flies back, is in the range after 10 m, at 4.5 s,
+        # and has the answer after a check of 3 s and a call.
+        (70.0, 24 + 4.5 + 3 + 1),
         (50.0, 17 + 10 + 10),  # the photos at 60 and 80 m are, at 17 and 24 s
     ],
 )
@@ -86,8 +88,10 @@ def test_a_photo_that_the_drone_computes_goes_to_a_server_that_gets_ready_too() 
 def test_a_server_out_of_range_gives_back_its_photo() -> None:
     found = flown(servers={"s1": ServerBelief(Circle(Position(0.0, 0.0), 30.0), 4.0, 8.0, 3.0)})
     # Photo 1 is sent at 7 s. The drone leaves the range at 30 m, at 9.5 s, and computes the photo itself, and the
-    # others.
-    assert found.mission_s == pytest.approx(10 + 9.5 + 4 * 10 + 16)
+    # others, the last one from 39.5 s on. At 24 s it flies back 53 m, is in the range 3 m before it rests there, and
+    # after a check of 3 s the server answers the last one in 4 s.
+    in_range_s = 24 + 53 / 4 + 4 - math.sqrt(2 * 3)
+    assert found.mission_s == pytest.approx(10 + in_range_s + 3 + 4 + 16)
 
 
 def test_a_demand_turns_it_back_and_it_flies_on_from_its_action() -> None:

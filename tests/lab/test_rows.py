@@ -141,7 +141,7 @@ def test_where_most_answers_demand_something_it_stops_if_it_may_learn() -> None:
 def test_the_expected_times_are_those_of_a_drone_that_flies_on() -> None:
     run = survey(event__every=1000, event__offset=999)
     (foreseen,) = of(run, schema.Foreseen)
-    reached_s = [event.t for event in of(run, schema.Arrived)]
+    reached_s = [event.t for event in of(run, schema.Arrived) if event.waypoint is not None]
     assert foreseen.reached_s == pytest.approx(reached_s, abs=1.0)
     assert foreseen.as_asked_s == pytest.approx(run.mission_time_s, rel=0.02)
 

@@ -105,7 +105,7 @@ def takes_the_last(first_taken: Any, line: Sequence[tuple[float, float]], **abou
 
 @planted("a resting drone flies from range to range", Seeking, "sooner")
 async def never_rests(sooner: Any, self: Seeking, *about: Any, but: set[str], **how: Any) -> Any:
-    with patch("upwash.core.planning.backlog._LEAST_GAIN_S", -1e9):
+    with patch("upwash.core.planning.backlog.LEAST_GAIN_S", -1e9):
         return await sooner(self, *about, but=set(), **how)
 
 

@@ -17,7 +17,7 @@ from upwash.core.planning.answering import Answering, ServerBelief
 from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.motion import Motion, stay_in
 
-_LEAST_GAIN_S = 1.0
+LEAST_GAIN_S = 1.0
 
 
 class Backlog(Struct, frozen=True, kw_only=True):
@@ -62,7 +62,7 @@ class Backlog(Struct, frozen=True, kw_only=True):
         if not places:
             return None
         name, place = min(places, key=lambda each: self.ends_s(here, each[1]))
-        return (name, place) if self.ends_s(here, place) < self.ends_s(here, here) - _LEAST_GAIN_S else None
+        return (name, place) if self.ends_s(here, place) < self.ends_s(here, here) - LEAST_GAIN_S else None
 
     def _places(self, here: Position) -> Iterator[tuple[str, Position]]:
         for name, server in self.servers.items():

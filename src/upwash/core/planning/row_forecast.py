@@ -1,13 +1,15 @@
 """How long a mission of rows takes at a ground speed, and whether its answers keep up with its photos.
 
 The drone flies as drone/rows.py has it: each row is one leg, from rest to rest; with too many open answers it stops
-until there are fewer; a demand turns it back. Photos are answered as in answering.py.
+until there are fewer; a demand turns it back. At the end it waits in a range where that is sooner (backlog.py). Photos are
+answered as in answering.py.
 
 Left out: heat, noise, faults, other drones, and stops that `policy.stay_or_go = "learn"` would make.
 """
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 import operator
@@ -15,8 +17,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Position, Via, Waypoint, distance_m, part_way
+from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m, part_way
+from upwash.core.planning.answer_stops import AnswerStops
 from upwash.core.planning.answering import Answering, ServerBelief
+from upwash.core.planning.backlog import LEAST_GAIN_S
 from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.motion import Motion, passes, stay_in
 
@@ -147,7 +151,7 @@ class _Flight:
         self._fly_over(self._mission.leaving)
         self._brake()  # behind a last spot that is not the row's end
         if self._waits:
-            self._wait_below(1)
+            self._wait_where_best()
         return RowForecast(
             ground_speed_m_s=self._speed_m_s,
             mission_s=self._now_s + self._mission.home_s,
@@ -227,6 +231,26 @@ class _Flight:
             self._stops += 1
             self._brake()
             self._wait_below(self._mission.at_most)
+
+    def _wait_where_best(self) -> None:
+        """Wait for all answers here, or in a range where that ends sooner (backlog.py)."""
+        areas = [
+            server.area for server in self._answering.servers.values() if isinstance(server.area, Circle)
+        ]
+        places = [AnswerStops([area]).beside(self._here, self._here) for area in areas]
+        ends = [(self._waited_s_at(place), place) for place in places if place not in (None, self._here)]
+        ended_s, place = min(ends, key=lambda end: end[0], default=(math.inf, None))
+        if place is not None and ended_s < self._waited_s_at(self._here) - LEAST_GAIN_S:
+            self._fly(place)
+        self._wait_below(1)
+
+    def _waited_s_at(self, place: Position | None) -> float:
+        """When all answers would be there, if the drone waited at the place."""
+        trial = copy.deepcopy(self, {id(self._mission): self._mission})
+        if place is not None and place != self._here:
+            trial._fly(place)
+        trial._wait_below(1)
+        return trial._now_s
 
     def _wait_below(self, least: int) -> None:
         """Wait at rest until fewer answers are open, and meet their demands."""
