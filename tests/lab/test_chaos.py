@@ -85,12 +85,21 @@ def test_worlds_have_faults_of_every_kind_everywhere() -> None:
     }
     moving = {"off", "stuck", "slow", "flapping"}
     on_servers = moving | {"garbage", "wrong", "lying", "full", "crash", "hung", "poisoned", "unstartable"}
+    incidents = {
+        "pilot",
+        "fail-safe",
+        "diverted",
+        "home",
+        "jump",
+        "restart",
+        "impostor",
+        "battery",
+        "hovers",
+        "rally",
+    }
     assert drawn == {("s", kind) for kind in on_servers} | {
         (target, kind) for target in ("link", "autopilot") for kind in moving
-    } | {
-        ("autopilot", kind)
-        for kind in ("pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor", "battery")
-    }
+    } | {("autopilot", kind) for kind in incidents}
 
 
 def test_servers_tell_every_lie_somewhere() -> None:
