@@ -1,8 +1,8 @@
 """How long a mission of rows takes at a ground speed, and whether its answers keep up with its photos.
 
 The drone flies as drone/rows.py has it: each row is one leg, from rest to rest; with too many open answers it stops
-until there are fewer; a demand turns it back. At the end it waits in a range where that is sooner (backlog.py). Photos are
-answered as in answering.py.
+until there are fewer; a demand turns it back. At the end it waits in a range where that is sooner (backlog.py).
+Photos are answered as in answering.py.
 
 Left out: heat, noise, faults, other drones, and stops that `policy.stay_or_go = "learn"` would make.
 """
