@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 from tests.drone.test_pending import of
+from tests.programs import ROOT
 from tests.scenarios import scenario, server
 
+import upwash
 from upwash.config import DroneConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import schema
@@ -69,6 +71,16 @@ def test_a_drone_with_too_many_open_answers_waits_for_all_of_them_in_a_range() -
     assert len(sought) >= 1
     _, stays_s = flown(field(photos=photos, policy={"detour_s": 0.0}))
     assert took_s < stays_s
+
+
+def test_no_range_is_sought_once_all_answers_are_there() -> None:
+    """The first flight to a range brings the last answer on the way, which a second flight would keep waiting."""
+    events = list(upwash.simulate(ROOT / "scenarios" / "on-the-move.toml").events)
+    sought = [number for number, event in enumerate(events) if isinstance(event, schema.SoughtAnswers)]
+    assert sought
+    for number in sought:
+        before = events[:number]
+        assert len(of(before, schema.Call)) < len(of(before, schema.PhotoTaken))
 
 
 def test_a_server_is_joined_for_the_line_though_few_photos_come() -> None:

@@ -384,13 +384,20 @@ class Rows:
             self._vehicle.fly(here)
 
     def _seeks(self, sought: set[str], *, back: bool = True, following: Waypoint | None = None) -> bool:
-        """Fly to a range where the open answers come sooner than here; return whether the drone flew."""
+        """Fly to a range where the open answers come sooner than here; return whether the drone flew.
+
+        Answers that are there are taken first.
+        """
         seeking, here = self._rules.seeking, self._vehicle.position()
-        unheard = [a.pending.operation for a in self._open if not (a.demand.is_heard or a.needs_server)]
+        unheard = [answer for answer in self._open if not (answer.demand.is_heard or answer.needs_server)]
         if seeking is None or not unheard:
             return False
+        self._thread.call(asyncio.sleep(0))  # the loop begins the last call
+        if any(answer.demand.is_due for answer in unheard):
+            return False
+        waiting = [answer.pending.operation for answer in unheard]
         allows = self._vehicle.allows
-        sooner = seeking.sooner(unheard, here, allows, following=following, back=back, but=sought)
+        sooner = seeking.sooner(waiting, here, allows, following=following, back=back, but=sought)
         if (place := self._thread.call(sooner)) is None:
             return False
         self._vehicle.fly(place)
