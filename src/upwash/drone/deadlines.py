@@ -33,7 +33,12 @@ class DeadlineProspect(Struct, frozen=True):
 
     def __str__(self) -> str:
         asked, had = self.deadline, self.least
-        second = f"; a second server gets {had.extra:.0%} of the calls too" if had.extra else ""
+        second = (
+            f"; a second server gets {had.extra:.0%} of the calls too, and the probability holds for servers that "
+            "are late independently of each other: over one network both are late with it"
+            if had.extra
+            else ""
+        )
         return (
             f"{self.operation}: answered within {asked.within_s:g} s with a probability of {had.probability:.4g} at "
             f"least ({asked.probability:g} asked for){second}"
