@@ -68,9 +68,9 @@ def test_with_too_many_open_answers_it_brakes_and_waits() -> None:
     ("radius_m", "last_answer_s"),
     [
         (1000.0, 24 + 1),  # ready during the take-off, and each answer is there before the next photo
-        # The last photo alone is out of range, 80 m away. The drone flies back, is in the range after 10 m, at 4.5 s,
-        # and has the answer after a check of 3 s and a call.
-        (70.0, 24 + 4.5 + 3 + 1),
+        # The last photo alone is out of range, 80 m away. The drone flies back 17 m, and brakes on the last 8 m. It
+        # is in the range after 10 m, and has the answer after a check of 3 s and a call.
+        (70.0, 24 + 4.25 + (4 - math.sqrt(14)) + 3 + 1),
         (50.0, 17 + 10 + 10),  # the photos at 60 and 80 m are, at 17 and 24 s
     ],
 )

@@ -267,7 +267,8 @@ def test_three_drones_fly_at_once_and_each_does_all_of_its_mission(tmp_path: Pat
     assert {server for result in results.values() for server in result.totals.remote} == {"s1", "s2"}
     for drone in drones:
         assert any(
-            line.startswith(f"{drone}  ") and line.endswith("s  landed") for line in output.splitlines()
+            line.startswith(f"{drone}  ") and line.endswith("s  landed at home")
+            for line in output.splitlines()
         )
     assert "3 of 3 flights completed; mission time: mean" in output
     assert (tmp_path / "run" / "keys" / "drone-3.key").exists(), "each has its own"

@@ -16,7 +16,7 @@ from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
 from upwash.core.vehicle.return_place import RallyPoints, ReturnPlace
 from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
-from upwash.core.vehicle.way_home import EnergyFacts, WayHome
+from upwash.core.vehicle.way_home import EnergyFacts, WayHome, descent_s
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.ports import ComingDown, DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
@@ -171,7 +171,11 @@ class ModelAutopilot:
 
     def _way_home(self) -> WayHome:
         way = self._manner.returning
-        return replace(way, low_m=_HOVERS_M, waits_s=math.inf) if self._set_now("hovers") else way
+        if not self._set_now("hovers"):
+            return way
+        landing_s = duration_s(self._manner.landing(Position(0.0, 0.0, _HOVERS_M)))
+        uncounted_s = max(0.0, landing_s - descent_s(_HOVERS_M, way))  # of a vehicle with fixed times
+        return replace(way, low_m=_HOVERS_M, waits_s=math.inf, hover_s=way.hover_s + uncounted_s)
 
     def _rally(self) -> RallyPoints:
         """Its rally points; where it has one, it does not return home."""

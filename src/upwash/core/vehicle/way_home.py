@@ -26,6 +26,7 @@ _LEAST_SHARE = 1 / 3  # of the speed of returns: it flew out against the wind th
 LOOK_S = 2.0  # between two looks at the battery, and until the command
 LONGEST_WAIT_S = 60.0  # that a return may rest above its end: the program lands a vehicle that rests longer
 HOVER_SEEN_S = 10.0  # until a rest counts as a hover
+_LOOKED_EACH_S = 1.0  # at a return
 
 
 class WayHome(Struct, frozen=True):
@@ -56,7 +57,8 @@ class WayHome(Struct, frozen=True):
 
 def _at_most_waited(wait_s: float) -> float:
     """The wait, or the time until the program lands a vehicle that waits longer."""
-    return HOVER_SEEN_S if math.isinf(wait_s) else min(wait_s, LONGEST_WAIT_S + HOVER_SEEN_S)
+    seen_s = HOVER_SEEN_S + _LOOKED_EACH_S
+    return seen_s if math.isinf(wait_s) else min(wait_s, LONGEST_WAIT_S + seen_s)
 
 
 # With the parameters that each is delivered with; tests hold both against recorded returns. The hover is ArduCopter's

@@ -17,7 +17,8 @@ _TO_ALTER_RETURNS = ("hovers", "rally")
 def landings(history: History) -> Iterator[Breach]:
     """A flight that returns is landed, the log says where, and the reserve is left at touchdown.
 
-    Only flights whose autopilot has no other fault are judged, without a jump of the position.
+    Only flights whose autopilot has no other fault are judged, without a jump of the position. The reserve is not
+    judged if the safe end is a landing on the spot, or if the battery is too small from the take-off on.
     """
     faults = [fault for fault in history.config.faults if fault.target == "autopilot"]
     if any(fault.kind not in _TO_ALTER_RETURNS for fault in faults) or position_jumps(history.config):
@@ -69,7 +70,10 @@ def _start(history: History) -> Position | None:
 def _below_reserve(landed: schema.Landed, history: History) -> Iterator[Breach]:
     endurance_s, reserve_s = history.config.vehicle.endurance_s, history.config.mission.reserve_s
     armed = next((event for event in history.run.events if isinstance(event, schema.Armed)), None)
-    if endurance_s is None or reserve_s is None or armed is None:
+    lands = history.config.autopilot.on_failure == "land"
+    first = next((event for event in history.run.events if isinstance(event, schema.Energy)), None)
+    too_small = first is not None and first.margin_percent < 0
+    if endurance_s is None or reserve_s is None or armed is None or lands or too_small:
         return
     left_s = endurance_s - (landed.t - armed.t)
     if left_s < reserve_s:
