@@ -74,7 +74,7 @@ def test_a_wait_on_the_way_down_counts_until_the_program_lands_the_vehicle() -> 
         return time_home_s(Position(50.0, 0.0, 20.0), HOME, way)
 
     plain_s = home_s(ARDUCOPTER)
-    for wait_s, counted_s in ((0.0, 0.0), (30.0, 30.0), (600.0, 70.0), (math.inf, 10.0)):
+    for wait_s, counted_s in ((0.0, 0.0), (30.0, 30.0), (600.0, 71.0), (math.inf, 11.0)):
         assert home_s(replace(ARDUCOPTER, low_m=5.0, waits_s=wait_s)) == pytest.approx(plain_s + counted_s)
     climbs = replace(ARDUCOPTER, low_m=40.0, waits_s=math.inf)
     assert home_s(climbs) > plain_s + 10.0 + 20.0 / 2.5 + 20.0 / 1.5 - 2.0, "it rises to its last altitude"
