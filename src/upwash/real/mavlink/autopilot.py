@@ -43,8 +43,8 @@ class MavlinkAutopilot(ReportingAutopilot):
         ordered_mode = {"return": self.return_mode, "land": self.land_mode}[ordered] if ordered else ""
         self.vehicle.claim("start", resumes=resumes, ordered_mode=ordered_mode)
         if self._telemetry.armed:  # it flies already: `limits` is for a vehicle that stands
-            self._tracker.fix_ground()
             await self._know_home()
+            self._tracker.fix_ground()
             await self.learn()
             await self._learn_rally_in_flight()
 
