@@ -1,10 +1,10 @@
-"""How near missions of rows come to a simple rule of earliest completion: `python -m bench.rows_rules`.
+"""Times of missions on rows beside a simple rule of earliest completion: `python -m bench.rows_rules`.
 
-Fields are drawn: spots 12 to 60 m apart, and surveys whose photos overlap by 60 to 80 %; one or two servers. No
-answer demands anything, and nothing fails. Beside each mission flies a model of the rule that shares no code with
-upwash: a free place takes the first photo of the line that it answers before the other place gets to it, and at the
-end of the way the drone flies to a range if that ends the line sooner. With `--json` the times are written, and
-`--beside FILE` compares with the times of another version.
+Fields are drawn: spots 12 to 60 m apart, and surveys whose photos overlap by 60 to 80 %; one or two servers. Answers
+have no demands, and calls do not fail. A model of the rule, which shares no code with upwash, flies each mission too.
+In the model a free place takes the first photo of the line that it answers before the other place gets to it. At the
+end of the way the drone flies to a range if that ends the line sooner. `--json` writes the times, and `--beside FILE`
+compares with the times of another version.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class Model:
         return server.east_m + share * east_m, server.north_m + share * north_m
 
     def rested_s(self, place: tuple[float, float]) -> float:
-        """The time at which the drone is down that waits at the place."""
+        """When the drone is on the ground at home, after a wait at the place."""
         self.fly(place)
         while self.answered < self.taken:
             self.step(self.here)

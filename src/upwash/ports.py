@@ -51,7 +51,7 @@ class VehicleLimits:
     """The vehicle's home, its own fence and its rally points, relative to the mission's home.
 
     `home` and `home_above_sea_m` are None while the vehicle does not report them. At the altitudes `highest_m` and
-    `lowest_m`, above home, the fence is breached; None without such a limit. The vehicle may overshoot by `margin_m`.
+    `lowest_m`, above home, the fence is breached; None without the limit. The vehicle may overshoot by `margin_m`.
     `returns_at_m` is the least altitude of its way home, above home. `names` has the vehicle's parameter for each,
     for messages. `untold` are parameters of the fence that the vehicle did not report.
     """

@@ -1,14 +1,14 @@
 """The line of calls that are open at the same time: one is computed on the drone, and one on a server.
 
-    in line         the oldest call is first, or the newest, as configured; a call that the mission waits for comes
-                    before all, and one that only servers compute before those that the drone could compute
+    in line         the oldest call is first, or the newest, as configured; a call that the mission waits for is
+                    before all others; a call that only servers compute is before calls that the drone could compute
     its place       a free place takes the first call that it would answer before the other place gets to it
                     (core/planning/earliest.py); the drone takes a call that runs once, and all calls, in line, once
                     deciding has failed
-    decided         once its place is free, as any call is; then the next one is
+    decided         once its place is free, as any call is; then the next call is decided
 
-The lane of a place is held from the decision on until the call is answered, wherever it is computed in the end, and
-for as long as any other call of the drone is computed there (core/selection/lanes.py).
+A call holds the lane of its place from the decision until its answer, wherever it is computed in the end. Each other
+call of the drone that is computed there holds the lane too (core/selection/lanes.py).
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class ReserveWatch:
         return now
 
     def _tell(self, now: Margin, time_s: float) -> None:
-        """Log the margin when it is first known, each minute, when it is used up, and changes until then."""
+        """Log the margin when it is first known, when it has changed, each minute, and when it is used up."""
         if now.rate_percent_s is None:
             return
         if self._told is not None:

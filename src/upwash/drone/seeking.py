@@ -2,8 +2,8 @@
 
 For calls that only servers compute:
 
-    in the last range   before a leg after which the rest of the way, home included, passes no range
-    beside the way home the place in a range that makes the way least longer, unless home is in a range
+    in the last range   before a leg, if the rest of the way after it, home included, passes no range
+    beside the way home in the range with the shortest detour, unless home is in a range
     at home             once the drone has landed: until they are answered, or no server there answers
 
 For calls that the drone could compute, while it rests: a range where the line of them ends sooner than here, with the

@@ -769,7 +769,7 @@ class Energy(Event, frozen=True, kw_only=True):
 
     The landing is at home, or with `on_failure = "land"` below the vehicle. Logged when first known, after a change
     of the margin by more than 3 %, and once a minute. `guessed` lists the vehicle's unknown parameters: the estimate
-    takes usual values for them. `battery` is the number of the battery with the least margin, if there are several.
+    takes usual values for them. `battery` is the number of the battery with the least margin, of several batteries.
     """
 
     left_percent: Number

@@ -61,7 +61,7 @@ class ModelCamera:
 
 
 class UnseenCamera:
-    """Returns one grey photo in place of the photos of a solar park, where nobody looks at them.
+    """Returns one grey photo in place of the photos of a solar park, for missions that do not look at photos.
 
     Size and lens are those of the rendered photos.
     """

@@ -1,7 +1,8 @@
 """When photos are expected to be answered that a drone takes in flight: on the drone, or on one server at a time.
 
     in line     photos that wait; the oldest is first, or the newest
-    a place     takes, once free, the first photo that it would answer before the other place (earliest.py)
+    a place     the drone, or the server in use; it takes the first photo that it answers before the other place
+                gets to it (earliest.py)
     a server    the fastest in range, used after its check, until the drone leaves its range
 
 Calls take their estimates and nothing fails. A photo that a server had when its range ended is first in line again.

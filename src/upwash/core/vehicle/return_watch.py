@@ -60,7 +60,7 @@ class ReturnWatch:
 
     @property
     def no_nearer_s(self) -> float:
-        """The time in which it has come no nearer and neither climbed nor descended; 0 while that is short."""
+        """The time since it last came nearer, climbed or descended; 0 while that is short."""
         since_s = self._now_s - self._nearer_s
         return since_s if since_s >= _NO_NEARER_S and not self._is_at_place else 0.0
 

@@ -10,7 +10,7 @@ The laws:
    key. A defect in the handling of a message costs that message.
 
 From the bytes up: `link` opens connections, `receiver` decides which bytes are believed, `identity` whose they are,
-`numbering` which are new, and `gate` which numbers are possible. `news` limits what a person is told. `telemetry`
+`numbering` which are new, and `gate` which numbers are possible. `news` limits the messages to a person. `telemetry`
 keeps the last reports, `streams` has them sent often enough, `tracker` makes a position of them. `observed` ties
 these together as a vehicle that answers questions, and `vehicle` adds commands. `parameters`, `ftp`, `mission_list`,
 `fence`, `rally`, `needs`, `way_home` and `dead_man` each read or set one thing in it. `reports` answers a mission's
