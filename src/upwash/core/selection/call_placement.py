@@ -71,10 +71,9 @@ class CallPlacement:
             return None
         at_server = [(remote_s, local_s) for local_s, remote_s in times]
         taken = first_taken(at_server, other_in_s=self._lanes.rest_s(ON_DRONE, now_s))
-        is_behind = bool(taken) and self._is_twice(
-            line[taken or 0]
-        )  # the first ones want a better answer there
-        return None if is_behind else taken
+        if taken and self._is_twice(line[taken]):  # the calls before it want a better answer there
+            return None
+        return taken
 
     def _is_awaited(self, server: Server, now_s: float) -> bool:
         """Whether the server takes a call of the line."""
