@@ -28,7 +28,6 @@ from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
-from upwash.core.vehicle.way_home import UNKNOWN, time_home_s
 from upwash.drone.api import Drone, Mission, User
 from upwash.drone.coming_down import end_safely, follow
 from upwash.drone.deadlines import require_deadlines
@@ -246,9 +245,7 @@ class Flight:
             },
             plan=self._plan,
             home=lambda: autopilot.energy.returns_to(autopilot.position).position if returns else None,
-            home_s=lambda home, place: (
-                pace.home_share * time_home_s(place, home, autopilot.energy.way_home or UNKNOWN)
-            ),
+            home_s=lambda place: pace.home_share * autopilot.energy.time_home_s(place),
             ground_speed_m_s=config.mission.ground_speed_m_s,
             pace=pace,
             gain_switch=config.policy.gain_switch,
@@ -262,7 +259,7 @@ class Flight:
             pace.acceleration_m_s2,
             config.camera.photo_s,
             rests=photos is None,
-            servers=None if all(spec.on_drone for spec in specs.values()) else (calls, seeking),
+            servers=None if all(spec.on_drone for spec in specs.values()) else calls,
             seeking=seeking,
         )
 

@@ -161,8 +161,8 @@ class LegVerbs(Protocol):
 class RowRules:
     """When a drone stops on its rows: with `at_most` open answers, and where the rule finds that this saves time.
 
-    If it `rests`, it stops at each waypoint. `servers` are the calls that only servers compute, with their stops;
-    `seeking` finds stops for all calls.
+    If it `rests`, it stops at each waypoint. `seeking` finds stops where servers answer. `servers` are the calls that
+    only servers compute, None if the mission has no service of servers alone.
     """
 
     at_most: int
@@ -170,9 +170,9 @@ class RowRules:
     ground_speed_m_s: float
     acceleration_m_s2: float
     photo_s: float
+    seeking: Seeking
     rests: bool = False
-    servers: tuple[ServerCalls, Seeking] | None = None
-    seeking: Seeking | None = None
+    servers: ServerCalls | None = None
 
 
 class Rows:
@@ -314,9 +314,7 @@ class Rows:
         rules, operation = self._rules, answer.pending.operation
         if rules.servers is None or not rules.rests or rules.stay_or_go.manner == "go":
             return
-        calls, _ = rules.servers
-
-        if (soon_s := self._thread.call(calls.soon_s(operation))) is not None:
+        if (soon_s := self._thread.call(rules.servers.soon_s(operation))) is not None:
             waited_s = self._thread.call(_timed(one_answered([answer], within_s=_LATER * soon_s)))
             self._take_here(answer, waited_s)
 
@@ -332,8 +330,7 @@ class Rows:
         rules = self._rules
         if rules.servers is None or not isinstance(place, Waypoint) or not self._open:
             return
-        _, seeking = rules.servers
-        here = self._vehicle.position()
+        seeking, here = rules.seeking, self._vehicle.position()
         if self._thread.call(seeking.leads_away(here, place)):
             self.stop()
             self._thread.call(seeking.wait_here(here))
@@ -344,8 +341,7 @@ class Rows:
         """Before the way home, fly to a place where servers answer waiting calls, if the detour pays."""
         if self._rules.servers is None or not self._open:
             return
-        _, seeking = self._rules.servers
-        here = self._vehicle.position()
+        seeking, here = self._rules.seeking, self._vehicle.position()
         place = self._thread.call(seeking.beside_way_home(here, self._vehicle.allows))
         if place is None:
             return
@@ -359,8 +355,7 @@ class Rows:
         """Wait for the answers that servers give at home, and take all; the others have none."""
         if self._rules.servers is None:
             return
-        _, seeking = self._rules.servers
-        self._thread.call(seeking.after_landing())
+        self._thread.call(self._rules.seeking.after_landing())
         while self._open:
             self._thread.call(one_answered(self._open))
             for answer in self._taken():
@@ -390,7 +385,7 @@ class Rows:
         """
         seeking, here = self._rules.seeking, self._vehicle.position()
         unheard = [answer for answer in self._open if not (answer.demand.is_heard or answer.needs_server)]
-        if seeking is None or not unheard:
+        if not unheard:
             return False
         self._thread.call(asyncio.sleep(0))  # the loop begins the last call
         if any(answer.demand.is_due for answer in unheard):

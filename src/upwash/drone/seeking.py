@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from statistics import fmean
 
 from upwash.core.geo import Circle, Position, Waypoint
@@ -36,8 +35,8 @@ _LEAST_GAIN_S = 1.0  # a stop that may not last so long is none
 class Seeking:
     """Decides about these stops, and waits; on the loop.
 
-    `home` returns where the vehicle lands, None if it does not return; `home_s(home, place)` the seconds of its way
-    home from a place; `spare_s` the seconds of flight that the reserve leaves, None if unknown. `believed` returns
+    `home` returns where the vehicle lands, None if it does not return; `home_s` the seconds of its way home from a
+    place; `spare_s` the seconds of flight that the reserve leaves, None if unknown. `believed` returns
     the servers that may compute these operations.
     """
 
@@ -51,7 +50,7 @@ class Seeking:
         areas: Mapping[str, Circle],
         plan: Sequence[Waypoint],
         home: Callable[[], Position | None],
-        home_s: Callable[[Position, Position], float],
+        home_s: Callable[[Position], float],
         ground_speed_m_s: float,
         pace: Pace,
         gain_switch: float,
@@ -125,7 +124,7 @@ class Seeking:
         `following` waypoint on passes a range anyway, and none for the servers in `but`, which gets one more.
         """
         home = None if back else self._home()
-        home_s = partial(self._home_s, home) if home is not None else None
+        home_s = self._home_s if home is not None else None
         backlog = self._backlog(operations, here if back else home, home_s, but)
         if not backlog.servers or (following and self._leads_through(list(backlog.servers), following)):
             return None

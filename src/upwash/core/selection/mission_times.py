@@ -33,7 +33,7 @@ from upwash.core.selection.call_forecast import CallPlace
 from upwash.core.selection.commands import ExpectedTimes
 from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.selection.settings import LighterSettings, SelectionSettings
-from upwash.core.vehicle.way_home import EnergyFacts, descent_s, time_home_s
+from upwash.core.vehicle.way_home import UNKNOWN, EnergyFacts, descent_s
 
 
 def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) -> bool:
@@ -120,12 +120,11 @@ class Timetable:
         first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position
         if self._beliefs.leaving:
             last = self._beliefs.leaving[-1].position
-        place, pace = vehicle.returns_to(last), self._beliefs.pace_of(found)
-        way = vehicle.way_to(place)
+        way, pace = vehicle.way_home or UNKNOWN, self._beliefs.pace_of(found)
         self.home_s = pace.home_share * (
             way.hover_s + descent_s(last.altitude_m, way)
             if self._settings.lands
-            else time_home_s(last, place.position, way)
+            else vehicle.time_home_s(last)
         )
         takeoff_s = pace.takeoff_s(self._settings.takeoff_m)
         self._mission.begun(found)

@@ -101,6 +101,11 @@ class EnergyFacts(Struct, frozen=True):
         """How the vehicle returns to the place, slowly while it has not told how it returns."""
         return (self.way_home or UNKNOWN).to(place)
 
+    def time_home_s(self, start: Position) -> float:
+        """Seconds without wind from rest at `start` to the ground where a return from there ends."""
+        place = self.returns_to(start)
+        return time_home_s(start, place.position, self.way_to(place))
+
 
 def in_words(guessed: Sequence[str]) -> str:
     """A phrase that names the vehicle's parameters that are not known."""
