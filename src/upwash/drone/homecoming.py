@@ -9,7 +9,7 @@ import asyncio
 import math
 
 from upwash.core.geo import ground_distance_m, rounded
-from upwash.core.vehicle.return_place import AT_PLACE_M, ReturnPlace
+from upwash.core.vehicle.return_place import AT_PLACE_M
 from upwash.core.vehicle.return_watch import ReturnWatch
 from upwash.core.vehicle.way_home import UNKNOWN, WayDown
 from upwash.eventlog import schema
@@ -30,7 +30,6 @@ class Homecoming:
         self._autopilot = autopilot
         self._journal = journal
         self._way: WayDown | None = None
-        self._place: ReturnPlace | None = None
         self._watch: ReturnWatch | None = None
         self._looked_s = self._told_s = -math.inf
         self._lands_return = False  # as it hovers
@@ -92,18 +91,14 @@ class Homecoming:
     def _begin_return(self) -> ReturnWatch:
         """Follow a new return, or continue with the return of a moment ago."""
         self.doing = "return"
-        if (
-            self._watch is not None
-            and self._place is not None
-            and _now_s() - self._looked_s <= _SAME_RETURN_S
-        ):
+        if self._watch is not None and _now_s() - self._looked_s <= _SAME_RETURN_S:
             return self._watch
         facts, here = self._autopilot.energy, self._autopilot.position
-        self._place = facts.returns_to(here)
-        way = facts.way_to(self._place)
-        self._way = WayDown(way, here, self._place.position)
+        place = facts.returns_to(here)
+        way = facts.way_to(place)
+        self._way = WayDown(way, here, place.position)
         known = facts.way_home is not None and not facts.guessed
-        self._watch = ReturnWatch(way, self._place.position, here, now_s=_now_s(), known=known)
+        self._watch = ReturnWatch(way, place, here, now_s=_now_s(), known=known)
         self._lands_return, self._hurries, self._told_s = False, False, -math.inf
         return self._watch
 
@@ -128,13 +123,11 @@ class Homecoming:
         return True
 
     def _tell_in_vain(self, watch: ReturnWatch) -> None:
-        to = self._place.name if self._place is not None else "home"
         away_m, for_s = round(watch.away_m, 1), round(watch.no_nearer_s, 1)
-        self._journal.record(schema.NoNearer(to=to, away_m=away_m, for_s=for_s))
+        self._journal.record(schema.NoNearer(to=watch.place.name, away_m=away_m, for_s=for_s))
 
     def _tell_hover(self, watch: ReturnWatch) -> None:
-        here = rounded(self._autopilot.position)
-        where = self._place.name if self._place is not None else "home"
+        here, where = rounded(self._autopilot.position), watch.place.name
         hovers = f"hovers {here.altitude_m:.0f} m above {where}"
         if here.altitude_m < _ON_GROUND_M:
             why = f"the vehicle rests at the height of {where} and does not report its landing"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from upwash.core.geo import Position, distance_m, ground_distance_m
-from upwash.core.vehicle.return_place import AT_PLACE_M
+from upwash.core.vehicle.return_place import AT_PLACE_M, ReturnPlace
 from upwash.core.vehicle.way_home import HOVER_SEEN_S, LONGEST_WAIT_S, WayHome
 
 _RESTS_M = 1.5  # hovering vehicles wander less
@@ -20,14 +20,16 @@ _NO_NEARER_S = 30.0
 
 
 class ReturnWatch:
-    """Follows one return to a place by the vehicle's reports; times never go back.
+    """Follows one return to its `place` by the vehicle's reports; times never go back.
 
     Unless its parameters are `known`, the vehicle may rest above the place for the longest time.
     """
 
-    def __init__(self, way: WayHome, place: Position, start: Position, *, now_s: float, known: bool) -> None:
+    def __init__(
+        self, way: WayHome, place: ReturnPlace, start: Position, *, now_s: float, known: bool
+    ) -> None:
+        self.place = place
         self._way = way
-        self._place = place
         self._rest_s = min(way.hover_s, LONGEST_WAIT_S) if known else LONGEST_WAIT_S
         self._here = self._rests_at = start
         self._now_s = self._rests_since_s = now_s
@@ -50,7 +52,7 @@ class ReturnWatch:
     @property
     def away_m(self) -> float:
         """How far from the place it is, over the ground."""
-        return ground_distance_m(self._here, self._place)
+        return ground_distance_m(self._here, self.place.position)
 
     @property
     def hovers(self) -> bool:
