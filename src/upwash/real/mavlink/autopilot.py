@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import Position, distance_m, ground_distance_m
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import ArmingDelayed, VehicleSetting
-from upwash.ports import ComingDown, VehicleLimits
+from upwash.ports import ComingDown
 from upwash.real.mavlink.needs import require_version
 from upwash.real.mavlink.reports import ReportingAutopilot, check_speed
 
@@ -51,15 +51,10 @@ class MavlinkAutopilot(ReportingAutopilot):
     async def _learn_rally_in_flight(self) -> None:
         """Read the rally points of a vehicle in flight, which is not ended for what cannot be counted."""
         try:
-            await self.learn_rally(
-                VehicleLimits(self._tracker.home, home_above_sea_m=self._home_above_sea_m())
-            )
+            await self.learn_rally(self._home_limits())
         except (AutopilotRefused, AutopilotTimeout) as error:
             advice = f"{error}; the way home counts as ending at the vehicle's home"
             self.vehicle.news.tell(VehicleSetting(name="list of rally points", value=None, advice=advice))
-
-    def _home_above_sea_m(self) -> float | None:
-        return self._telemetry.home.altitude_m if self._telemetry.home else None
 
     async def inspect(self) -> None:
         """Checks the vehicle by questions alone; raises AutopilotRefused if it cannot be flown."""

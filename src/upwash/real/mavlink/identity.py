@@ -287,11 +287,8 @@ def _not_found(link: MavlinkLink, identity: Identity, waited_s: float) -> Autopi
         remedy = _REMEDIES[link.refused]
     elif identity.heard_instead(""):
         remedy = f"nothing else came within {waited_s:.0f} s"
-        remedy += (
-            ""
-            if identity.is_unflyable
-            else ": check that the vehicle is powered and its messages are passed on"
-        )
+        if not identity.is_unflyable:
+            remedy += ": check that the vehicle is powered and its messages are passed on"
     else:
         remedy = (
             f"{waited_s:.0f} s were waited: check that it is powered, that the address or device and its speed are "

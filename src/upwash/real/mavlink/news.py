@@ -20,12 +20,8 @@ from upwash.mavlink.packets import Message
 from upwash.ports import VehicleNews
 
 _KEPT = 1000  # until there is a listener
-_UNBOUNDED = (
-    VehicleSaid,
-    HomeMoved,
-    PositionDoubted,
-    AutopilotPhoto,
-)  # a vehicle, or a forger, may send these without end
+# A vehicle, or a forger, may send these without end.
+_UNBOUNDED = VehicleSaid, HomeMoved, PositionDoubted, AutopilotPhoto
 _UNBOUNDED_PER_S, _UNBOUNDED_AT_ONCE = 5.0, 100.0
 _log = logging.getLogger("upwash.mavlink")
 

@@ -35,6 +35,7 @@ def is_signed(message: Message) -> bool:
 
 class MessageReceiver:
     """Passes accepted messages to `heard`; `refused` is why an autopilot's last heartbeat was not accepted.
+
     `follows` recognizes the vehicle's heartbeat. `overheard` gets the messages of other senders.
     """
 

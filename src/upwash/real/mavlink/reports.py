@@ -227,13 +227,17 @@ class ReportingAutopilot(ABC):
         """The vehicle's limits, from its home, its parameters, its fence list and its rally points."""
         await self._know_home()
         await self.learn()
-        home = self._telemetry.home
-        above_sea_m = round(home.altitude_m, 2) if home else None
-        returns_at_m = self._energy.return_altitude_m
-        limits = await self._fenced(
-            VehicleLimits(self._tracker.home, returns_at_m=returns_at_m, home_above_sea_m=above_sea_m)
-        )
+        limits = await self._fenced(self._home_limits())
         return replace(limits, rally=await self.learn_rally(limits))
+
+    def _home_limits(self) -> VehicleLimits:
+        """The vehicle's home and the altitude of its return, without a fence."""
+        home = self._telemetry.home
+        return VehicleLimits(
+            self._tracker.home,
+            returns_at_m=self._energy.return_altitude_m,
+            home_above_sea_m=round(home.altitude_m, 2) if home else None,
+        )
 
     async def learn_rally(self, limits: VehicleLimits) -> RallyPoints:
         """Reads the vehicle's rally points, and has the way home count them; raises AutopilotError."""

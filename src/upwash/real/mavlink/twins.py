@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import LocalFrame, Position, Velocity, distance_m
+from upwash.core.geo import LocalFrame, Position, Velocity, distance_m, part_way
 from upwash.mavlink.packets import Message
 from upwash.real.mavlink.gate import RANGES
 from upwash.real.mavlink.telemetry import place_of_e7
@@ -159,7 +159,7 @@ class _PlaceReport(NamedTuple):
     velocity: Velocity
 
     def after(self, passed_s: float) -> Position:
-        """Where it goes in that time, at its velocity."""
+        """Where it goes in that time, at its velocity; altitudes above the sea may be negative."""
         east_m, north_m, up_m = (
             self.velocity.east_m_s * passed_s,
             self.velocity.north_m_s * passed_s,
@@ -208,14 +208,9 @@ def _beside_m(before: _PlaceReport, between: _PlaceReport, after: _PlaceReport) 
     """How far the middle report lies beside the line of the others; 0 if one vehicle can have made all three."""
     span_s = after.boot_s - before.boot_s
     share = (between.boot_s - before.boot_s) / span_s if span_s else 0.0
-    start, end = before.place, after.place
-    line = Position(
-        start.east_m + (end.east_m - start.east_m) * share,
-        start.north_m + (end.north_m - start.north_m) * share,
-        start.altitude_m + (end.altitude_m - start.altitude_m) * share,
-    )
+    line = part_way(before.place, after.place, share)
     allowed_m = _PLACE_M + _CURVE_M_S2 * span_s**2
-    agree = span_s <= _SPAN_S and distance_m(before.after(span_s), end) <= allowed_m
+    agree = span_s <= _SPAN_S and distance_m(before.after(span_s), after.place) <= allowed_m
     beside_m = distance_m(between.place, line)
     return beside_m if agree and beside_m > allowed_m else 0.0
 
