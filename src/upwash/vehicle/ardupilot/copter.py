@@ -19,6 +19,7 @@ from upwash.vehicle.body.copter import FaultKind, LandedState, Result, is_sensib
 
 _SAGGING_V = 10.0
 _BATTERY_FAULTS = FaultKind.BATTERY, FaultKind.SECOND_BATTERY
+_CAPACITIES = "BATT_CAPACITY", "BATT2_CAPACITY"
 _ALIGNS_IN_FLIGHT_M = 2.5
 _COMPLAINS_AFTER_DISARMING_S = 2.2
 _FAILSAFE_LANDING_PAUSE_S = 4.0
@@ -138,14 +139,12 @@ class Copter(CopterFlight):
     def _says_low(self, now_s: float) -> dict[FaultKind, str]:
         """What it says of each battery that is low."""
         charges = self.charge_percent(now_s), *self.batteries_percent(now_s)[1:]
-        names = "BATT_CAPACITY", "BATT2_CAPACITY"
-        return {
-            _BATTERY_FAULTS[
-                number
-            ]: f"Battery {number + 1} is low {self.battery_v(now_s, number=number):.2f}V used "
-            f"{(100 - percent) / 100 * self.parameters[names[number]]:.0f} mAh"
-            for number, percent in enumerate(charges)
-        }
+        said = {}
+        for number, percent in enumerate(charges):
+            used_mah = (100 - percent) / 100 * self.parameters[_CAPACITIES[number]]
+            low = f"Battery {number + 1} is low {self.battery_v(now_s, number=number):.2f}V"
+            said[_BATTERY_FAULTS[number]] = f"{low} used {used_mah:.0f} mAh"
+        return said
 
     # --- commands --------------------------------------------------------------------------------------------
 

@@ -99,9 +99,7 @@ class StandInSettings:
     parameters: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[VehicleFault, ...] = ()
     rally: tuple[GeoPosition, ...] = ()  # its rally points, with altitudes above home
-    serial: int = field(
-        default_factory=partial(secrets.randbits, _SERIAL_BITS)
-    )  # of its board; 0: it has none
+    serial: int = field(default_factory=partial(secrets.randbits, _SERIAL_BITS))  # of its board; 0: none
 
     def __post_init__(self) -> None:
         for name in ("endurance_s", "speedup"):
