@@ -50,8 +50,10 @@ def show_check(
         found = check(plan, seeds=seeds, fly=fly, flown=flown)
     drawn = plan.config
     if more_servers is not None:
-        with work("trying places for servers"):
-            placement, document = place(plan.document, plan.config, plan.file, more=more_servers, fly=fly)
+        with work("missions flown to try places for servers") as flown:
+            placement, document = place(
+                plan.document, plan.config, plan.file, more=more_servers, fly=fly, flown=flown
+            )
         found = msgspec.structs.replace(found, placement=placement)
         drawn = drone_config(document, plan.file)
     if as_json:

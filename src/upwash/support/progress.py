@@ -59,8 +59,10 @@ class Progress:
 
     @contextlib.contextmanager
     def work(self, what: str, total: int | None) -> Iterator[Callable[..., None]]:
-        """A part of the work, within the parts that are under way; call the result after each
-        step; `total` and `what` take the place of those that were given."""
+        """A part of the work, within the parts that are under way; call the result after each step.
+
+        The result's `total` and `what` take the place of those that were given.
+        """
         part = _Work(what, total, self._clock())
         self._work.append(part)
 
