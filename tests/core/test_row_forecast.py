@@ -25,7 +25,7 @@ def row(**known: Any) -> RowMission:
         "start": spots[0],
         "pace": Pace(1.0),
         "takeoff_s": 10.0,
-        "home_s": 16.0,
+        "home_s": lambda _: 16.0,
         "photo_s": 0.0,
         "local_s": 10.0,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,12 @@ def scenario(**mission: Any) -> DroneConfig:
         "service": [{"name": "detector", "local_call_s": {"light": 3.0, "heavy": 10.0}}],
     }
     return drone_config(document, Path("scenario.toml"))
+
+
+def at_once(config: DroneConfig) -> DroneConfig:
+    """The same, and no act is put off."""
+    policy = msgspec.structs.replace(config.policy, act_within_s=0.0)
+    return msgspec.structs.replace(config, policy=policy)
 
 
 class Part:
@@ -154,7 +161,7 @@ def test_killed_at_any_moment_it_takes_up_the_plan_after_the_last_result(killed_
     assert both.position is not None and both.position.altitude_m == 0.0
 
 
-@pytest.mark.parametrize("killed_at_s", [float(number) for number in range(10, 106, 3)])
+@pytest.mark.parametrize("killed_at_s", [float(number) for number in range(10, 96, 3)])
 @pytest.mark.parametrize("stay_or_go", ["stay", "go"])
 def test_killed_at_any_moment_no_answer_and_nothing_that_it_demands_is_lost(
     killed_at_s: float, stay_or_go: str
@@ -166,8 +173,8 @@ def test_killed_at_any_moment_no_answer_and_nothing_that_it_demands_is_lost(
     both = fly(config, after=fly(config, killed_at_s=killed_at_s, shows=shows), shows=shows)
     assert both.error is None
     assert both.result.completed
-    acted = [each.waypoint for each in both.events if isinstance(each, schema.Acted)]
-    assert acted == [1, 2], "once each in the log"
+    acted = Counter(each.waypoint for each in both.events if isinstance(each, schema.Acted))
+    assert acted == {1: 1, 2: 1}, "once each in the log"
     answered = {each.waypoint for each in both.events if isinstance(each, schema.AnswerTaken)}
     assert answered == {0, 1, 2, 3}
 

@@ -14,7 +14,7 @@ from unittest.mock import patch
 import pytest
 from msgspec.structs import replace
 from tests.drone.test_pending import in_the_air, of
-from tests.drone.test_resume import Part, fly, scenario
+from tests.drone.test_resume import Part, at_once, fly, scenario
 from tests.surveys import END, at, begin, transects, written
 
 from upwash import Drone, Position, Waypoint
@@ -39,7 +39,7 @@ def rows(**photos: Any) -> Any:
 
 
 def flown(program: Callable[[Drone, Detector], None], **photos: Any) -> list[Any]:
-    part = fly(rows(**photos), mission=in_the_air(program))
+    part = fly(at_once(rows(**photos)), mission=in_the_air(program))
     assert part.error is None, part.error
     return part.events
 
@@ -310,7 +310,8 @@ ENDINGS = {
 def test_a_flight_ended_on_a_row_names_what_is_open_and_is_taken_up_again(moment: str, by: str) -> None:
     shows = [PLAN[2], PLAN[8]]
     ending = ENDINGS[moment]
-    config = scenario(waypoints_m=ROWS, photos={"every_m": 20.0, "at_most": ending.at_most}, action_s=5.0)
+    photos = {"every_m": 20.0, "at_most": ending.at_most}
+    config = at_once(scenario(waypoints_m=ROWS, photos=photos, action_s=5.0))
     whole = of(fly(config, shows=shows).events, ending.kind)
     began = [event for event in whole if ending.waypoint in (None, getattr(event, "waypoint", None))]
     at_s = began[0].t + ending.later_s

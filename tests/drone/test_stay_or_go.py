@@ -8,7 +8,7 @@ from typing import Any, Literal
 import msgspec
 import pytest
 from tests.drone.test_pending import in_the_air, of
-from tests.drone.test_resume import fly, scenario
+from tests.drone.test_resume import at_once, fly, scenario
 from tests.drone.test_safe_ends import cut_the_wire
 from tests.drone.test_safe_ends import fly as fly_far
 from tests.drone.test_safe_ends import scenario as far
@@ -41,7 +41,7 @@ def going(config: DroneConfig, manner: str = "go") -> DroneConfig:
 
 
 def flown(program: Callable[[Drone, Detector], None], manner: str = "go") -> list[Any]:
-    part = fly(going(scenario(), manner), mission=in_the_air(program))
+    part = fly(at_once(going(scenario(), manner)), mission=in_the_air(program))
     assert part.error is None, part.error
     return part.events
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from upwash.core.geo import Position, Waypoint
+from upwash.core.planning.acts import Acts
+from upwash.core.planning.legs import Pace
 from upwash.core.selection import events
 from upwash.core.vehicle.geofence import Fence, Polygon
 from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.drone.homecoming import Homecoming
+from upwash.drone.late_acts import LateActs
 from upwash.drone.site import Site
 from upwash.drone.vehicle import Vehicle, VehicleHandle
 from upwash.errors import AutopilotRefused
@@ -55,6 +59,15 @@ class Field:
             site=Site(**(facts | site)),
             homecoming=Homecoming(this, journal),
             tell=self.told.append,
+            late=LateActs(
+                this,
+                journal,
+                plan=(),
+                acts=Acts((), ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=None),
+                within_s=math.inf,
+                home_s=lambda _: 0.0,
+                spare_s=lambda: None,
+            ),
         )
 
     def call(self, verb: Any) -> Any:

@@ -14,30 +14,14 @@ from tests.scenarios import scenario, server
 from upwash.config import fleet_of, server_areas, waypoints
 from upwash.config.drone_file import drone_config
 from upwash.lab.bounds import bound_of, bounds_of
-from upwash.lab.least_time import Onward
 from upwash.lab.run import simulate, simulate_drones
 
-ACTION_S = 5.0
-
-
-def test_a_delay_is_hidden_by_the_way_where_the_answer_demands_nothing() -> None:
-    onward = Onward(way_s=10.0, leg_s=9.0, demanded=False)
-    assert [onward.least_wait_s(call_s, call_s) for call_s in (0.7, 10.0, 12.5)] == [0.0, 0.0, 2.5]
-    assert onward.least_wait_s(30.0, 11.0) == 1.0, "a server on the way answers sooner"
-
-
-def test_who_knows_what_is_demanded_stays_for_it() -> None:
-    assert Onward(way_s=10.0, leg_s=9.0, demanded=True).least_wait_s(10.0, 10.0) == 10.0
-
-
-def test_a_long_photo_is_worth_two_short_legs() -> None:
-    # photo of 10 s, legs of 2 s: there, back and there again, all within the delay but for 4 s
-    assert Onward(way_s=12.0, leg_s=2.0, demanded=True).least_wait_s(12.0, 12.0) == 4.0
+ACTION_S, PHOTO_S = 5.0, 1.0
 
 
 @pytest.mark.parametrize("manner", ["go", "learn"])
 def test_where_servers_answer_most_calls_it_is_what_a_model_of_the_question_says(manner: str) -> None:
-    # 26 s up and down, 121 photos, 120 legs of 9 s, which hide all delays but those of 12 events and of the last call
+    # 26 s up and down, 121 photos, 120 legs of 9 s, which hide all delays but that of the last call, and 12 actions
     config = scenario(
         server("s1", 80.0, 80.0, range_m=105.0),
         server("s2", 120.0, 120.0, range_m=105.0),
@@ -57,7 +41,7 @@ def test_where_servers_answer_most_calls_it_is_what_a_model_of_the_question_says
     run = simulate(config)
     bound = bound_of(run, config)
     assert bound is not None
-    assert bound.free_s == pytest.approx(1305.4)
+    assert bound.free_s == pytest.approx(26.0 + 121 * PHOTO_S + 120 * 9.0 + 12 * ACTION_S)
     assert bound.with_joins_s == bound.free_s < run.result.mission_time_s
 
 

@@ -49,7 +49,9 @@ WORLDS = {
         policy={"name": "local-only"},
         service=[{"name": "detector", "local_call_s": {"light": 1.0, "heavy": 3.0}}],
     ),
-    "a demand at each fourth photo": world(rows(6, 160.0, every_m=20.0), event={"every": 4, "offset": 1}),
+    "a demand at each fourth photo": world(
+        rows(6, 160.0, every_m=20.0), event={"every": 4, "offset": 1}, policy={"act_within_s": 0.0}
+    ),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 from unittest.mock import patch
@@ -13,11 +14,13 @@ from tests.sim.planting import Planting, plant, planted, planting
 from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
+from upwash.core.planning.acts import Acts
 from upwash.core.planning.demand_map import DemandMap
 from upwash.core.selection import call_placement
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.lanes import Lanes
 from upwash.drone import legs
+from upwash.drone.late_acts import LateActs
 from upwash.drone.legs import Legs
 from upwash.drone.line import CallLine
 from upwash.drone.pending import AnswerAction
@@ -120,6 +123,23 @@ def leaves_answers_open(settle: Any, self: Rows, *, comes_back: bool = True) -> 
         settle(self)
     else:
         self.stop()
+
+
+@planted("an act that was put off is forgotten", Acts, "all")
+def forgets(all_acts: Any, self: Acts[Any]) -> list[Any]:
+    all_acts(self)
+    return []
+
+
+@planted("an act is put off for longer than its limit", LateActs, "_left_s")
+def has_no_limit(_left_s: Any, self: LateActs, *_: Any) -> float:
+    return math.inf
+
+
+@planted("an act is put off to where it costs more", Acts, "put_off")
+def saves_nothing(put_off: Any, self: Acts[Any], *about: Any, **how: Any) -> Any:
+    with patch("upwash.core.planning.acts._LEAST_GAIN_S", -1e9):
+        return put_off(self, *about, **how)
 
 
 @planted("a photo whose demand was met is taken again", call_promises, "waypoints_done")

@@ -78,6 +78,8 @@ FOUND_BY_SEED = {
     "on a row a spot counts in doubt of the position": 212,
     "of several demands on a row one is met": 37,
     "on a row an action is done where the drone is": 37,
+    "an act that was put off is forgotten": 37,
+    "an act is put off to where it costs more": 37,
     "every landing is said to be at home": 48,
     "the way home counts as one to home alone": 48,
     "the time until a hover is seen is not counted": 152,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -314,6 +315,9 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Whether the drone flies on before it has an answer: [answers that come later](pending-calls.md)."""
     demand_map: values.DemandPath | None = None
     """A file, kept between flights, with the places of demands, for `stay_or_go`."""
+    act_within_s: values.NotNegative | None = None
+    """The longest time in seconds from [an answer that came later](pending-calls.md#when-the-drone-acts) to its act,
+    as far as the drone can tell; 0: at once; without the key the drone acts where that makes the way least longer."""
     detour_s: values.NotNegative = 120.0
     """The longest stop, with the way there, for answers of [a service that only servers run](only-servers.md); for
     others the longest way to a range where a resting drone has the answers sooner ([rows](rows.md)); 0: none."""
@@ -351,6 +355,11 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     def left_alone_s(self) -> float:
         """For how long a server that failed is left alone where it is not probed: 60 s, as in the thesis."""
         return _LEFT_ALONE_S if self.blacklist_s is None else self.blacklist_s
+
+    @property
+    def acts_within_s(self) -> float:
+        """`act_within_s`; infinite without one."""
+        return math.inf if self.act_within_s is None else self.act_within_s
 
     @property
     def hedging(self) -> HedgeConfig | None:

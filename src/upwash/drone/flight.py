@@ -8,6 +8,7 @@ import traceback
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 from msgspec import Struct
 
@@ -24,6 +25,8 @@ from upwash.config import (
 )
 from upwash.core.camera.georeference import Ground, level_ground
 from upwash.core.geo import Circle, Position, rounded
+from upwash.core.planning.acts import Acts
+from upwash.core.planning.legs import Pace
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
@@ -33,9 +36,10 @@ from upwash.drone.coming_down import end_safely, follow
 from upwash.drone.deadlines import require_deadlines
 from upwash.drone.home import planned_home
 from upwash.drone.homecoming import Homecoming
+from upwash.drone.late_acts import LateActs
 from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.payload import Payload
-from upwash.drone.pending import AnswerActions, Calls
+from upwash.drone.pending import AnswerAction, AnswerActions, Calls
 from upwash.drone.photographer import Photographer
 from upwash.drone.preparation import (
     make_offloading,
@@ -174,6 +178,7 @@ class Flight:
             ),
             homecoming=self._homecoming,
             tell=self._offloading.tell,
+            late=self._late_acts(),
             rows=self._row_rules(specs, selection),
         )
         self._handle = VehicleHandle(self._vehicle)
@@ -231,7 +236,6 @@ class Flight:
         calls = self._offloading.server_calls
         if calls is None:
             return None
-        pace = told_pace(config.vehicle) or pace_in_numbers(config.vehicle)
         returns = ending(config.mission) == "return"
         seeking = Seeking(
             calls,
@@ -245,9 +249,9 @@ class Flight:
             },
             plan=self._plan,
             home=lambda: autopilot.energy.returns_to(autopilot.position).position if returns else None,
-            home_s=lambda place: pace.home_share * autopilot.energy.time_home_s(place),
+            home_s=self._home_s,
             ground_speed_m_s=config.mission.ground_speed_m_s,
-            pace=pace,
+            pace=self._pace,
             gain_switch=config.policy.gain_switch,
             detour_s=config.policy.detour_s,
             spare_s=self._watch.spare_s,
@@ -256,12 +260,40 @@ class Flight:
             photos.at_most if photos else len(self._plan) + 1,
             self._stay_rule,
             config.mission.ground_speed_m_s,
-            pace.acceleration_m_s2,
+            self._pace.acceleration_m_s2,
             config.camera.photo_s,
             rests=photos is None,
             servers=None if all(spec.on_drone for spec in specs.values()) else calls,
             seeking=seeking,
         )
+
+    def _late_acts(self) -> LateActs:
+        config, autopilot = self._config, self._ports.autopilot
+        acts = Acts[AnswerAction[Any]](
+            self._plan,
+            leaving=[via.position for via in leaving(config.mission)],
+            ground_speed_m_s=config.mission.ground_speed_m_s,
+            pace=self._pace,
+            photo_s=config.camera.photo_s,
+            home_s=self._home_s if ending(config.mission) == "return" else None,
+        )
+        return LateActs(
+            autopilot,
+            self._ports.journal,
+            plan=self._plan,
+            acts=acts,
+            within_s=config.policy.acts_within_s,
+            home_s=self._home_s,
+            spare_s=self._watch.spare_s,
+        )
+
+    @property
+    def _pace(self) -> Pace:
+        return told_pace(self._config.vehicle) or pace_in_numbers(self._config.vehicle)
+
+    def _home_s(self, place: Position) -> float:
+        """The seconds from a place to the ground at home, on average."""
+        return self._pace.home_share * self._ports.autopilot.energy.time_home_s(place)
 
     def _planned(self) -> schema.Planned:
         mission = self._config.mission

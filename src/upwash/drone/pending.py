@@ -138,6 +138,10 @@ class Pending(Generic[T]):
         return self._task.result() if self._task.done() else self._hearing.first.result()
 
     @property
+    def _has_first(self) -> bool:
+        return hasattr(self, "_hearing") and self._hearing.first.done()
+
+    @property
     def _failure(self) -> str:
         return why_failed(self._task) if self._task.done() else ""
 
@@ -186,7 +190,7 @@ class Demand(Generic[T]):
     @property
     def is_due(self) -> bool:
         """Whether the question has not run for an answer that is there, or the call is over."""
-        return self.pending.done() or (self._holds is None and self.pending._hearing.first.done())
+        return self.pending.done() or (self._holds is None and self.pending._has_first)
 
     @property
     def news(self) -> set[asyncio.Future[Any]]:
@@ -358,8 +362,21 @@ class VehicleVerbs(Protocol):
     def position(self) -> Position:
         """Where it is."""
 
-    def fly(self, place: Place, *, unless: Demand[Any] | None = None, back: bool = False) -> bool:
-        """Fly to a place, `back` to a waypoint whose calls are over; False, at rest on the way, for a demand."""
+    def fly(
+        self,
+        place: Place,
+        *,
+        unless: Demand[Any] | None = None,
+        late: AnswerAction[Any] | None = None,
+        back: bool = False,
+    ) -> bool:
+        """Fly to a place, `back` to a waypoint whose calls are over; False, at rest on the way, for a demand.
+
+        The act of a `late` answer may be put off.
+        """
+
+    def puts_off(self, answer: AnswerAction[Any]) -> bool:
+        """Whether the act is put off, at rest at a waypoint."""
 
     def leave_open(self, answer: AnswerAction[Any]) -> None:
         """Have the verbs that follow settle the answer."""
@@ -391,8 +408,8 @@ class AnswerAction(Generic[T]):
         self.place = vehicle.place()
         self.waypoint = index_of(self.place)
         self.is_away = False  # whether the drone has left the waypoint
-        self.is_over = False
-        self._is_noted = False
+        self.is_over = False  # the act is done, or put off
+        self._is_noted = self._is_learnt = False
 
     def hear(self) -> bool:
         """Waits for the answer, of two for the first; acts on it, or returns False where a better one may come."""
@@ -402,11 +419,15 @@ class AnswerAction(Generic[T]):
         self.finish(waited_s)
         return True
 
-    def settle(self) -> None:
-        """Waits for the last answer; if it has a demand, flies to its waypoint, acts, and comes back here."""
+    def settle(self, *, puts_off: bool = False) -> None:
+        """Waits for the last answer; if it has a demand, flies to its waypoint, acts, and comes back here.
+
+        The act may be put off, if the caller `puts_off` acts.
+        """
         here, waited_s = self._vehicle.place(), self.pending._wait()
-        if self.is_away and self.demand.holds():
-            self.demand.note()
+        if self.is_away and self.demands():
+            if puts_off and self._vehicle.puts_off(self):
+                return
             self.come_back(waited_s)
             if here is not None:
                 self._vehicle.fly(here)
@@ -416,15 +437,15 @@ class AnswerAction(Generic[T]):
     def fly_on(self, place: Place) -> None:
         """Fly one leg with the answer open; wait for it before another leg."""
         if self.is_away:
-            self.settle()
+            self.settle(puts_off=True)
             self._vehicle.fly(place)
             return
         self.is_away = True
-        if not self._vehicle.fly(place, unless=self.demand):
+        if not self._vehicle.fly(place, unless=self.demand, late=self):
             self.come_back(0.0)
             self._vehicle.fly(place)
-        elif self.pending.done():  # in the moment of the arrival, or demanding nothing
-            self.settle()
+        elif self.pending.done() and not self.is_over:  # in the moment of the arrival, or demanding nothing
+            self.settle(puts_off=True)
 
     def demands(self) -> bool:
         """Whether the answer, which is there, has a demand; logs one."""
@@ -450,10 +471,8 @@ class AnswerAction(Generic[T]):
         self.is_over = True
         if not self.pending.done():  # the first of two answers is acted on
             self._calls.do(self.pending._ended_now())
+        self.learn()
         demanded = self.demand.holds()
-        place = position_of(self.place) if self.place is not None else None
-        if not self.needs_server:  # else it says little of the answers that the drone may wait for
-            self._rule.answered(self.pending.took_s, demanded=demanded, place=place)
         self.pending._take(waited_s, demanded=demanded)
         try:
             answer = self.pending._answer()
@@ -467,6 +486,21 @@ class AnswerAction(Generic[T]):
             self._act(answer)
         if demanded:
             self._calls.note(schema.Acted(waypoint=self.waypoint))
+
+    def put_off(self) -> None:
+        """Note that the act is put off: the answer is none that is waited for."""
+        self.is_over = True
+        self.learn()
+
+    def learn(self) -> None:
+        """Have the rule learn from the last answer, once."""
+        if self._is_learnt or not self.pending.done():
+            return
+        if self.needs_server:  # it says little of the answers that the drone may wait for
+            return
+        self._is_learnt = True
+        place = position_of(self.place) if self.place is not None else None
+        self._rule.answered(self.pending.took_s, demanded=self.demand.holds(), place=place)
 
     @property
     def needs_server(self) -> bool:

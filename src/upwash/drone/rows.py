@@ -5,6 +5,7 @@
     an answer    Without a demand it is taken, while the drone flies on.
     a demand     The drone brakes, flies back and acts. Demands that are there by then are one detour, the nearest
                  first. Then the drone flies on from where it began to brake, or along the row of its last action.
+                 An act that costs less further on is put off (late_acts.py): the drone rests at a waypoint for it.
     too many     With too many open answers the drone brakes and waits.
     other verbs  The drone brakes, and comes back to the last spot. Before most verbs every answer is in.
     a doubt      While the vehicle is not sure of its position no spot counts. It flies back to a spot that it passed
@@ -33,6 +34,7 @@ from msgspec.structs import asdict
 
 from upwash.core.geo import Position, Via, Waypoint, distance_m, part_way
 from upwash.core.planning.stay_or_go import RowOutlook, StayRule, StayVerdict
+from upwash.drone.late_acts import LateActs, Onwards
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Place, one_answered, position_of
 from upwash.drone.seeking import Seeking
@@ -187,12 +189,14 @@ class Rows:
         plan: Sequence[Waypoint],
         way: Sequence[Position] = (),
         rules: RowRules,
+        late: LateActs,
     ) -> None:
         self._vehicle = vehicle
         self._thread = thread
         self._journal = journal
         self._following = dict(itertools.pairwise(plan))
         self._rules = rules
+        self._late = late
         self._open: list[AnswerAction[Any]] = []
         self._end: Position | None = None  # of the leg that is flown
         self._leg_m_s: float | None = None
@@ -235,7 +239,7 @@ class Rows:
             self._end, self._left_at = None, position_of(place)
             self._stays = isinstance(place, Waypoint) and self._rests_at(place)
             hold_s = place.hold_s if isinstance(place, Waypoint) else 0.0
-            if not self._stays and not hold_s and not self._rules.rests:
+            if not (self._stays or hold_s or self._rules.rests or self._late.waits_after(place)):
                 self._set_off_for_next(place)
             if self._end is None:
                 self._thread.call(self._vehicle.arrive())
@@ -284,9 +288,11 @@ class Rows:
         self, place: Place, fly_on: Callable[[], Coroutine[Any, Any, bool]], goes_on: Callable[[], None]
     ) -> None:
         """Fly on until the place is passed, or fly back to it; meet the demands that come meanwhile."""
+        if due := self._due(self._onwards(place)):
+            self._detour(due, place, goes_on)
         while not self._thread.call(fly_on()):
-            if demanding := self._taken():
-                self._detour(demanding, position_of(place), goes_on)
+            if demanding := self._wanted_now(self._onwards(place), self._taken()):
+                self._detour(demanding, place, goes_on)
             elif not self._vehicle.passes(place):
                 self._fly_back(place)
                 return
@@ -326,16 +332,20 @@ class Rows:
             answer.finish(waited_s)
 
     def _before_leaving(self, place: Place) -> None:
-        """Stop in the last range of the way if calls wait for a server, and meet what is demanded by now."""
+        """Do what was put off to here; stop in the last range of the way if calls wait for a server."""
         rules = self._rules
+        if self._end is None and (due := self._late.due_after(self._last)):
+            self._open += due
+            self._meet(due, self._onwards(place))
         if rules.servers is None or not isinstance(place, Waypoint) or not self._open:
             return
         seeking, here = rules.seeking, self._vehicle.position()
         if self._thread.call(seeking.leads_away(here, place)):
             self.stop()
             self._thread.call(seeking.wait_here(here))
-        if self._end is None and (demanding := self._taken()):
-            self._meet(demanding)
+        onwards = self._onwards(place)
+        if self._end is None and (demanding := self._wanted_now(onwards, self._taken())):
+            self._meet(demanding, onwards)
 
     def seek_answers(self) -> None:
         """Before the way home, fly to a place where servers answer waiting calls, if the detour pays."""
@@ -416,6 +426,9 @@ class Rows:
             return
         here, was_away, sought = self._vehicle.place(), self._end is not None, set[str]()
         self.stop()
+        if due := self._late.all():
+            self._open += due
+            was_away = self._meet(due) is not None
         while any(not answer.needs_server for answer in self._open):
             was_away |= self._seeks(sought, back=comes_back) or self._take_next(waits=True)
         if self._open:
@@ -460,20 +473,25 @@ class Rows:
         return end if is_on_row and is_ahead and lies_on(place.position, here, end) else None
 
     def _end_of_leg(self, place: Place) -> Position | None:
-        """The end of the place's row, or the first spot on the way where a map of demands has the drone rest.
+        """The end of the place's row, or the first spot on the way where the drone rests for acts or their demands.
 
         None if the drone does not pass the place on its way there.
         """
         end, spot = self._row_end_from_here(place), place if isinstance(place, Waypoint) else None
         self._rest = None
-        if end is None or self._rules.stay_or_go.demand_map is None:
-            return end
-        while spot is not None and spot.row_end == end:
-            if (verdict := self._verdict(spot, rests_anyway=False)) is not None and not verdict.goes:
+        while end is not None and spot is not None and spot.row_end == end:
+            if self._late.waits_after(spot) or self._is_often_demanded(spot):
                 self._rest = spot.position
                 return self._rest
             spot = self._following.get(spot)
         return end
+
+    def _is_often_demanded(self, spot: Waypoint) -> bool:
+        """Whether a map of demands has the drone rest at a spot of a row."""
+        if self._rules.stay_or_go.demand_map is None:
+            return False
+        verdict = self._verdict(spot, rests_anyway=False)
+        return verdict is not None and not verdict.goes
 
     def _rests_at(self, spot: Waypoint) -> bool:
         """Whether the drone waits at this spot, where it rests, for the answer."""
@@ -504,17 +522,19 @@ class Rows:
     def _note(self, event: schema.Event) -> None:
         self._thread.post(lambda: self._journal.record(event))
 
-    def _taken(self, waited_s: float = 0.0) -> list[AnswerAction[Any]]:
-        """The open answers that are there and have a demand; the others that are there are taken."""
-        demanding = []
-        for answer in [answer for answer in self._open if answer.demand.is_due]:
+    def _taken(
+        self, waited_s: float = 0.0, *, but: Sequence[AnswerAction[Any]] = ()
+    ) -> list[AnswerAction[Any]]:
+        """The open answers that are there and have a demand, the nearest first; others that are there are taken."""
+        demanding, here = [], self._vehicle.position()
+        for answer in [answer for answer in self._open if answer.demand.is_due and answer not in but]:
             if answer.demands():
                 demanding.append(answer)
             elif answer.pending.done():
                 self._open.remove(answer)
                 answer.finish(waited_s)
                 waited_s = 0.0
-        return demanding
+        return sorted(demanding, key=lambda answer: answer.away_m(here))
 
     def _fly_back(self, spot: Place) -> None:
         """Brake, fly to a spot that was missed, and set off again for the end of the leg."""
@@ -526,13 +546,34 @@ class Rows:
         if position_of(spot) != end:
             self._set_off(end, self._leg_m_s)
 
-    def _detour(
-        self, demanding: list[AnswerAction[Any]], spot: Position, goes_on: Callable[[], None]
-    ) -> None:
-        end, left = self._end, self._vehicle.left()
+    def _onwards(self, place: Place) -> Onwards:
+        """What follows for the drone on its leg to the place, or over it."""
+        ahead = position_of(place) if self._end in (None, position_of(place)) else self._vehicle.left()
+        return Onwards(place, ahead, self._end, rests=self._end is None)
+
+    def _wanted_now(
+        self, onwards: Onwards, demanding: Sequence[AnswerAction[Any]]
+    ) -> list[AnswerAction[Any]]:
+        """The answers whose demands the drone meets before it goes on; the acts of others are put off."""
+        allows, now = self._vehicle.allows, []
+        for answer in demanding:
+            if self._thread.call(self._late.puts_off(answer, onwards, allows)):
+                self._open.remove(answer)
+                answer.put_off()
+            else:
+                now.append(answer)
+        return now
+
+    def _due(self, onwards: Onwards) -> list[AnswerAction[Any]]:
+        """The acts that were put off, and are to be done before the drone goes on."""
+        self._open += (due := self._thread.call(self._late.due(onwards)))
+        return due
+
+    def _detour(self, demanding: list[AnswerAction[Any]], place: Place, goes_on: Callable[[], None]) -> None:
+        end, left, spot, onwards = self._end, self._vehicle.left(), position_of(place), self._onwards(place)
         assert end is not None  # noqa: S101 - a leg is flown
         self.stop()
-        last = self._meet(demanding)
+        last = self._meet(demanding, onwards._replace(rests=True))
         ahead = left if spot == end else spot
         is_on_row = last is not None and lies_on(ahead, position_of(last), end)
         if (spot != end or self._way) and not is_on_row:
@@ -541,19 +582,23 @@ class Rows:
         self._set_off(end, self._leg_m_s)
         self._thread.post(goes_on)
 
-    def _meet(self, demanding: list[AnswerAction[Any]]) -> Place | None:
-        """Act on the answers and on those that come meanwhile; return where the last was."""
+    def _meet(self, demanding: list[AnswerAction[Any]], onwards: Onwards | None = None) -> Place | None:
+        """Act on the answers in their order, and on those that come meanwhile; return where the last was.
+
+        Where it is known what follows, some of those that come are put off, and some that were put off are met too.
+        """
         acted, self._acts, self._left_at = self._acts, True, None
         try:
             while demanding:
-                here = self._vehicle.position()
-                answer = min(demanding, key=lambda answer: answer.away_m(here))
+                here, (answer, *demanding) = self._vehicle.position(), demanding
                 self._open.remove(answer)
-                if answer.away_m(here) < _THERE_M:
+                if answer.away_m(here) < _THERE_M or not answer.demands():
                     answer.finish(0.0)
                 else:
                     answer.come_back(0.0)
-                demanding = self._taken()
+                come = self._taken(but=demanding)
+                demanding += come if onwards is None else self._wanted_now(onwards, come) + self._due(onwards)
+                demanding = [answer for answer in demanding if answer in self._open]  # an act may meet others
         finally:
             self._acts = acted
         return answer.place

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from statistics import fmean
 
 from msgspec.structs import replace
@@ -17,7 +18,7 @@ from msgspec.structs import replace
 from upwash.config import (
     DroneConfig,
     demand_map_of,
-    leaving,
+    ending,
     photo_ground,
     photo_legs,
     server_areas,
@@ -111,7 +112,6 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
     if photos is None:
         raise ValueError("a mission without photos has no rows")
     plan, start, estimates = waypoints(mission), stands(mission), make_estimates(config, specs)
-    places = [*(waypoint.position for waypoint in plan), *(via.position for via in leaving(mission))]
     beliefs = mission_beliefs(config, specs, estimates, plan)
     operations = [call.operation for call in beliefs.stop]
     alone = [operation for operation in operations if not estimates.needs_server(operation)]
@@ -124,7 +124,8 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         start=start.at_altitude(mission.altitude_m),
         pace=beliefs.pace,
         takeoff_s=beliefs.pace.takeoff_s(mission.altitude_m),
-        home_s=home_s(config, places[-1], start),
+        home_s=partial(home_s, config, start=start),
+        returns=ending(mission) == "return",
         photo_s=config.camera.photo_s,
         local_s=sum(estimates.local_s(first.get(operation, operation)) or 0.0 for operation in operations)
         if alone or not operations
@@ -142,6 +143,7 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         newest=photos.order == "newest",
         at_most=photos.at_most,
         action_s=mission.action_s,
+        act_within_s=config.policy.acts_within_s,
     )
     return [replace(known, demanding=demanding) for demanding in _demanding(config, plan)]
 

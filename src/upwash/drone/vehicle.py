@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from typing import Any, Literal
 
 from upwash.core.geo import EarthPosition, Position, Waypoint, rounded
@@ -16,6 +16,7 @@ from upwash.core.selection.events import (
 )
 from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.homecoming import Homecoming
+from upwash.drone.late_acts import LateActs, Onwards
 from upwash.drone.legs import Legs
 from upwash.drone.mission import MissionThread
 from upwash.drone.pending import AnswerAction, Demand, index_of, position_of
@@ -44,6 +45,7 @@ class Vehicle:
         site: Site,
         homecoming: Homecoming,
         tell: Callable[[SelectionEvent], None],
+        late: LateActs,
         rows: RowRules | None = None,
     ) -> None:
         self._autopilot = autopilot
@@ -58,8 +60,11 @@ class Vehicle:
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._open: AnswerAction[Any] | None = None
+        self._late = late
         self._rows = (
-            Rows(VehicleHandle(self), thread, journal, plan=site.waypoints, way=site.way, rules=rows)
+            Rows(
+                VehicleHandle(self), thread, journal, plan=site.waypoints, way=site.way, rules=rows, late=late
+            )
             if rows
             else None
         )
@@ -153,6 +158,8 @@ class Vehicle:
         if self._rows is not None:
             self._rows.fly_over(place)
             self._rows.stop()
+        else:
+            self._act_before(place)
         if self._open is None or unless is not None:
             return self._fly(place, unless=unless)
         with self._settling(self._open) as answer:
@@ -207,13 +214,42 @@ class Vehicle:
         self._settle()
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
-    def _settle(self) -> None:
-        """Wait for all open answers, and do what they demand."""
+    def _settle(self, *, comes_back: bool = True) -> None:
+        """Wait for all open answers, and do what they demand; come back to the last place, or do not."""
         if self._rows is not None:
-            self._rows.settle()
-        elif self._open is not None:
+            self._rows.settle(comes_back=comes_back)
+            return
+        self._settle_open()
+        here, acts = self._legs.place, self._late.all()
+        self._act(acts)
+        if acts and comes_back and here is not None:
+            self._fly(here, back=True)
+
+    def _settle_open(self, *, puts_off: bool = False) -> None:
+        if self._open is not None:
             with self._settling(self._open) as answer:
-                answer.settle()
+                answer.settle(puts_off=puts_off)
+
+    def _act_before(self, place: Waypoint | Position) -> None:
+        """Do the acts that were put off to here, and those that would be late further on."""
+        due = self._late.due_after(self._legs.place)
+        self._act(due + self._thread.call(self._late.due(Onwards(place, position_of(place)))))
+
+    def _act(self, acts: Sequence[AnswerAction[Any]]) -> None:
+        for answer in acts:
+            answer.come_back(0.0)
+
+    def _puts_off(self, answer: AnswerAction[Any], place: Waypoint | Position | None = None) -> bool:
+        """Whether the act is put off on the leg to the place, or at rest at the last waypoint."""
+        target = place or self._legs.place
+        if target is None:
+            return False
+        end = position_of(target)
+        onwards = Onwards(target, end, end, rests=place is None)
+        if not self._thread.call(self._late.puts_off(answer, onwards, self._legs.allows)):
+            return False
+        answer.put_off()
+        return True
 
     def _leave(self) -> None:
         """Fly over the places after the last photo; not to return when there was no photo left to take."""
@@ -223,12 +259,17 @@ class Vehicle:
     def _settle_for_call(self) -> None:
         """The same before another call is made; on rows several are open."""
         if self._rows is None:
-            self._settle()
+            self._settle_open(puts_off=True)
 
     def _fly(
-        self, place: Waypoint | Position, *, unless: Demand[Any] | None = None, back: bool = False
+        self,
+        place: Waypoint | Position,
+        *,
+        unless: Demand[Any] | None = None,
+        late: AnswerAction[Any] | None = None,
+        back: bool = False,
     ) -> bool:
-        """As `goto`, without settling the open answer."""
+        """As `goto`, without settling the open answer; the act of a `late` one may be put off."""
         if back and self._rows is not None:
             self._rows.fly_around(position_of(place))
         self._legs.place = place
@@ -254,7 +295,11 @@ class Vehicle:
                     return True
                 if self._thread.call(self._legs.until_answered(None, unless)):  # a better answer may come
                     return True
-            unless.note()  # before it brakes: who takes the vehicle then has it with this left undone
+            if late is None:
+                unless.note()  # before it brakes: who takes the vehicle then has it with this left undone
+            elif late.demands() and self._puts_off(late, place):
+                self._thread.call(self._legs.arrive())
+                return True
         except BaseException:
             self._thread.call(self._legs.stop_short_of(position_of(place)))
             raise
@@ -278,11 +323,9 @@ class Vehicle:
         verb: Callable[[], Coroutine[Any, Any, None]],
         doing: type[schema.Returning | schema.Landing],
     ) -> None:
+        self._settle(comes_back=how == "land")
         if self._rows is not None:
-            self._rows.settle(comes_back=how == "land")
             self._rows.seek_answers()
-        else:
-            self._settle()
         self._thread.call(self._descend(verb, doing))
         self._in_the_air = self._found_flying = False
         if self._rows is not None:
@@ -374,6 +417,7 @@ class VehicleHandle:
         self.fly_through = legs.fly_through
         self.turn = legs.turn
         self.leave = vehicle._leave
+        self.puts_off = vehicle._puts_off
         self.arrive = legs.arrive
         self.stop = legs.stop
 

@@ -213,6 +213,7 @@ _DOING: Mapping[type[Event], str] = {  # from the event on
 # The sentence of an event, from its fields (`event`) and the state of the narrator (`now`), by tone.
 _LINES: Mapping[Tone, Mapping[type[Event], str]] = {
     Tone.PLAIN: {
+        schema.SpeedChosen: "ground speed: {event.why}",
         schema.LocalReady: "{event.service} is ready on the drone",
         schema.Returning: "returning home to land",
         schema.Arming: "arming",
@@ -279,12 +280,13 @@ def _sentence(event: Event) -> Sentence | None:
             return Sentence(f"told the user: {in_one_line(message)}", Tone.FOUND)
         case schema.Planned(order_why=str(why)) if why:
             return Sentence(f"order of the waypoints: {why}")
-        case schema.SpeedChosen(why=why):
-            return Sentence(f"ground speed: {why}")
         case schema.Demanded(waypoint=waypoint, failed=failed):
             if failed:
                 return Sentence(f"the call at {named(waypoint)} failed: {failed}", Tone.TROUBLE)
             return Sentence(f"the answer at {named(waypoint)} demands something", Tone.FOUND)
+        case schema.PutOff(waypoint=waypoint, extra_s=extra_s, at_once_s=at_once_s):
+            costs = f"{extra_s:.0f} s longer then, {at_once_s:.0f} s at once"
+            return Sentence(f"acting at {named(waypoint)} later: the way gets {costs}")
         case schema.TurnedBack(waypoint=waypoint):
             return Sentence(f"turning back to {named(waypoint)}, for its answer", Tone.FOUND)
         case schema.PhotosWait(waiting=waiting):

@@ -440,6 +440,18 @@ class TurnedBack(Event, frozen=True, kw_only=True):
     position: Position
 
 
+class PutOff(Event, frozen=True, kw_only=True):
+    """The drone puts the action at a waypoint off, as the way gets `extra_s` longer then, and `at_once_s` at once.
+
+    The action begins in `in_s` at the earliest.
+    """
+
+    waypoint: Index | None
+    extra_s: Number
+    at_once_s: Number
+    in_s: Number
+
+
 class AnswerTaken(Event, frozen=True, kw_only=True, omit_defaults=True):
     """The mission takes the answer of a waypoint after it `waited_s` for the answer; `failed` is why there is none.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,11 +25,8 @@ from upwash.core.planning.schedule import ComingCall, Offer
 from upwash.drone.preparation import make_estimates, two_answers
 from upwash.errors import MissionFailed
 from upwash.eventlog import schema
-from upwash.eventlog.progress import CallPlaces
-from upwash.eventlog.schema import Event
-from upwash.lab.least_time import Bound, FleetBound, Onward, SharedMission, bound, shared_s
-from upwash.lab.observer import RangeInterval
-from upwash.lab.run import Run, time_alone_s
+from upwash.lab.least_time import Bound, FleetBound, SharedMission, bound, shared_s
+from upwash.lab.run import Alone, Run, flown_alone
 from upwash.missions.bundled import load_services, load_specs
 from upwash.rpc.service import spec_of
 from upwash.sim.radio import Spot, goodput_of
@@ -39,16 +37,14 @@ _NO_TIME_S = 1e-9  # of a call, which has to take some
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A call of a run; the mission waited `waited_s` for its answer.
+    """A call of a run; the way to the next call, in `way_s`, may hide it.
 
-    `passage` is what follows if the drone need not wait for it, and `on_the_way` the servers in range there.
+    `on_the_way` has the servers in range before the next call.
     """
 
     operation: Operation
     call: ComingCall
-    waited_s: float
-    hidden_s: float = 0.0
-    passage: AfterCall | None = None
+    way_s: float = 0.0
     on_the_way: Sequence[Offer] = ()
 
     @property
@@ -59,33 +55,36 @@ class _Made:
     @property
     def least_wait_s(self) -> float:
         """The least wait (s) of the mission for the call, with every server joined."""
-        stay_s = min([self.call.local_s, *(offer.call_s for offer in self.call.offers)])
-        if self.passage is None:
-            return max(0.0, stay_s - self.hidden_s)
-        go_s = min([stay_s, *(offer.call_s for offer in self.on_the_way)])
-        return self.passage.onward.least_wait_s(stay_s, go_s)
+        call_s = min([self.call.local_s, *(offer.call_s for offer in self.offers)])
+        return max(0.0, call_s - self.way_s)
 
     @property
     def least_local_wait_s(self) -> float:
         """The least wait (s) of the mission for the call, without any server."""
-        local_s = self.call.local_s
-        if self.passage is None:
-            return max(0.0, local_s - self.hidden_s)
-        return self.passage.onward.least_wait_s(local_s, local_s)
+        return max(0.0, self.call.local_s - self.way_s)
 
 
 @dataclass(frozen=True, slots=True)
 class _Mission:
-    """A completed mission: its calls, and what it spent on other things than waiting for them."""
+    """A completed mission: its calls, and what it spent on other things than waiting for them.
+
+    A drone that may go on before answers waits while it acts, for `acting_s`.
+    """
 
     calls: Sequence[_Made]
     other_s: float
     may_go: bool
+    acting_s: float = 0.0
+
+    @property
+    def local_s(self) -> float:
+        """The least time with every call on the drone."""
+        return self.other_s + max(self.acting_s, sum(made.least_local_wait_s for made in self.calls))
 
     def bound(self, truths: Mapping[str, ServerTruth]) -> Bound:
         """The least times of the mission."""
         if self.may_go:
-            least_s = self.other_s + sum(made.least_wait_s for made in self.calls)
+            least_s = self.other_s + max(self.acting_s, sum(made.least_wait_s for made in self.calls))
             return Bound(least_s, least_s)
         joins_s = {name: truth.join_s for name, truth in truths.items()}
         calls = bound([made.call for made in self.calls], joins_s)
@@ -97,7 +96,7 @@ def bound_of(run: Run, config: DroneConfig) -> Bound | None:
 
     It flies and takes photos for as long as this run did, and makes the same calls at the same places. Computers are
     never hot and nothing fails; calls take their mean time, so with noise the bounds hold for the mean of many runs.
-    If the drone may go on before answers are there, it turns back no more often than it has to.
+    If the drone may go on before answers are there, no way to an act makes its way longer.
     """
     if not run.result.completed or config.vehicle.track_csv is not None:
         return None
@@ -124,8 +123,7 @@ def bounds_of(
         truths = _truths(config)
         mission = _mission(run, config, truths)
         own.append(found := mission.bound(truths))
-        local_s = mission.other_s + sum(call.least_local_wait_s for call in mission.calls)
-        missions.append(SharedMission(_begun_s(run), local_s, found.free_s))
+        missions.append(SharedMission(_begun_s(run), mission.local_s, found.free_s))
         for instance, rate in _rates(mission.calls, truths):
             rates[instance] = max(rates.get(instance, 0.0), rate)
     if not missions:
@@ -145,22 +143,28 @@ def _truths(config: DroneConfig) -> dict[str, ServerTruth]:
 
 def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> _Mission:
     mission_s = run.result.mission_time_s
-    if config.mission.photos is not None or any(map(only_on_servers, config.services)):
-        return _Mission([], min(mission_s, _least_alone_s(run, config)), may_go=True)
-    may_go = config.policy.stay_or_go != "stay" or any(service.two_answers for service in config.services)
-    if not may_go:
+    on_rows = config.mission.photos is not None or any(map(only_on_servers, config.services))
+    waits = config.policy.stay_or_go == "stay" and not any(service.two_answers for service in config.services)
+    if waits and not on_rows:
         other_s = mission_s - run.result.totals.service_delay_s
         return _Mission(list(_made(run, config, truths)), other_s, may_go=False)
-    ways = Ways()
-    for event in run.events:
-        ways.take(event)
-    calls = list(_made(run, config, truths, ways))
-    other_s = mission_s - ways.in_vain_s - sum(made.waited_s for made in calls)
-    return _Mission(calls, other_s, may_go=True)
+    acting_s = config.mission.action_s * sum(isinstance(event, schema.Acted) for event in run.events)
+    alone = _way_alone(run, config)
+    if alone is None:
+        return _Mission([], mission_s, may_go=True)
+    calls = [] if on_rows else list(_made(run, config, truths, alone))
+    return _Mission(calls, min(mission_s - acting_s, alone.time_s), may_go=True, acting_s=acting_s)
 
 
-def _least_alone_s(run: Run, config: DroneConfig) -> float:
-    """The time of the way alone, without a wait or a way back, and of the actions that answers demand.
+def _ways_s(alone: Alone | None) -> dict[int, float]:
+    """The time from each call of a mission, by its number, to the next one; none from the last."""
+    started_s = () if alone is None else alone.started_s
+    ways_s = [following_s - since_s for since_s, following_s in itertools.pairwise(started_s)]
+    return dict(enumerate([*ways_s, 0.0]))
+
+
+def _way_alone(run: Run, config: DroneConfig) -> Alone | None:
+    """The way alone, without a wait, an action or a way back; None if the program needs its answers.
 
     A call that only servers compute need not be waited for.
     """
@@ -188,12 +192,10 @@ def _least_alone_s(run: Run, config: DroneConfig) -> float:
         faults=(),
         policy=PolicyConfig(name="local-only", stay_or_go=config.policy.stay_or_go),
     )
-    acted = sum(isinstance(event, schema.Acted) for event in run.events)
     try:
-        alone_s = time_alone_s(alone)
-    except MissionFailed:  # a program that needs its answers
-        alone_s = None
-    return math.inf if alone_s is None else alone_s + acted * config.mission.action_s
+        return flown_alone(alone)
+    except MissionFailed:
+        return None
 
 
 def _begun_s(run: Run) -> float:
@@ -221,9 +223,9 @@ def _lanes(instance: tuple[str, str], config: DroneConfig) -> int:
 
 
 def _made(
-    run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth], ways: Ways | None = None
+    run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth], alone: Alone | None = None
 ) -> Iterator[_Made]:
-    """The calls of the run, each with the servers in range of it and of the way that followed."""
+    """The calls of the run, each with the servers in range of it; and of the way after it, where that may hide it."""
     specs = load_specs(config.services)
     estimates = make_estimates(config, specs)
     operations = {str(operation): operation for operation in estimates.operations}
@@ -231,15 +233,21 @@ def _made(
     services = {service.name: service for service in config.services}
     places = server_places(config)
     ended_s, position, decided = 0.0, Position(0.0, 0.0), False
-    number = 0
+    starts_s = [event.t for event in run.events if isinstance(event, schema.CallStarted)]
+    ways_s = _ways_s(alone)
+    number, is_started = -1, False
     for event in run.events:
         match event:
+            case schema.CallStarted():
+                number, is_started = number + 1, True
+            case schema.AnswerTaken() if event.failed:
+                is_started = False
             case schema.Decided() if not decided:  # a second time where the drone may be by then
                 position, decided = event.position, True
-            case schema.Call(at_s=begun_s, operation=name, t=now_s, delay_s=delay_s):
+            case schema.Call(at_s=begun_s, operation=name, t=now_s):
                 operation = operations[name if event.first_s is None else event.asked or name]
                 service = services[operation.service]
-                passage = ways.after(number) if ways else None
+                until_s = [*starts_s, begun_s][number + 1] if is_started else begun_s
                 offers = [
                     Offer(
                         stay.server,
@@ -258,8 +266,7 @@ def _made(
                 on_the_way = [
                     Offer(
                         stay.server,
-                        later_s
-                        + _remote_s(
+                        _remote_s(
                             operation,
                             service,
                             truths[stay.server],
@@ -268,23 +275,14 @@ def _made(
                         ),
                         0.0,
                     )
-                    for stay, later_s in _met(run.range_intervals, passage)
+                    for stay in run.range_intervals
+                    if stay.from_s < until_s and stay.to_s > begun_s
                 ]
-                waited_s = ways.waited_s.get(number, delay_s) if ways else delay_s
                 computed = twice[operation].first if operation in twice else operation
                 local_s = delay_of(computed, service.local_call_s)
                 call = ComingCall(local_s, begun_s - ended_s, offers)
-                yield _Made(operation, call, waited_s, max(0.0, delay_s - waited_s), passage, on_the_way)
-                ended_s, decided, number = now_s, False, number + 1
-
-
-def _met(stays: Sequence[RangeInterval], passage: AfterCall | None) -> Iterator[tuple[RangeInterval, float]]:
-    """The servers that the drone passes on its way, each with the least time (s) from its departure."""
-    if passage is None or passage.departed_s is None:
-        return
-    for stay in stays:
-        if stay.from_s < passage.ended_s and stay.to_s > passage.departed_s:
-            yield stay, max(0.0, stay.from_s - passage.departed_s)
+                yield _Made(operation, call, ways_s.get(number, math.inf) if is_started else 0.0, on_the_way)
+                ended_s, decided, is_started = now_s, False, False
 
 
 def _remote_s(
@@ -308,117 +306,3 @@ def _remote_s(
         call_s += reply_s
         less_s += reply_s if part is None else goodput.transfer_s(part.request_bytes, spot) + reply_s
     return min(call_s, less_s)
-
-
-@dataclass(slots=True)
-class _Way:
-    """From one call that the mission started to the next one, or to what waits for its answer."""
-
-    waypoint: int | None
-    begun_s: float
-    left_out_s: float = 0.0  # what the mission waited, did about the answer, and flew in vain
-    departed_s: float | None = None
-    leg_s: float = 0.0
-    demanded: bool = False
-    ended_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class AfterCall:
-    """What follows a call; the drone departs for the next one at `departed_s`, or does not."""
-
-    onward: Onward
-    departed_s: float | None
-    ended_s: float
-
-
-class Ways:
-    """Collects from a mission's events what followed each call whose answer came later; calls are numbered from 0.
-
-    `waited_s` has the wait for each of these answers. `in_vain_s` is the time of legs back, and of legs that were
-    flown twice or in vain because of them.
-    """
-
-    def __init__(self) -> None:
-        self.waited_s: dict[int, float] = {}
-        self.in_vain_s = 0.0
-        self._whereabouts = CallPlaces()
-        self._ways: dict[int, _Way] = {}
-        self._way: _Way | None = None
-        self._started = 0  # calls that are not over
-        self._leg_begun_s: float | None = None
-        self._turned_s: float | None = None
-        self._again = False  # whether the next leg was flown before
-        self._taken_s = 0.0
-
-    def take(self, event: Event) -> None:
-        """Take in the next event of the log."""
-        self._whereabouts.take(event)
-        match event:
-            case schema.CallStarted(waypoint=waypoint):
-                self._end(event.t)
-                self._way = _Way(waypoint, event.t)
-                self._started += 1
-            case schema.Call() if self._started:
-                self._started -= 1
-            case schema.Call(at_s=begun_s):
-                self._end(begun_s)
-            case schema.Returning() | schema.Landing() | schema.Holding():
-                self._end(event.t)
-            case schema.AnswerTaken():
-                self._take_answer(event)
-            case schema.Acted():
-                self._leave_out(event.t - self._taken_s)
-            case schema.SetOff():
-                self._leg_begun_s = event.t
-                if self._way is not None and self._way.departed_s is None:
-                    self._way.departed_s = event.t
-            case schema.TurnedBack():
-                self._again = self._leg_begun_s is None
-                self._fly_in_vain(event.t, since_s=self._leg_begun_s)
-                self._turned_s = event.t
-            case schema.Arrived():
-                self._arrive(event.t)
-
-    def after(self, number: int) -> AfterCall | None:
-        """What follows the call of that number; None for a call with an immediate wait."""
-        way = self._ways.get(number)
-        if way is None or way.ended_s is None:
-            return None
-        onward = Onward(way.ended_s - way.begun_s - way.left_out_s, way.leg_s, way.demanded)
-        return AfterCall(onward, way.departed_s, way.ended_s)
-
-    def _take_answer(self, event: schema.AnswerTaken) -> None:
-        self._taken_s = event.t
-        self._leave_out(event.waited_s)
-        self._started -= bool(event.failed)
-        if (number := self._whereabouts.answered) is not None:
-            self.waited_s[number] = event.waited_s
-            if self._way is not None and self._way.waypoint == event.waypoint:
-                self._ways[number] = self._way
-                self._way.demanded = event.demanded
-
-    def _arrive(self, at_s: float) -> None:
-        begun_s, self._leg_begun_s = self._leg_begun_s, None
-        if self._turned_s is not None:
-            self._fly_in_vain(at_s, since_s=self._turned_s)
-            self._turned_s = None
-        elif self._again:
-            self._fly_in_vain(at_s, since_s=begun_s)
-            self._again = False
-        elif self._way is not None and begun_s is not None and not self._way.leg_s:
-            self._way.leg_s = at_s - begun_s
-
-    def _fly_in_vain(self, now_s: float, *, since_s: float | None) -> None:
-        if since_s is not None:
-            self.in_vain_s += now_s - since_s
-            self._leave_out(now_s - since_s)
-
-    def _leave_out(self, duration_s: float) -> None:
-        if self._way is not None:
-            self._way.left_out_s += duration_s
-
-    def _end(self, at_s: float) -> None:
-        if self._way is not None:
-            self._way.ended_s = at_s
-            self._way = None

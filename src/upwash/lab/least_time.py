@@ -1,7 +1,7 @@
 """The least time of a mission under any policy, which shows what a policy can still gain.
 
 The bounds know every true delay and never pay for the start of a service. For a drone that may fly on before an
-answer (stay_or_go.py) they also know which answers have demands: it flies on before the others.
+answer (stay_or_go.py) no way to an act makes its way longer.
 """
 
 from __future__ import annotations
@@ -23,29 +23,6 @@ class Bound(Struct, frozen=True):
 
     free_s: float
     with_joins_s: float
-
-
-class Onward(Struct, frozen=True):
-    """The leg after a call whose answer the drone need not await, and whether that answer has a demand.
-
-    The way to the next call takes `way_s`, with its photo and without demands; its leg alone takes `leg_s`, each
-    way.
-    """
-
-    way_s: float
-    leg_s: float
-    demanded: bool
-
-    def least_wait_s(self, stay_s: float, go_s: float) -> float:
-        """How much longer than its way the mission takes, at least, for this call.
-
-        The call takes `stay_s` if the drone stays, and at least `go_s` if it goes. A drone that must come back does
-        so when the answer is there, from within the leg, or else for a whole leg and again over it.
-        """
-        hidden_s = max(0.0, go_s - self.way_s)
-        if not self.demanded:
-            return min(stay_s, hidden_s)
-        return min(stay_s, go_s if go_s <= self.leg_s else hidden_s + 2 * self.leg_s)
 
 
 class FleetBound(Struct, frozen=True):

@@ -15,7 +15,7 @@ from upwash.config import DroneConfig, PolicyConfig, Presence, fleet_of, presenc
 from upwash.eventlog.results import EnergyTotals, Totals
 from upwash.lab.bounds import bound_of, bounds_of
 from upwash.lab.least_time import FleetBound
-from upwash.lab.run import Run, simulate, simulate_drones, time_alone_s
+from upwash.lab.run import Run, flown_alone, simulate, simulate_drones
 from upwash.sim.chance import plays_a_part
 from upwash.support.text import by_name
 
@@ -183,8 +183,8 @@ def saved_s(
         run = runs[config.name]
         struck = any(fault.target == "autopilot" for fault in config.faults)
         when = Presence(presence.departs_s) if struck else Presence()
-        if run.result.completed and (alone_s := time_alone_s(_by_itself(config), when)) is not None:
-            saved[config.name] = alone_s - run.result.mission_time_s
+        if run.result.completed and (alone := flown_alone(_by_itself(config), when)) is not None:
+            saved[config.name] = alone.time_s - run.result.mission_time_s
     return saved
 
 

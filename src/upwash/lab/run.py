@@ -38,6 +38,7 @@ from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NetworkCell, PositionNetwork
 from upwash.drone.speed import with_speed
 from upwash.errors import MissionFailed, UpwashError, UsageError
+from upwash.eventlog import schema
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
 from upwash.lab.field import Software, daemon_address, serving
@@ -114,22 +115,30 @@ def simulate_drones(config: DroneConfig) -> dict[str, Run]:
     return {drone.name: run for drone, run in zip(fleet, runs, strict=True)}
 
 
-_ALONE: deque[tuple[DroneConfig, Presence, float | None]] = deque(maxlen=16)
+class Alone(NamedTuple):
+    """The time of a mission by itself, and when it started each call whose answer may come later."""
+
+    time_s: float
+    started_s: tuple[float, ...]
 
 
-def time_alone_s(config: DroneConfig, presence: Presence | None = None) -> float | None:
-    """The time of the scenario's mission by itself; None where it is not completed.
+_ALONE: deque[tuple[DroneConfig, Presence, Alone | None]] = deque(maxlen=16)
+
+
+def flown_alone(config: DroneConfig, presence: Presence | None = None) -> Alone | None:
+    """The scenario's mission by itself; None where it is not completed.
 
     The last missions are remembered: each policy of a comparison asks for the same ones.
     """
     presence = presence or Presence()
-    for other, there, time_s in _ALONE:
+    for other, there, alone in _ALONE:
         if there == presence and other == config:
-            return time_s
+            return alone
     (run,) = simulate_fleet([config], there=[presence])
-    time_s = run.result.mission_time_s if run.result.completed else None
-    _ALONE.append((config, presence, time_s))
-    return time_s
+    started_s = tuple(event.t for event in run.events if isinstance(event, schema.CallStarted))
+    alone = Alone(run.result.mission_time_s, started_s) if run.result.completed else None
+    _ALONE.append((config, presence, alone))
+    return alone
 
 
 def simulate_fleet(

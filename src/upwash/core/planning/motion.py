@@ -26,6 +26,17 @@ class Motion(NamedTuple):
         share = min(1.0, self.leg.travelled_m(now_s - self.begun_s) / length_m) if length_m else 1.0
         return part_way(self.start, self.end, share)
 
+    def stop(self, now_s: float) -> tuple[float, Position]:
+        """When and where the vehicle rests if it brakes at that time, or at its end if that is nearer."""
+        leg, flown_s = self.leg, now_s - self.begun_s
+        left_s = max(0.0, leg.duration_s - leg.settling_s - flown_s)
+        speed_m_s = min(leg.ground_speed_m_s, leg.acceleration_m_s2 * min(flown_s, left_s))
+        way_m = leg.travelled_m(flown_s) + speed_m_s**2 / (2 * leg.acceleration_m_s2)
+        if way_m >= leg.length_m - _ON_WAY_M:
+            return self.begun_s + leg.duration_s, self.end
+        rests_s = now_s + speed_m_s / leg.acceleration_m_s2 + leg.settling_s
+        return rests_s, part_way(self.start, self.end, way_m / leg.length_m)
+
     def passes_s(self, spot: Position) -> float | None:
         """When it passes the spot, or arrives there; None if the spot is not on its way."""
         if spot == self.end:

@@ -1,8 +1,8 @@
 """How long a mission of rows takes at a ground speed, and whether its answers keep up with its photos.
 
 The drone flies as drone/rows.py has it: each row is one leg, from rest to rest; with too many open answers it stops
-until there are fewer; a demand turns it back. At the end it waits in a range where that is sooner (backlog.py).
-Photos are answered as in answering.py.
+until there are fewer; a demand turns it back, at once or where that costs least (acts.py). At the end it waits in a
+range where that is sooner (backlog.py). Photos are answered as in answering.py.
 
 Left out: heat, noise, faults, other drones, and stops that `policy.stay_or_go = "learn"` would make.
 """
@@ -13,11 +13,12 @@ import copy
 import itertools
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m, part_way
+from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m
+from upwash.core.planning.acts import Acts, Way
 from upwash.core.planning.answer_stops import AnswerStops
 from upwash.core.planning.answering import Answering, ServerBelief
 from upwash.core.planning.backlog import LEAST_GAIN_S
@@ -25,7 +26,6 @@ from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.motion import Motion, passes, stay_in
 
 _THERE_M = 1.0  # from a place that need not be flown to
-_ON_WAY_M = 1e-6
 _ANY_M_S = 1000.0
 
 
@@ -33,8 +33,9 @@ class RowMission(Struct, frozen=True, kw_only=True):
     """What is known of a mission of rows before take-off.
 
     The vehicle starts over `start`. A photo takes `photo_s`, and its answer `local_s` on the drone. The answers to
-    the `demanding` photos turn the drone back, each for an action of `action_s`. With `at_most` open answers it
-    stops. After the last photo it flies over `leaving`, and from there `home_s` to the ground.
+    the `demanding` photos turn the drone back, each for an action of `action_s` that begins `act_within_s`. With
+    `at_most` open answers it stops. After the last photo it flies over `leaving`. `home_s` has the seconds from a
+    place to the ground; a vehicle that does not return lands at the last one.
     """
 
     plan: Sequence[Waypoint]
@@ -42,7 +43,8 @@ class RowMission(Struct, frozen=True, kw_only=True):
     start: Position
     pace: Pace
     takeoff_s: float
-    home_s: float
+    home_s: Callable[[Position], float]
+    returns: bool = True
     photo_s: float
     local_s: float
     servers: Mapping[str, ServerBelief] = {}
@@ -51,6 +53,7 @@ class RowMission(Struct, frozen=True, kw_only=True):
     at_most: int = 100
     demanding: frozenset[int] = frozenset()
     action_s: float = 0.0
+    act_within_s: float = math.inf
 
 
 class RowAnswers(Struct, frozen=True, kw_only=True):
@@ -118,6 +121,15 @@ class _Flight:
         self._motion: Motion | None = None
         self._open: set[int] = set()
         self._demanding: list[int] = []  # photos whose answers are there
+        self._target = 0  # the next photo
+        self._acts = Acts[int](
+            mission.plan,
+            leaving=[via.position for via in mission.leaving],
+            ground_speed_m_s=ground_speed_m_s,
+            pace=mission.pace,
+            photo_s=mission.photo_s,
+            home_s=mission.home_s if mission.returns else None,
+        )
         self._most_open = self._row_open = self._stops = self._turns_back = 0
         self._waited_s = 0.0
 
@@ -148,13 +160,19 @@ class _Flight:
                     most_open=self._row_open,
                 )
             )
+        self._target = len(plan)
         self._fly_over(self._mission.leaving)
         self._brake()  # behind a last spot that is not the row's end
+        last = self._here
+        self._demanding += self._acts.all()
+        self._meet()
         if self._waits:
             self._wait_where_best()
+        if not self._mission.returns:
+            self._fly(last)
         return RowForecast(
             ground_speed_m_s=self._speed_m_s,
-            mission_s=self._now_s + self._mission.home_s,
+            mission_s=self._now_s + self._mission.home_s(self._here),
             rows=tuple(rows),
             most_open=self._most_open,
             stops=self._stops,
@@ -174,15 +192,19 @@ class _Flight:
     def _reach(self, index: int) -> None:
         """Pass the waypoint, or rest there and set off for the following one."""
         plan = self._mission.plan
-        waypoint = plan[index]
+        waypoint, self._target = plan[index], index
+        if index and self._acts.waits_after(index - 1):
+            self._demanding += self._acts.due_after(index - 1)
+            first: Via | Waypoint = waypoint.via[0] if waypoint.via else waypoint
+            self._meet(Way(self._here, index, first.position))
         self._fly_over(waypoint.via)
-        self._get_to(waypoint.position, self._row_end(index) or waypoint.position, waypoint.ground_speed_m_s)
+        self._get_to(waypoint.position, self._leg_end(index) or waypoint.position, waypoint.ground_speed_m_s)
         if self._motion is None:
             self._hover(waypoint.hold_s)
-            if index + 1 < len(plan):
+            if index + 1 < len(plan) and not self._acts.waits_after(index):
                 following = plan[index + 1]
                 first = following.via[0] if following.via else following
-                end = None if following.via else self._row_end(index + 1)
+                end = None if following.via else self._leg_end(index + 1)
                 self._set_off(end or first.position, first.ground_speed_m_s)
 
     def _fly_over(self, places: Sequence[Via]) -> None:
@@ -199,6 +221,7 @@ class _Flight:
             self._brake()
         if self._motion is None:
             self._set_off(end, ground_speed_m_s)
+        self._turn_back(place)
         while True:
             motion = self._motion
             assert motion is not None  # noqa: S101 - a leg is flown
@@ -208,7 +231,7 @@ class _Flight:
                 break
             if not self._demanding and self._goes_on(reached_s):
                 break
-            self._detour(place)
+            self._turn_back(place)
         if self._motion is not None and place == self._motion.end:
             self._rest(place)
 
@@ -221,6 +244,15 @@ class _Flight:
         is_on_row = index > 0 and (plan[index - 1].row_start, plan[index - 1].row_end) == (start, end)
         is_on_row |= start is not None and distance_m(self._here, start) < _THERE_M
         return end if is_on_row and passes(self._here, end, waypoint.position) else None
+
+    def _leg_end(self, index: int) -> Position | None:
+        """The same, or the first spot on the way there where it rests for acts."""
+        end = self._row_end(index)
+        while end is not None and self._mission.plan[index].position != end:
+            if self._acts.waits_after(index):
+                return self._mission.plan[index].position
+            index += 1
+        return end
 
     def _take_photo(self, photo: int) -> None:
         self._open.add(photo)
@@ -272,28 +304,46 @@ class _Flight:
                 return False
         return True
 
-    def _detour(self, spot: Position) -> None:
+    def _turn_back(self, spot: Position) -> None:
+        """Fly back for the acts that are to be done before the spot is reached, and put others off."""
         motion = self._motion
         assert motion is not None  # noqa: S101 - a leg is flown
         left, end = motion.place(self._now_s), motion.end
+        way = Way(left, self._target, end if spot == end else left, end, motion.stop(self._now_s)[1])
+        self._choose(way)
+        if not self._demanding:
+            return
         self._brake()
-        last = self._meet()
+        last = self._meet(way)
         if spot != end and not (last is not None and passes(last, end, spot)):
             self._fly(left)
         self._set_off(end, motion.leg.ground_speed_m_s)
 
-    def _meet(self) -> Position | None:
-        """Fly to the photos with a demand, the nearest first, and act there; return the last place."""
+    def _choose(self, way: Way) -> None:
+        """Put off the acts that cost less further on, and take those that cost no more now."""
+        for photo in list(self._demanding):
+            place = self._mission.plan[photo].position
+            if self._acts.put_off(photo, place, way, within_s=self._mission.act_within_s) is not None:
+                self._demanding.remove(photo)
+        self._demanding += self._acts.take(way, lambda put_off: put_off.at_once_s <= put_off.extra_s)
+
+    def _meet(self, way: Way | None = None) -> Position | None:
+        """Fly to the photos with a demand, in their order, and act there; return the last place.
+
+        Acts that come meanwhile may be put off by a drone that goes on along its way.
+        """
         last = None
-        while self._demanding:
-            places = {photo: self._mission.plan[photo].position for photo in self._demanding}
-            photo = min(places, key=lambda photo: distance_m(self._here, places[photo]))
-            self._demanding.remove(photo)
-            last = places[photo]
+        demanding, self._demanding = self._demanding, []
+        while demanding:
+            last = self._mission.plan[demanding.pop(0)].position
             if distance_m(self._here, last) >= _THERE_M:
                 self._turns_back += 1
                 self._fly(last)
             self._hover(self._mission.action_s)
+            if way is not None:
+                self._choose(way._replace(here=self._here, rest=None))
+            demanding += self._demanding
+            self._demanding.clear()
         return last
 
     def _set_off(self, end: Position, ground_speed_m_s: float | None = None) -> None:
@@ -317,18 +367,9 @@ class _Flight:
         motion = self._motion
         if motion is None:
             return
-        flown_s = self._now_s - motion.begun_s
-        acceleration_m_s2 = motion.leg.acceleration_m_s2
-        along_m = motion.leg.travelled_m(flown_s)
-        left_s = max(0.0, motion.leg.duration_s - motion.leg.settling_s - flown_s)
-        speed_m_s = min(motion.leg.ground_speed_m_s, acceleration_m_s2 * min(flown_s, left_s))
-        way_m = along_m + speed_m_s**2 / (2 * acceleration_m_s2)
-        if way_m >= motion.leg.length_m - _ON_WAY_M:
-            self._finish(motion.begun_s + motion.leg.duration_s)
-            self._rest(motion.end)
-            return
-        self._finish(self._now_s + speed_m_s / acceleration_m_s2 + motion.leg.settling_s)
-        self._rest(part_way(motion.start, motion.end, way_m / motion.leg.length_m))
+        rests_s, place = motion.stop(self._now_s)
+        self._finish(rests_s)
+        self._rest(place)
 
     def _fly(self, end: Position) -> None:
         """Fly to a place, from rest to rest."""

@@ -127,8 +127,9 @@ def one_answer(history: History) -> Iterator[Breach]:
         yield from _two_answers(history)
         return
     told, known = _told(history), set[int]()
+    in_any_order = flies_rows(history.config) or _acts_later(history)
     for number, (event, heard) in enumerate(told):
-        if flies_rows(history.config):
+        if in_any_order:
             if heard.asked in known:
                 yield event, f"this is about call {heard.asked}, whose answer was there before"
             known.add(heard.asked)
@@ -181,8 +182,8 @@ def _two_answers(history: History) -> Iterator[Breach]:
 
 
 def _answers_open(history: History) -> int:
-    """How many answers a mission that ended early may have missed: the last one, or none; on rows, all open ones."""
-    if flies_rows(history.config):
+    """How many answers a mission that ended early may have missed: the last one, or none; all where it acts later."""
+    if _acts_later(history):
         return 0 if history.run.result.completed else len(history.run.result.calls)
     last = next(
         (
@@ -238,8 +239,8 @@ def truthful_errors(history: History) -> Iterator[Breach]:
 
 def _raised_afar(history: History) -> Iterator[Breach]:
     """Exceptions that a server reported and the mission received."""
-    on_rows = flies_rows(history.config)
-    servers: dict[int | None, str | None] = {}  # that answered the last call, or that of a waypoint on rows
+    on_rows = flies_rows(history.config) or _acts_later(history)
+    servers: dict[int | None, str | None] = {}  # that answered the last call, or that of a waypoint
     for event in history.run.events:
         if isinstance(event, schema.Call):
             servers[event.waypoint if on_rows else None] = event.server
@@ -274,14 +275,15 @@ def _expected(config: DroneConfig, number: int) -> probing.CallReport:
 
 
 _AT_PLACE_M = 1.01  # a vehicle counts as arrived within 1 m, and figures are rounded
+_ROUNDED_S = 0.1
 _BRAKED_M = 1.5  # a vehicle that braked within this distance of a place counts as arrived there
 _MOST_CRASHES = 12  # that a flight is tested with
 
 
 def answers(history: History) -> Iterator[Breach]:
     """Judge by what the missions told their users that fly on before answers."""
-    program, on_rows = history.config.mission.program, flies_rows(history.config)
-    if not program.endswith((":look_later", "_on_the_move")):
+    on_rows = flies_rows(history.config)
+    if not _acts_later(history):
         return
     places = [waypoint.position for waypoint in waypoints(history.config.mission)]
     yield from _done_twice(history.run.events)
@@ -290,6 +292,7 @@ def answers(history: History) -> Iterator[Breach]:
         yield from _done_elsewhere(history.run.events, places, near_m)
         if not on_rows:
             yield from _flown_back_too_far(history.run.events, places)
+    yield from _put_off(history)
     yield from _lost_in_a_crash(history)
     for event in history.run.events:
         if isinstance(event, schema.StayOrGo) and event.goes and event.waypoint == len(places) - 1:
@@ -299,18 +302,29 @@ def answers(history: History) -> Iterator[Breach]:
     if history.run.result.completed:
         done = sorted(action.done for _, action in _done(history.run.events))
         keys = {call.waypoint: call.key for call in history.run.result.calls}
-        wanted = [n for n in range(len(places)) if demands_something(program, n, keys.get(n, ""))]
+        wanted = [
+            n
+            for n in range(len(places))
+            if demands_something(history.config.mission.program, n, keys.get(n, ""))
+        ]
         if done != wanted:
             yield None, f"actions {wanted} were demanded, and {done} done"
 
 
+def _acts_later(history: History) -> bool:
+    """Whether the mission makes one call at each waypoint, and may act on its answer later."""
+    return history.config.mission.program.endswith((":look_later", "_on_the_move"))
+
+
 def _miscounted(known: DemandMap, events: Sequence[Event]) -> Iterator[Breach]:
     """A mission that ends between the count and its event has one more answer in its map."""
-    taken = [event for event in events if isinstance(event, schema.AnswerTaken)]
+    taken = {event.waypoint: event.demanded for event in events if isinstance(event, schema.AnswerTaken)}
+    put_off = {event.waypoint: True for event in events if isinstance(event, schema.PutOff)}
+    taken = put_off | taken  # which are counted already
     places = list(known.places())
     for what, count, logged in (
         ("answers", sum(place.answers for place in places), len(taken)),
-        ("demands", sum(place.demands for place in places), sum(event.demanded for event in taken)),
+        ("demands", sum(place.demands for place in places), sum(taken.values())),
     ):
         if not logged <= count <= logged + 1:
             yield None, f"the map of demands counts {count:g} {what}, and the log {logged}"
@@ -339,12 +353,31 @@ def _done(events: Sequence[Event]) -> Iterator[tuple[schema.Notified, ActionRepo
             yield event, msgspec.convert(event.message, ActionReport)
 
 
+def _put_off(history: History) -> Iterator[Breach]:
+    """An act is put off where that costs less, and is in time."""
+    within_s = history.config.policy.acts_within_s
+    heard_s: dict[int | None, float] = {}
+    for event in history.run.events:
+        match event:
+            case schema.Demanded(waypoint=waypoint):
+                heard_s.setdefault(waypoint, event.t)
+            case schema.PutOff(waypoint=waypoint, extra_s=extra_s, at_once_s=at_once_s):
+                if extra_s > at_once_s:
+                    yield event, f"action {waypoint} was put off, and cost less at once"
+                if event.t + event.in_s > heard_s[waypoint] + within_s + _ROUNDED_S:
+                    yield event, f"action {waypoint} was put off for longer than {within_s:g} s"
+
+
 def _flown_back_too_far(events: Sequence[Event], places: Sequence[Position]) -> Iterator[Breach]:
+    put_off = set[int | None]()
     for event in events:
-        if isinstance(event, schema.TurnedBack) and event.waypoint is not None:
-            leg_m = ground_distance_m(places[event.waypoint], places[event.waypoint + 1])
-            if ground_distance_m(event.position, places[event.waypoint]) > leg_m + _AT_PLACE_M:
-                yield event, f"it flew back to waypoint {event.waypoint} from beyond the next one"
+        match event:
+            case schema.PutOff(waypoint=waypoint):
+                put_off.add(waypoint)
+            case schema.TurnedBack(waypoint=int(waypoint), position=position) if waypoint not in put_off:
+                leg_m = ground_distance_m(places[waypoint], places[waypoint + 1])
+                if ground_distance_m(position, places[waypoint]) > leg_m + _AT_PLACE_M:
+                    yield event, f"it flew back to waypoint {waypoint} from beyond the next one"
 
 
 def _lost_in_a_crash(history: History) -> Iterator[Breach]:

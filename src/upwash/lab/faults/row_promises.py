@@ -79,7 +79,7 @@ def _too_many_open(history: History) -> Iterator[Breach]:
             open_ones += 1
             if open_ones > photos.at_most:
                 yield event, f"{open_ones} photos are open, and at most {photos.at_most} may be"
-        elif isinstance(event, schema.FirstAnswer):
+        elif isinstance(event, schema.FirstAnswer | schema.PutOff) and event.waypoint not in heard:
             heard.add(event.waypoint)
             open_ones -= 1
         elif isinstance(event, schema.AnswerTaken) and event.waypoint not in heard:

@@ -304,9 +304,17 @@ def _has_peers(document: Document) -> bool:
     return any("peers" in server["truth"] for server in document["server"])
 
 
+_ACT_WITHIN_S = (0.0, 0.0, 20.0, 40.0)
+
+
 def _that_goes(document: Document, chance: random.Random) -> Document:
-    """The policy of a drone that may fly on before answers; in half of the worlds by the place."""
+    """The policy of a drone that may fly on before answers; in half of the worlds by the place.
+
+    In a sixth of the worlds it acts at once, and in another in time.
+    """
     policy = {**document["policy"], "stay_or_go": chance.choice(("stay", "go", "learn"))}
+    if (number := document["seed"] % 12) < len(_ACT_WITHIN_S):
+        policy["act_within_s"] = _ACT_WITHIN_S[number]
     return policy if document["seed"] % 2 else {**policy, "demand_map": _NO_MAP}
 
 
