@@ -238,6 +238,7 @@ class Flight:
             self._ports.journal,
             selection=selection,
             believed=self._offloading.believed,
+            where_to_wait=self._offloading.where_to_wait,
             areas={
                 name: area
                 for name, area in server_areas(config).items()
