@@ -53,6 +53,11 @@ class Situation(Struct, frozen=True):
     now_s: float = 0.0
     position: Position | None = None
 
+    @property
+    def is_foreseen(self) -> bool:
+        """Whether a coming call is placed in a forecast."""
+        return self.position is None
+
 
 class Coming(Struct, frozen=True):
     """The server that the drone uses next, and in how many seconds at the earliest."""
@@ -74,7 +79,7 @@ class CallInputs(Struct, frozen=True):
 
     `local_s` and `remote_s` are the operation's estimates. `check_expected_s` is the estimate of the check under way,
     and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` if the
-    service is not known to have computed a call there since its start.
+    service is not known to have computed a call there since its start. `is_foreseen` for a coming call in a forecast.
     """
 
     server: str
@@ -84,6 +89,7 @@ class CallInputs(Struct, frozen=True):
     check_expected_s: float
     check_elapsed_s: float
     is_first: bool = False
+    is_foreseen: bool = False
 
 
 class Lightened(Struct, frozen=True):
