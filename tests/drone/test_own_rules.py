@@ -14,6 +14,7 @@ from tests.scenarios import server
 from upwash.config import DroneConfig
 from upwash.core.geo import Position, ground_distance_m
 from upwash.drone import own_policy
+from upwash.drone.site import Site
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
 
@@ -41,6 +42,9 @@ class Stays(LookAhead):
     def where_to_wait(self, stay): return None
 class Farthest(LookAhead):
     def where_to_wait(self, stay): return max(stay.places, key=lambda place: place.extra_s).server
+
+class Near(LookAhead):
+    def where_to_wait(self, stay): return "s1"
 
 class Beyond(LookAhead):
     def place_in_line(self, line): return Take(len(line.calls), "drone")
@@ -127,6 +131,21 @@ def test_a_resting_drone_waits_where_the_policy_says(mine: Path) -> None:
     ):
         sought, *_ = of(list(flown(field(**tables)).events), schema.SoughtAnswers)
         assert ground_distance_m(sought.position, place) <= RANGE_M
+
+
+def test_a_place_that_a_fence_forbids_is_not_among_the_places(
+    mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def allows(_: Site, limits: object, start: Position, target: Position) -> bool:
+        return not 30.0 < target.north_m < 60.0  # where the drone would wait
+
+    config = field(server=[NEAR, FAR], **own(mine, "Near"))
+    sought, *_ = of(list(flown(config).events), schema.SoughtAnswers)
+    assert sought.position.north_m > 30.0
+    monkeypatch.setattr(Site, "allows_leg", allows)
+    run = flown(config)
+    assert of(list(run.events), schema.SoughtAnswers) == []
+    assert "named 's1', which is not among the places [None, 's2']" in run.result.offloading_failed
 
 
 @pytest.mark.parametrize(
