@@ -8,10 +8,13 @@ from __future__ import annotations
 from upwash.core.geo import Circle, Measured, Position
 from upwash.core.knowledge.servers import State
 from upwash.core.operation import Operation
+from upwash.core.planning.backlog import Stay, WaitPlace
+from upwash.core.planning.earliest import Lane, Line, Take, WaitingCall
 from upwash.core.planning.forecast import Forecast
 from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer
 from upwash.core.policies.look_ahead import LookAhead
 from upwash.core.policies.policy import (
+    BuiltInRules,
     CallInputs,
     Choice,
     Coming,
@@ -31,6 +34,7 @@ from upwash.core.policies.policy import (
 )
 
 __all__ = [
+    "BuiltInRules",
     "CallInputs",
     "CheckTimes",
     "Choice",
@@ -41,7 +45,9 @@ __all__ = [
     "Decision",
     "Forecast",
     "Inputs",
+    "Lane",
     "Lightened",
+    "Line",
     "Local",
     "LocationAware",
     "LookAhead",
@@ -55,6 +61,10 @@ __all__ = [
     "Remote",
     "Situation",
     "State",
+    "Stay",
+    "Take",
     "Wait",
+    "WaitPlace",
     "WaitRule",
+    "WaitingCall",
 ]

@@ -6,7 +6,7 @@ import pytest
 
 from upwash.core.geo import Circle, Position
 from upwash.core.planning.answering import ServerBelief
-from upwash.core.planning.backlog import Backlog
+from upwash.core.planning.backlog import Backlog, Stay, WaitPlace, soonest
 from upwash.core.planning.legs import Pace
 
 HERE, HOME = Position(100.0, 0.0, 20.0), Position(0.0, 0.0)
@@ -28,27 +28,39 @@ def backlog(
     )
 
 
-def anywhere(_: Position) -> bool:
-    return True
+def stay(backlog: Backlog, *, passes_range: bool = False) -> Stay:
+    here = backlog.wait_at(HERE, here=HERE)
+    return Stay(backlog.photos, [here, *backlog.ranges(HERE)], passes_range)
+
+
+def there(backlog: Backlog) -> WaitPlace:
+    (place,) = backlog.ranges(HERE)
+    return place
 
 
 def test_here_the_drone_answers_all_and_flies_home() -> None:
-    assert backlog().ends_s(HERE, HERE) == pytest.approx(200.0 + 22.0)
-    assert backlog(after=None).ends_s(HERE, HERE) == pytest.approx(200.0)
+    here = backlog().wait_at(HERE, here=HERE)
+    assert (here.answered_s, here.ends_s) == pytest.approx((200.0, 200.0 + 22.0))
+    assert (here.server, here.extra_s) == (None, 0.0)
+    assert backlog(after=None).wait_at(HERE, here=HERE).ends_s == pytest.approx(200.0)
 
 
 def test_on_the_way_and_in_the_range_both_places_answer() -> None:
     """The way of 55 m takes 13 s, the border is passed after 10 + 1 s, and the check lasts until 16 s."""
-    there = Position(100.0, 55.0, 20.0)
-    answered_s = backlog(after=None).ends_s(HERE, there)
+    place = Position(100.0, 55.0, 20.0)
+    answered_s = backlog(after=None).wait_at(place, here=HERE).ends_s
     assert 13.0 + 17.0 <= answered_s <= 17.0 + 18.0
-    assert backlog().ends_s(HERE, there) == pytest.approx(answered_s + backlog().onwards_s(there))
+    there = backlog().wait_at(place, here=HERE)
+    assert (there.answered_s, there.ends_s) == pytest.approx(
+        (answered_s, answered_s + backlog().onwards_s(place))
+    )
+    assert there.extra_s == pytest.approx((55.0 + (100.0**2 + 55.0**2) ** 0.5 - 100.0) / 5.0)
 
 
 def test_the_best_place_is_in_a_range_only_where_that_ends_the_line_sooner() -> None:
-    name, place = backlog().best(HERE, anywhere) or ("", HERE)
-    assert name == "s1" and place.north_m == pytest.approx(55.0, abs=15.0)
-    assert backlog(photos=2).best(HERE, anywhere) is None, "the drone is through before it is there"
-    assert backlog().best(HERE, lambda _: False) is None, "a fence forbids the way"
-    assert backlog(check_s=500.0).best(HERE, anywhere) is None
-    assert backlog(range_m=200.0).best(HERE, anywhere) is None, "it is in the range"
+    assert soonest(stay(backlog())) == "s1"
+    assert there(backlog()).position.north_m == pytest.approx(55.0, abs=15.0)
+    assert soonest(stay(backlog(photos=2))) is None, "the drone is through before it is there"
+    assert soonest(stay(backlog(check_s=500.0))) is None
+    assert soonest(stay(backlog(), passes_range=True)) is None
+    assert list(backlog(range_m=200.0).ranges(HERE)) == [], "it is in the range"

@@ -25,6 +25,7 @@ from upwash.missions import bundled
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 PUBLIC = {package.__name__: set(package.__all__) for package in (upwash, upwash.services, upwash.policies)}
+PUBLIC["upwash.environment"] = {"UpwashEnv"}  # which needs Gymnasium
 
 
 def shown() -> Iterator[tuple[str, str]]:

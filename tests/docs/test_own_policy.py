@@ -37,6 +37,15 @@ def test_the_extended_policy_of_the_page_flies(tmp_path: Path) -> None:
     assert {call.decision for call in run.calls if call.place != "local"} >= {"patient"}
 
 
+def test_the_policy_of_the_page_for_rows_flies(tmp_path: Path) -> None:
+    (program,) = re.findall(r"```python\n(# lines\.py\n.*?)```", PAGE, re.DOTALL)
+    (tmp_path / "lines.py").write_text(program)
+    rows = ROOT / "scenarios/on-the-move.toml"
+    run = upwash.simulate(rows, policy=f"{tmp_path / 'lines.py'}:ServersFirst")
+    assert run.completed and not run.offloading_failed
+    assert run.totals.local < upwash.simulate(rows).totals.local
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_the_figures_of_the_page_are_those_of_fresh_runs(mine: str, row: tuple[str, ...]) -> None:

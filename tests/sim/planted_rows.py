@@ -15,8 +15,8 @@ from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
 from upwash.core.planning.acts import Acts
+from upwash.core.planning import earliest
 from upwash.core.planning.demand_map import DemandMap
-from upwash.core.selection import call_placement
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.lanes import Lanes
 from upwash.drone import legs
@@ -100,7 +100,7 @@ def other_end(init: Any, self: CallLine, decisions: Any, **how: Any) -> None:
     self._lanes.newest_first = not self._lanes.newest_first
 
 
-@planted("a free place takes the last call of the line", call_placement, "first_taken")
+@planted("a free place takes the last call of the line", earliest, "first_taken")
 def takes_the_last(first_taken: Any, line: Sequence[tuple[float, float]], **about: Any) -> Any:
     taken = first_taken(line, **about)
     return None if taken is None else len(line) - 1

@@ -9,12 +9,14 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from upwash.cli.main import command_line
+from upwash.errors import UsageError
 
 ROOT = Path(__file__).parents[2]
 THESIS = str(ROOT / "scenarios" / "thesis.toml")
@@ -235,7 +237,15 @@ def test_each_command_and_each_extra_is_tried() -> None:
     ]
     assert {command.split()[0] for command, _ in COMMANDS} == set(choices)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    # Settings need ncnn (tests/services/test_detector.py), data frames pandas (tests/eventlog/test_log.py).
+    # Settings need ncnn (tests/services/test_detector.py), data frames pandas (tests/eventlog/test_log.py), agents
+    # gymnasium (below).
     # detector-gpu stands for detector.
-    of_commands = set(project["optional-dependencies"]) - {"ncnn", "detector-gpu", "pandas"}
+    of_commands = set(project["optional-dependencies"]) - {"ncnn", "detector-gpu", "gymnasium", "pandas"}
     assert of_commands == set(MODULES) == {extra for _, extra in COMMANDS if extra}
+
+
+def test_without_gymnasium_the_environment_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    monkeypatch.delitem(sys.modules, "upwash.environment", raising=False)
+    with pytest.raises(UsageError, match=r"gymnasium is not installed: `pip install 'upwash\[gymnasium\]'`"):
+        import_module("upwash.environment")

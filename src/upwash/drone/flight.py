@@ -29,6 +29,7 @@ from upwash.core.planning.acts import Acts
 from upwash.core.planning.legs import Pace
 from upwash.core.planning.order import Order
 from upwash.core.planning.stay_or_go import StayRule
+from upwash.core.policies.policy import Policy
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
 from upwash.drone.api import Drone, Mission, User
@@ -113,6 +114,7 @@ class Flight:
     be in the air. If no waypoint is left, the vehicle is brought to the ground. `ordered` is how that mission last
     ordered the vehicle to come down. `order` is the order of the waypoints, decided here if None. `speed_why` is the
     reason of a ground speed that was chosen. `parts` has the programs before sending, by their services' names.
+    `policy` stands in for the configured one.
     """
 
     def __init__(
@@ -128,6 +130,7 @@ class Flight:
         ordered: ComingDown | None = None,
         order: Order | None = None,
         speed_why: str = "",
+        policy: Policy | None = None,
     ) -> None:
         self._mission = mission
         self._config = config
@@ -151,7 +154,7 @@ class Flight:
         # The vehicle's, with their times.
         self._last_words: deque[tuple[float, schema.VehicleSaid]] = deque(maxlen=_WORDS_KEPT)
         self._onboard = onboard_services(config, specs, programs, ports)
-        selection = make_selection(config, specs, self._plan)
+        selection = make_selection(config, specs, self._plan, instead=policy)
         self._promised = require_deadlines(config, specs, selection.estimates, self._plan)
         self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self.demand_map = demand_map_of(config, self._plan)
@@ -242,6 +245,7 @@ class Flight:
             self._ports.journal,
             selection=selection,
             believed=self._offloading.believed,
+            where_to_wait=self._offloading.where_to_wait,
             areas={
                 name: area
                 for name, area in server_areas(config).items()

@@ -2,9 +2,9 @@
 
     in line         the oldest call is first, or the newest, as configured; a call that the mission waits for is
                     before all others; a call that only servers compute is before calls that the drone could compute
-    its place       a free place takes the first call that it would answer before the other place gets to it
-                    (core/planning/earliest.py); the drone takes a call that runs once, and all calls, in line, once
-                    deciding has failed
+    its place       as the policy says: by default a free place takes the first call that it would answer before the
+                    other place gets to it (core/planning/earliest.py); the drone takes a call that runs once, and all
+                    calls, in line, once deciding has failed
     decided         once its place is free, as any call is; then the next call is decided
 
 A call holds the lane of its place from the decision until its answer, wherever it is computed in the end. Each other
@@ -26,6 +26,7 @@ from upwash.core.policies.policy import Decision, Remote
 from upwash.core.selection.call_placement import Place
 from upwash.core.selection.lanes import InLine
 from upwash.drone.decisions import Decisions, now_s
+from upwash.drone.own_policy import PolicyDefect
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,7 @@ class _Waiting(InLine):
     has_news: asyncio.Event = field(default_factory=asyncio.Event)
 
 
+LONGEST_UNUSED_S = 60.0  # that a policy may leave both lanes free beside a line
 AT_ONCE = Turn(lambda _: None)  # of a call that waits for no other
 
 
@@ -65,21 +67,23 @@ class CallLine:
         self._is_deciding = False
         self._wanted: dict[object, float] = {}  # calls for a better answer, and by when each must be sent
         self._only_on_drone = False
+        self._unused_since_s: float | None = None  # both lanes, beside calls that the drone could compute
 
     @contextlib.asynccontextmanager
     async def turn(
-        self, operation: Operation, *, urgent: bool, on_drone: bool = False, since_s: float = math.inf
+        self, operation: Operation, *, urgent: bool, on_drone: bool = False, since_s: float | None = None
     ) -> AsyncIterator[Turn]:
         """Enter the line; the block begins when the call may be decided, and ends when it is answered.
 
         With `on_drone` the call runs nowhere else. `since_s` is when a call was made that is in line again.
         """
-        call = _Waiting(operation, since_s, urgent, self._needs_server(operation), on_drone)
+        made_s = now_s() if since_s is None else since_s
+        call = _Waiting(operation, made_s, urgent, self._needs_server(operation), on_drone)
         self._lanes.enter(call)
         try:
             while (place := self._place_of(call)) is None:
                 if call is self._lanes.first:
-                    await self._decisions.told()
+                    await self._news()
                 else:
                     call.has_news.clear()
                     await call.has_news.wait()
@@ -87,7 +91,7 @@ class CallLine:
             self._lanes.leave(call)
             self._have_look(self._lanes.first)
             self._decisions.wake()  # another is first now
-        self._is_deciding = True
+        self._is_deciding, self._unused_since_s = True, None
 
         is_placed = False
 
@@ -115,6 +119,23 @@ class CallLine:
                 self._is_deciding = False
             self._wanted.pop(call, None)
             leave()
+
+    async def _news(self) -> None:
+        """Return when a call in line may have a place; raises PolicyDefect if no lane is used for too long."""
+        only_servers = all(call.needs_server for call in self._lanes.line)
+        if only_servers or self._is_deciding or not self._lanes.are_free:
+            self._unused_since_s = None
+            await self._decisions.told()
+            return
+        if self._unused_since_s is None:
+            self._unused_since_s = now_s()
+        left_s = self._unused_since_s + LONGEST_UNUSED_S - now_s()
+        if left_s <= 0:
+            policy = self._decisions.selection.policy.name
+            raise PolicyDefect(f"policy {policy}: place_in_line used no lane for {LONGEST_UNUSED_S:g} s")
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(left_s):
+                await self._decisions.told()
 
     def _is_next(self, call: object, operation: Operation, server: str, by_s: float) -> bool:
         """Whether the call is the next for a better answer of the server, which is free."""

@@ -17,6 +17,7 @@ from typing import Any, Literal, NoReturn, TypeVar
 from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.planning.answering import ServerBelief
+from upwash.core.planning.backlog import Stay
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Remote, Wait
 from upwash.core.selection.deadlines import Deadlines
@@ -144,6 +145,10 @@ class Offloading:
     def believed(self, operations: Sequence[Operation]) -> Mapping[str, ServerBelief]:
         """The servers that may compute these operations, and the mean seconds of a call at each."""
         return self._guarded(lambda: self._decisions.believed(operations)) or {}
+
+    def where_to_wait(self, stay: Stay) -> str | None:
+        """The server of the range where a resting drone waits for answers; None for where it is."""
+        return self._guarded(lambda: self._decisions.selection.policy.where_to_wait(stay))
 
     def tell(self, event: SelectionEvent) -> None:
         """Pass the event to the core, and carry out its commands."""

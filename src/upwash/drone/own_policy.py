@@ -1,8 +1,9 @@
 """A policy of the user's own: a class in a file or module, loaded before take-off.
 
 The rest of the drone relies on a policy's answers, and runs on the same thread. So each question has a limit of time,
-and each answer is checked. A policy that raises, is silent, or names a server that is not there is a
-defect. Offloading ends with its reason, and the mission goes on with every call on the drone.
+and each answer is checked. A policy that raises, is silent, or answers what cannot be is a defect. Offloading
+ends with its reason, and the mission goes on with every call on the drone. Where the class has no method for a
+question, the built-in policy answers.
 """
 
 from __future__ import annotations
@@ -10,13 +11,16 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import inspect
+import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from upwash.config.drone import PolicyConfig
+from upwash.core.planning.backlog import Stay
+from upwash.core.planning.earliest import Line, Take
 from upwash.core.policies.names import is_own, make_policy
 from upwash.core.policies.policy import (
     CallInputs,
@@ -32,7 +36,7 @@ from upwash.core.policies.policy import (
 from upwash.errors import UsageError
 from upwash.support.background import only_logged, thread
 from upwash.support.loading import load
-from upwash.support.text import worded
+from upwash.support.text import counted, worded
 
 T = TypeVar("T")
 ANSWERS_WITHIN_S = 5.0
@@ -81,7 +85,7 @@ def _own_policy(settings: PolicyConfig, *, otherwise: Policy) -> Policy:
 
 
 class OwnPolicy:
-    """The user's policy, kept in bounds; where it has no `decide`, calls are placed as by location-aware."""
+    """The user's policy, kept in bounds; `otherwise` answers where it has no method for a question."""
 
     def __init__(self, policy: Any, name: str, horizon: int, otherwise: Policy) -> None:
         self._policy = policy
@@ -91,7 +95,7 @@ class OwnPolicy:
 
     def choose(self, situation: Situation) -> Choice:
         """The server to select now, if any."""
-        choice = self._asked("choose", self._policy.choose, situation)
+        choice = self._answer("choose", situation)
         servers = [option.server for option in situation.options]
         if isinstance(choice, str) or choice is None:
             choice = Choice(choice, "its choice")
@@ -109,10 +113,7 @@ class OwnPolicy:
 
     def decide(self, call: CallInputs) -> Decision:
         """Where the call runs: Wait, Remote or Local."""
-        decide = getattr(self._policy, "decide", None)
-        if decide is None:
-            return self._otherwise.decide(call)
-        decision = self._asked("decide", decide, call)
+        decision = self._answer("decide", call)
         match decision:
             case Local():
                 return Local(str(decision.why)[:_LONGEST_WHY])
@@ -130,7 +131,44 @@ class OwnPolicy:
             f"{_LONGEST_S:g} s",
         )
 
-    def _asked(self, method: str, question: Callable[[Any], T], about: object) -> T:
+    def place_in_line(self, line: Line) -> Take | None:
+        """The call in line that a free lane takes now, if any."""
+        take = self._answer("place_in_line", line)
+        match take:
+            case None:
+                return None
+            case Take(call=int() as number, lane="drone" | "server" as lane) if 0 <= number < len(line.calls):
+                is_server = lane == "server"
+                held, call = line.server if is_server else line.drone, line.calls[number]
+                if held is None or not held.is_free:
+                    raise self._defect(
+                        "place_in_line", f"took call {number}, and the {lane}'s lane is not free"
+                    )
+                if math.isinf(call.remote_s if is_server else call.local_s):
+                    raise self._defect(
+                        "place_in_line", f"took call {number}, and the {lane} cannot compute it now"
+                    )
+                return take
+        raise self._defect(
+            "place_in_line",
+            f"returned {take!r:.200}, and None or the Take of one of {counted(len(line.calls), 'call')} is expected",
+        )
+
+    def where_to_wait(self, stay: Stay) -> str | None:
+        """The server of the range where a resting drone waits for answers; None for where it is."""
+        server = self._answer("where_to_wait", stay)
+        places = [place.server for place in stay.places]
+        if server not in places:
+            raise self._defect(
+                "where_to_wait", f"named {server!r:.100}, which is not among the places {places}"
+            )
+        return cast("str | None", server)
+
+    def _answer(self, method: str, about: object) -> Any:
+        """The answer of the user's method, or the built-in one where there is no such method."""
+        question = getattr(self._policy, method, None)
+        if question is None:
+            return getattr(self._otherwise, method)(about)
         try:
             return _ANSWERING.ask(lambda: question(about))
         except _NoAnswer:

@@ -32,6 +32,7 @@ from upwash.core.operation import Operation
 from upwash.core.planning.legs import PACES
 from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.planning.order import Forecaster, Order, best_order
+from upwash.core.policies.policy import Policy
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection
@@ -52,14 +53,21 @@ from upwash.support.text import counted
 
 
 def make_selection(
-    config: DroneConfig, specs: Mapping[str, ServiceSpec], plan: Sequence[Waypoint]
+    config: DroneConfig,
+    specs: Mapping[str, ServiceSpec],
+    plan: Sequence[Waypoint],
+    *,
+    instead: Policy | None = None,
 ) -> Selection:
-    """The drone's `Selection`, with the configured estimates, for a flight over these waypoints."""
+    """The drone's `Selection`, with the configured estimates, for a flight over these waypoints.
+
+    A policy `instead` stands in for the configured one.
+    """
     policy, estimates = config.policy, make_estimates(config, specs)
     return Selection(
         server_areas(config),
         estimates=estimates,
-        policy=policy_of(policy),
+        policy=instead or policy_of(policy),
         settings=SelectionSettings(
             blacklist_s=policy.left_alone_s,
             idle_s=policy.idle_s,

@@ -6,8 +6,8 @@ For calls that only servers compute:
     beside the way home in the range with the shortest detour, unless home is in a range
     at home             once the drone has landed: until they are answered, or no server there answers
 
-For calls that the drone could compute, while it rests: a range where the line of them ends sooner than here, with the
-way there and on (core/planning/backlog.py).
+For calls that the drone could compute, while it rests: a range, if the policy has the drone wait there. By default
+that is where the line of them ends sooner than here, with the way there and on (core/planning/backlog.py).
 
 No stop lasts longer than `policy.detour_s`, or than the reserve of the battery allows.
 """
@@ -22,7 +22,7 @@ from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.operation import Operation
 from upwash.core.planning.answer_stops import AnswerStops, longer_m
 from upwash.core.planning.answering import ServerBelief
-from upwash.core.planning.backlog import Backlog
+from upwash.core.planning.backlog import Backlog, Stay, WaitPlace
 from upwash.core.planning.legs import Pace
 from upwash.core.selection.selection import Selection
 from upwash.drone.server_calls import ServerCalls
@@ -37,7 +37,7 @@ class Seeking:
 
     `home` returns where the vehicle lands, None if it does not return; `home_s` the seconds of its way home from a
     place; `spare_s` the seconds of flight that the reserve leaves, None if unknown. `believed` returns
-    the servers that may compute these operations.
+    the servers that may compute these operations, and `where_to_wait` the server of the range where the drone waits.
     """
 
     def __init__(
@@ -47,6 +47,7 @@ class Seeking:
         *,
         selection: Selection,
         believed: Callable[[Sequence[Operation]], Mapping[str, ServerBelief]],
+        where_to_wait: Callable[[Stay], str | None],
         areas: Mapping[str, Circle],
         plan: Sequence[Waypoint],
         home: Callable[[], Position | None],
@@ -61,6 +62,7 @@ class Seeking:
         self._journal = journal
         self._selection = selection
         self._believed = believed
+        self._where_to_wait = where_to_wait
         self._estimates = selection.estimates
         self._areas = areas
         self._plan = plan
@@ -118,32 +120,32 @@ class Seeking:
         back: bool,
         but: set[str],
     ) -> Position | None:
-        """The place in a range where these calls, in line, are answered sooner than here; None if there is none.
+        """The place in a range where the policy has the drone wait for these calls, in line; None to wait here.
 
-        If the drone flies `back`, it comes back here; else it flies home. No place is sought where the way from the
-        `following` waypoint on passes a range anyway, and none for the servers in `but`, which gets one more.
+        If the drone flies `back`, it comes back here; else it flies home. `following` is its next waypoint. The drone
+        does not fly to the servers in `but`, which gets one more.
         """
         home = None if back else self._home()
         home_s = self._home_s if home is not None else None
         backlog = self._backlog(operations, here if back else home, home_s, but)
-        if not backlog.servers or (following and self._leads_through(list(backlog.servers), following)):
-            return None
-        onwards = backlog.after or here
-
-        spare_s = self._spare_s()
+        onwards, spare_s = backlog.after or here, self._spare_s()
         most_s = math.inf if spare_s is None else spare_s + backlog.onwards_s(here)
 
-        def may(place: Position) -> bool:
-            fits = (
-                self._extra_s(here, place, onwards) < self._detour_s and backlog.ends_s(here, place) <= most_s
-            )
-            return fits and allows(here, place) and allows(place, onwards.at_altitude(place.altitude_m))
+        def may(place: WaitPlace) -> bool:
+            ends = onwards.at_altitude(place.position.altitude_m)
+            fits = place.extra_s < self._detour_s and place.ends_s <= most_s
+            return fits and allows(here, place.position) and allows(place.position, ends)
 
-        if (found := backlog.best(here, may)) is None:
+        ranges = {place.server: place for place in backlog.ranges(here) if may(place)}
+        if not ranges:
             return None
-        server, place = found
+        passes = following is not None and self._leads_through(list(backlog.servers), following)
+        places = [backlog.wait_at(here, here=here), *ranges.values()]
+        server = self._where_to_wait(Stay(len(operations), places, passes))
+        if server is None:
+            return None
         but.add(server)
-        extra_s = round(self._extra_s(here, place, onwards), 1)
+        place, extra_s = ranges[server].position, round(ranges[server].extra_s, 1)
         self._journal.record(schema.SoughtAnswers(waiting=len(operations), position=place, extra_s=extra_s))
         return place
 

@@ -34,6 +34,7 @@ from upwash.config import (
 from upwash.core.geo import Position, Reach, Waypoint
 from upwash.core.knowledge.coverage import Coverage
 from upwash.core.planning.demand_map import DemandMap
+from upwash.core.policies.policy import Policy
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NetworkCell, PositionNetwork
 from upwash.drone.speed import with_speed
@@ -96,15 +97,17 @@ class Run:
         return b"".join(self.events.lines())
 
 
-def simulate(config: DroneConfig) -> Run:
+def simulate(config: DroneConfig, *, policy: Policy | None = None) -> Run:
     """Flies the scenario's mission on virtual time; the same scenario and seed give the same run.
+
+    A policy stands in for the scenario's, for this one mission.
 
     Raises MissionFailed for a mission program with a bug, and UsageError for what cannot be simulated; another early
     end is the run's `failure`.
     """
     if config.drones:
         raise UsageError(f"the scenario has {len(config.drones)} drones, and this is for one")
-    (run,) = simulate_fleet([config])
+    (run,) = simulate_fleet([config], policy=policy)
     return run
 
 
@@ -147,15 +150,16 @@ def simulate_fleet(
     there: Sequence[Presence] | None = None,
     computing: bool = False,
     seen: list[Observation] | None = None,
+    policy: Policy | None = None,
 ) -> list[Run]:
     """Flies the missions of several drones at the same time, among the servers of the first one's scenario.
 
     `there` says when each drone is there; by default from the start to its mission's end. With `computing` the
     services really compute, in no time, instead of returning empty results; observations of drones and servers are
-    added to `seen`.
+    added to `seen`. A policy stands in for that of each drone.
     """
     drones = [
-        _Drone(config, presence)
+        _Drone(config, presence, policy)
         for config, presence in zip(fleet, there or [Presence() for _ in fleet], strict=True)
     ]
     ends = [_End() for _ in drones]
@@ -187,12 +191,12 @@ class _End(NamedTuple):
 class _Drone:
     """One drone among servers at hosts of their own: what it is given, and what it leaves behind."""
 
-    def __init__(self, config: DroneConfig, presence: Presence) -> None:
+    def __init__(self, config: DroneConfig, presence: Presence, policy: Policy | None) -> None:
         replace = msgspec.structs.replace
         servers = tuple(replace(server, address=daemon_address(server.name)) for server in config.servers)
         config, self.speed_why = with_speed(config, load_specs(config.services))
         self.config = replace(config, servers=servers)
-        self.presence = presence
+        self.presence, self.policy = presence, policy
         self.chance, self.faults = Chance(config.seed), Faults(config.faults)
         self.journal = MemoryJournal()
         self.range_intervals: list[RangeInterval] = []
@@ -263,6 +267,7 @@ async def _fly_one(
         parts=software.parts,
         ports=_ports(drone, autopilot, radios, software, observe),
         speed_why=drone.speed_why,
+        policy=drone.policy,
     )
     try:
         async with beside(observe_ranges(autopilot, areas, drone.range_intervals), name="observer of ranges"):

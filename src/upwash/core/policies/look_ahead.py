@@ -6,7 +6,16 @@ from dataclasses import dataclass
 
 from upwash.core.planning.forecast import Forecast
 from upwash.core.planning.schedule import Schedule, quickest
-from upwash.core.policies.policy import CallInputs, Choice, Coming, Decision, LocationAware, Remote, Situation
+from upwash.core.policies.policy import (
+    BuiltInRules,
+    CallInputs,
+    Choice,
+    Coming,
+    Decision,
+    LocationAware,
+    Remote,
+    Situation,
+)
 
 HORIZON = 20  # calls: what is further away changes nothing about the next server
 _REACTIVE = LocationAware()
@@ -14,7 +23,7 @@ MOST_LABELS = 64  # that a schedule is chosen from: twice what flights among 50 
 
 
 @dataclass(frozen=True)  # without slots, so that users can extend it
-class LookAhead:
+class LookAhead(BuiltInRules):
     """Selects the server that ends the coming calls soonest; as location-aware if no calls are foreseen.
 
     The selected server is left only if that saves more than the fraction `gain_leave` of a local call over all those

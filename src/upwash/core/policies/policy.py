@@ -16,6 +16,8 @@ from msgspec.structs import asdict
 from upwash.core.geo import Measured, Position, Reach
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import Operation
+from upwash.core.planning.backlog import Stay, soonest
+from upwash.core.planning.earliest import Line, Take, earliest
 from upwash.core.planning.forecast import Forecast
 
 
@@ -51,6 +53,11 @@ class Situation(Struct, frozen=True):
     now_s: float = 0.0
     position: Position | None = None
 
+    @property
+    def is_foreseen(self) -> bool:
+        """Whether a coming call is placed in a forecast."""
+        return self.position is None
+
 
 class Coming(Struct, frozen=True):
     """The server that the drone uses next, and in how many seconds at the earliest."""
@@ -72,7 +79,7 @@ class CallInputs(Struct, frozen=True):
 
     `local_s` and `remote_s` are the operation's estimates. `check_expected_s` is the estimate of the check under way,
     and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` if the
-    service is not known to have computed a call there since its start.
+    service is not known to have computed a call there since its start. `is_foreseen` for a coming call in a forecast.
     """
 
     server: str
@@ -82,6 +89,7 @@ class CallInputs(Struct, frozen=True):
     check_expected_s: float
     check_elapsed_s: float
     is_first: bool = False
+    is_foreseen: bool = False
 
 
 class Lightened(Struct, frozen=True):
@@ -170,7 +178,7 @@ Decision = Local | Remote | Wait
 
 
 class Policy(Protocol):
-    """What every policy provides: the choice of a server, and the place of a call."""
+    """What every policy provides: the choice of a server, the place of a call, and where a drone waits."""
 
     @property
     def name(self) -> str:
@@ -185,6 +193,24 @@ class Policy(Protocol):
 
     def decide(self, call: CallInputs) -> Decision:
         """Where the call runs: Wait, Remote or Local."""
+
+    def place_in_line(self, line: Line) -> Take | None:
+        """The call in line that a free lane takes now; None if none does yet."""
+
+    def where_to_wait(self, stay: Stay) -> str | None:
+        """The server of the range where a resting drone waits for answers; None for where it is."""
+
+
+class BuiltInRules:
+    """The built-in rules for calls in line."""
+
+    def place_in_line(self, line: Line) -> Take | None:
+        """By earliest completion."""
+        return earliest(line)
+
+    def where_to_wait(self, stay: Stay) -> str | None:
+        """Where the line ends soonest, with the way there and on."""
+        return soonest(stay)
 
 
 class Deadline(Struct, frozen=True):
@@ -244,7 +270,7 @@ def with_slots(options: Sequence[Option]) -> Sequence[Option]:
 
 
 @dataclass(frozen=True)
-class LocalOnly:
+class LocalOnly(BuiltInRules):
     """Never offloads: the thesis's no-offload reference."""
 
     name: str = "local-only"
@@ -260,7 +286,7 @@ class LocalOnly:
 
 
 @dataclass(frozen=True)
-class Opportunistic:
+class Opportunistic(BuiltInRules):
     """Uses the server whose range was entered first, and never compares: the thesis's naive reference."""
 
     wait: WaitRule = _WAIT_RULE
@@ -282,7 +308,7 @@ class Opportunistic:
 
 
 @dataclass(frozen=True)
-class LocationAware:
+class LocationAware(BuiltInRules):
     """The thesis's policy: the fastest server in range, unless the drone is faster (eqs. 3.2 to 3.4)."""
 
     gain_switch: float = 0.25

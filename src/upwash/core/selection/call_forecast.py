@@ -97,7 +97,13 @@ class CallForecast:
         state = State.CHECK if place.ready_in_s > 0 else State.READY
         decision = self._policy.decide(
             CallInputs(
-                server, state, local_s, remote_s, check_expected_s=place.ready_in_s, check_elapsed_s=0.0
+                server,
+                state,
+                local_s,
+                remote_s,
+                check_expected_s=place.ready_in_s,
+                check_elapsed_s=0.0,
+                is_foreseen=True,
             )
         )
         match decision:

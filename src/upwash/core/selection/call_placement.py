@@ -4,7 +4,7 @@ With probing, a server that failed is in doubt until it answers a call in time. 
 drone's own service computes them too. A call that runs on the drone is also sent to a server that becomes READY.
 
 A lane that a call of the drone holds is not free (lanes.py): nothing is raced, overtaken or sent a second time there.
-A free lane takes the first call in line that it would answer before the other lane (planning/earliest.py).
+Which call in line a free lane takes is up to the policy: by default by earliest completion (planning/earliest.py).
 
 An operation that only servers run has its place at the server in use, once that is READY, or none yet.
 """
@@ -12,7 +12,7 @@ An operation that only servers run has its place at the server in use, once that
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -21,7 +21,7 @@ from msgspec import structs
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import CHECKING, Server, State
 from upwash.core.operation import ON_DRONE, Operation
-from upwash.core.planning.earliest import first_taken
+from upwash.core.planning.earliest import Lane, Line, WaitingCall
 from upwash.core.policies.policy import CallInputs, Decision, Inputs, Local, Policy, Remote, Wait
 from upwash.core.selection.commands import Effect
 from upwash.core.selection.lanes import InLine, Lanes
@@ -47,49 +47,49 @@ class CallPlacement:
     def next_in_line(self, now_s: float) -> tuple[InLine, Place] | None:
         """The call to be decided now, of those in line, and where; None while all wait for a place.
 
-        It is "either" place, or only the drone, which answers the call before the server gets to it.
+        It is "either" place, or only the drone, which the policy has take the call.
         """
-        line, server = self._lanes.line, self._radios.in_use
-        times = self._times(line, now_s)
-        if server is not None and (taken := self._next_at(server, line, times, now_s)) is not None:
-            return line[taken], "either"
-        if not self._lanes.is_free(ON_DRONE):
+        line, server = self._line(now_s), self._radios.in_use
+        if line is None or (take := self._policy.place_in_line(line)) is None:
             return None
-        server_in_s = 0.0 if server is None else self._lanes.rest_s(server.name, now_s)
-        if (taken := first_taken(times, other_in_s=server_in_s, in_ties=True)) is None:
-            return None
-        call, (_, remote_s) = line[taken], times[taken]
+        call, is_open = self._lanes.line[take.call], line.calls[take.call].remote_s == math.inf
+        if take.lane == "server" or (is_open and not call.on_drone):
+            return call, "either"
         is_for_both = server is not None and self._lanes.is_free(server.name) and self._is_twice(call)
-        is_open = remote_s == math.inf and not call.on_drone
-        return call, "either" if is_open or is_for_both else "drone"
+        return call, "either" if is_for_both else "drone"
 
-    def _next_at(
-        self, server: Server, line: Sequence[InLine], times: Sequence[tuple[float, float]], now_s: float
-    ) -> int | None:
-        """The number of the call in line that the server in use takes; None if it is not free, or takes none."""
-        if not self._lanes.is_free(server.name):
-            return None
-        at_server = [(remote_s, local_s) for local_s, remote_s in times]
-        taken = first_taken(at_server, other_in_s=self._lanes.rest_s(ON_DRONE, now_s))
-        if taken and self._is_twice(line[taken]):  # the calls before it want a better answer there
-            return None
-        return taken
+    def _is_awaited(self, now_s: float) -> bool:
+        """Whether the server in use takes a call of the line."""
+        line = self._line(now_s)
+        take = None if line is None else self._policy.place_in_line(line)
+        return take is not None and take.lane == "server"
 
-    def _is_awaited(self, server: Server, now_s: float) -> bool:
-        """Whether the server takes a call of the line."""
-        line = self._lanes.line
-        return bool(line) and self._next_at(server, line, self._times(line, now_s), now_s) is not None
+    def _line(self, now_s: float) -> Line | None:
+        """The calls in line, and their lanes; None without a call or a free lane."""
+        calls, server = self._lanes.line, self._radios.in_use
+        drone, at_server = self._lane(ON_DRONE, now_s), self._lane(server.name, now_s) if server else None
+        if not calls or not (drone.is_free or (at_server is not None and at_server.is_free)):
+            return None
+        known = {
+            operation: self._both_s(operation, now_s) for operation in {call.operation for call in calls}
+        }
+        return Line([self._waiting(call, *known[call.operation], now_s) for call in calls], drone, at_server)
+
+    def _lane(self, place: str, now_s: float) -> Lane:
+        return Lane(self._lanes.is_free(place), self._lanes.rest_s(place, now_s))
+
+    def _waiting(self, call: InLine, local_s: float, remote_s: float, now_s: float) -> WaitingCall:
+        return WaitingCall(
+            call.operation,
+            now_s - call.since_s,
+            local_s,
+            math.inf if call.on_drone else remote_s,
+            call.urgent,
+            self._is_twice(call),
+        )
 
     def _is_twice(self, call: InLine) -> bool:
         return call.operation in self._two_answers
-
-    def _times(self, line: Sequence[InLine], now_s: float) -> list[tuple[float, float]]:
-        """The seconds of each call on the drone and at the server in use; infinite where it does not run."""
-        known = {operation: self._both_s(operation, now_s) for operation in {call.operation for call in line}}
-        return [
-            (known[call.operation][0], math.inf if call.on_drone else known[call.operation][1])
-            for call in line
-        ]
 
     def _both_s(self, operation: Operation, now_s: float) -> tuple[float, float]:
         server = self._radios.in_use
@@ -121,7 +121,7 @@ class CallPlacement:
     ) -> tuple[Decision, list[Effect]]:
         """Decide where a call made now runs; leave the server in use if it is out of range.
 
-        With `on_drone` the server in use is busy with earlier calls for too long. A call whose `first` answer the
+        With `on_drone` the drone takes the call out of the line. A call whose `first` answer the
         drone has sooner than the server runs at both.
         """
         if self._estimates.needs_server(operation):
@@ -133,7 +133,9 @@ class CallPlacement:
             effects = self._radios.leave(server, "out of range", now_s)
             return Local(f"{server.name} is out of range", inputs), effects
         if on_drone:
-            return Local(f"{server.name} is busy with earlier calls", inputs), []
+            is_busy = not self._lanes.is_free(server.name)
+            why = f"{server.name} is busy with earlier calls" if is_busy else "the drone takes it first"
+            return Local(why, inputs), []
         local_s, remote_s = inputs.local_s, inputs.remote_s
         if local_s is None or remote_s is None:
             return Local(f"no estimate of {operation} on {server.name}", inputs), []
@@ -248,7 +250,7 @@ class CallPlacement:
         server = self._radios.in_use
         if self._recovery is None or server is None or not server.in_range or server.state is not State.READY:
             return None, math.inf
-        if not self._lanes.is_free(server.name) or self._is_awaited(server, now_s):
+        if not self._lanes.is_free(server.name) or self._is_awaited(now_s):
             return None, math.inf
         local_s = self._estimates.local_s(operation)
         usual_s = self._estimates.usual_s(server.name, operation)

@@ -49,6 +49,11 @@ class Lanes:
         """Whether no call holds the lane."""
         return all(held != place for held, _ in self._held.values())
 
+    @property
+    def are_free(self) -> bool:
+        """Whether no call holds any lane."""
+        return not self._held
+
     def rest_s(self, place: str, now_s: float) -> float:
         """The seconds until the lane is expected to be free; 0 where that was expected earlier."""
         ends_s = [until_s for held, until_s in self._held.values() if held == place]

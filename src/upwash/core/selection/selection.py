@@ -164,7 +164,7 @@ class Selection:
     ) -> tuple[Decision, list[Effect]]:
         """Decide where a call made now runs; `inputs.lightened` of the decision is set if it runs lighter.
 
-        With `on_drone` the server in use is busy with earlier calls for too long.
+        With `on_drone` the drone takes the call out of the line.
         """
         self._locate(position, now_s)
         if self._comes_down:
