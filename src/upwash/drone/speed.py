@@ -114,9 +114,9 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
     places = [*(waypoint.position for waypoint in plan), *(via.position for via in leaving(mission))]
     beliefs = mission_beliefs(config, specs, estimates, plan)
     operations = [call.operation for call in beliefs.stop]
+    local_s = own_answer_s(config, specs, estimates, operations)
     alone = [operation for operation in operations if not estimates.needs_server(operation)]
     operations = alone or operations  # answers that only servers give hold the drone up no more than others
-    first = {operation: two.first for operation, two in two_answers(config, specs, estimates).items()}
     areas = {} if config.policy.name == "local-only" else server_areas(config)
     known = RowMission(
         plan=plan,
@@ -126,9 +126,7 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         takeoff_s=beliefs.pace.takeoff_s(mission.altitude_m),
         home_s=home_s(config, places[-1], start),
         photo_s=config.camera.photo_s,
-        local_s=sum(estimates.local_s(first.get(operation, operation)) or 0.0 for operation in operations)
-        if alone or not operations
-        else math.inf,
+        local_s=local_s,
         servers={
             name: ServerBelief(
                 area,
@@ -144,6 +142,20 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         action_s=mission.action_s,
     )
     return [replace(known, demanding=demanding) for demanding in _demanding(config, plan)]
+
+
+def own_answer_s(
+    config: DroneConfig,
+    specs: Mapping[str, ServiceSpec],
+    estimates: Estimates,
+    operations: Sequence[Operation],
+) -> float:
+    """How long the drone computes for a photo with those calls (s); infinite if only servers answer them."""
+    first = {operation: two.first for operation, two in two_answers(config, specs, estimates).items()}
+    alone = [operation for operation in operations if not estimates.needs_server(operation)]
+    if operations and not alone:
+        return math.inf
+    return sum(estimates.local_s(first.get(operation, operation)) or 0.0 for operation in alone)
 
 
 def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:
