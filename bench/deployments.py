@@ -14,9 +14,9 @@ from collections.abc import Iterator, Sequence
 from statistics import fmean
 from typing import Any, NamedTuple
 
+import msgspec
 from bench.program import command_line
-from bench.results import FOLDER, leave
-from msgspec import Struct
+from bench.results import FOLDER, leave, read
 
 from upwash.lab.processes import in_processes
 from upwash.lab.simulation import simulate
@@ -65,7 +65,7 @@ DEPLOYMENTS = (
 )
 
 
-class Flown(Struct, frozen=True):
+class Flown(msgspec.Struct, frozen=True):
     """Mean minutes of a deployment alone and served, for each of CHANCES."""
 
     name: str
@@ -139,6 +139,12 @@ def server(name: str, east_m: float, north_m: float, range_m: float, call_s: flo
 def calls_s(seconds: float) -> dict[str, float]:
     """The time of a call in both modes of the detector."""
     return {"light": seconds, "heavy": seconds}
+
+
+def kept() -> list[Flown]:
+    """The figures that were kept."""
+    result = read("deployments")
+    return [] if result is None else msgspec.convert(result.figures, list[Flown])
 
 
 def rows(figures: Sequence[Flown]) -> Iterator[Sequence[str]]:
