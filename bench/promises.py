@@ -17,6 +17,9 @@ from typing import TypeVar
 import msgspec
 from bench.baselines.kept import PARTS as BASELINES
 from bench.baselines.kept import Measured, shown
+from bench.deployments import HEAD as DEPLOYED
+from bench.deployments import Flown as Deployed
+from bench.deployments import rows as deployed_rows
 from bench.gains.kept import TABLE
 from bench.gains.kept import read as read_missions
 from bench.gains.tables import Flown
@@ -210,6 +213,11 @@ def _baselines(part: str, result: Result) -> str:
     return f"`{result.command}` {_measured(result)}{missions}.\n\n{shown(part, figures)}"
 
 
+def _deployments(result: Result) -> str:
+    rows = deployed_rows(_figures(result, list[Deployed]))
+    return f"`{result.command}` {_measured(result)}, 10 missions each:\n\n{_table(DEPLOYED, rows)}"
+
+
 def _validation() -> str:
     rows = [(*row_of(figures), result.commit, result.day) for result, figures in kept()]
     return _table((*COLUMNS, "commit", "day"), iter(rows)) if rows else _NOT_YET
@@ -241,6 +249,7 @@ PARTS: Mapping[str, Callable[[Result], str]] = {
     "reproduction_sensitivity": _sensitivity,
     "reproduction_disagreements": _disagreements,
     "gains": _gains,
+    "deployments": _deployments,
     "sharing": _sharing,
     "stay_or_go": _stay_or_go,
     **{f"baselines_{part}": partial(_baselines, part) for part in BASELINES},

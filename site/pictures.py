@@ -18,6 +18,8 @@ from pathlib import Path
 from posixpath import relpath
 from tempfile import TemporaryDirectory
 
+from bench.deployments import kept
+from bench.deployments_figure import draw as draw_deployments
 from bench.gains import figure as gains
 from bench.gains.kept import TABLE, read
 from mkdocs.config.defaults import MkDocsConfig
@@ -56,6 +58,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
                 runpy.run_path(str(ROOT / "site" / f"{program}.py"))[draw](Path(f"{program}.png"))
             draw_figures(FigureFiles(Path()), seeds=1)
             gains.draw(read(TABLE), Path("gains.png"))
+            draw_deployments(kept(), [Path("load.png")])
         for pattern in MADE:
             for file in sorted(Path(folder).glob(pattern)):
                 files.append(File.generated(config, f"pictures/{file.name}", content=file.read_bytes()))

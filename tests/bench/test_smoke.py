@@ -20,6 +20,7 @@ QUICK = {  # what each prints, among others
     "call": r"upwash, on the server, mutual TLS +[\d.]+ ms +[\d.]+\n",
     "decide": r"range everywhere +median [\d.]+ ms",
     "demands": r"\| 3 %, corner 80 % \| 4 s( \| -?[\d.]+ ± [\d.]+ %){4} \|\n",
+    "deployments": r"\| Raspberry Pi 5, 48 tiles \| 4.4 / 1.7 \| 1.5( \| -?[\d.]+ / -?[\d.]+){3} \|",
     "detector": r"heavy +[\d.]+ ms +[\d.]+ ms +[\d.]+ ms +[\d.]+ +\d+\n",
     "findings": r" 40 m +0° 1.5 m \|( +\d+ \|){1}( +[\d.]+ m +[\d.]+ m +[\d.]+ % \|){2} +[\d.]+ +[\d.]+\n",
     "fleets": r"- look-ahead\n( +[\d.]+)+\n",

@@ -50,6 +50,19 @@ def test_the_verdict_comes_before_the_rows_and_all_fits_80_columns() -> None:
     assert any("look-ahead, prepare" in line and "60.00 ± 0.50" in line for line in lines)
 
 
+def test_drawn_worlds_of_each_kind_stand_below_their_policy() -> None:
+    kinds = {"rows, load from 1": (0.5,), "stops": (-0.1, 0.2)}
+    lines = printed(
+        row("local-only", 20.0),
+        row("look-ahead", 11.0, saved_shares=(-0.1, 0.2, 0.5), saved_by_kind=kinds),
+        row("mine", 19.0, saved_shares=(0.1,), saved_by_kind={"stops": (0.1,)}),
+    )
+    *_, rows, stops, mine = (line.split() for line in lines if line.strip())
+    assert " ".join(rows) == "rows, load from 1 (1) 50.0 % 1 0 50.0 % 0.0 %"
+    assert " ".join(stops[:4]) == "stops (2) 5.0 %"
+    assert mine[0] == "mine", "all of one kind"
+
+
 def test_what_no_battery_lasted_for_is_said() -> None:
     assert printed(row("local-only", float("nan"), completed=0))[0] == "field: no policy completed a mission"
     lines = printed(row("local-only", 20.0, completed=3), row("look-ahead", 11.0))

@@ -65,7 +65,29 @@ def test_drawn_worlds_are_one_case_with_what_each_saved() -> None:
         for seed in range(7, 10)
     ]
     assert ahead.saved_shares == pytest.approx(sorted(1 - after / before for before, after in times_s))
+    seventh, eighth, ninth = (1 - after / before for before, after in times_s)
+    assert ahead.saved_by_kind["rows, load below 1"] == pytest.approx((eighth,))
+    assert ahead.saved_by_kind["stops"] == pytest.approx(sorted((seventh, ninth)))
+    assert not local.saved_by_kind
     assert ahead.bound_s < ahead.mean_s == pytest.approx(sum(after for _, after in times_s) / 3)
+
+
+def test_worlds_and_surveys_are_told_apart_and_each_of_them_by_kind(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = ["--surveys", "7..8", "--worlds", "4..5", "--policy", "local-only", "--policy", "look-ahead"]
+    assert main(["compare", *given, "--workers", "1", "--figures", str(tmp_path)]) == 0
+    assert {file.name for file in tmp_path.iterdir()} == {"compare.png", "worlds.png", "surveys.png"}
+    lines = capsys.readouterr().out.splitlines()
+    heading = next(number for number, line in enumerate(lines) if "beside local-only" in line)
+    assert [line.split(" | ")[0] for line in lines[heading + 2 : heading + 8]] == [
+        "| look-ahead, worlds 4..5",
+        "| look-ahead, worlds 4..5, rows, load from 1 (1)",
+        "| look-ahead, worlds 4..5, stops (1)",
+        "| look-ahead, surveys 7..8",
+        "| look-ahead, surveys 7..8, rows, load below 1 (1)",
+        "| look-ahead, surveys 7..8, rows, load from 1 (1)",
+    ]
 
 
 def test_the_command_sets_losses_beside_gains(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from bench.deployments import DEPLOYMENTS
 
 from upwash.cli.main import main
+from upwash.config import photo_legs
 from upwash.lab.scenario import read_scenario
-from upwash.lab.worlds import HELD_OUT, draw_world
+from upwash.lab.worlds import HELD_OUT, TODAYS, draw_world
 
 
 def test_held_out_worlds_are_those_of_the_first_version() -> None:
@@ -23,16 +25,50 @@ def test_held_out_worlds_are_those_of_the_first_version() -> None:
     )
 
 
-def test_every_held_out_world_can_be_flown() -> None:
+def test_surveys_are_those_of_the_first_version() -> None:
+    surveys = [draw_world(seed, survey=True) for seed in (*range(1, 1001), *HELD_OUT)]
+    assert (
+        hashlib.sha256(msgspec.json.encode(surveys)).hexdigest()
+        == "b67d1fcb299c459706096d26a4161f6f00123865228e1f26feee5149a0beccd0"
+    )
+
+
+@pytest.mark.parametrize("survey", [False, True])
+def test_every_held_out_world_can_be_flown(survey: bool) -> None:
     for seed in HELD_OUT:
-        read_scenario(draw_world(seed))
+        read_scenario(draw_world(seed, survey=survey))
 
 
-def test_a_written_world_is_the_one_that_was_drawn(tmp_path: Path) -> None:
-    assert main(["worlds", "--seeds", "5..40", "--out", str(tmp_path)]) == 0
+@pytest.mark.parametrize(("kind", "given"), [("world", []), ("survey", ["--surveys"])])
+def test_a_written_world_is_the_one_that_was_drawn(tmp_path: Path, kind: str, given: list[str]) -> None:
+    assert main(["worlds", "--seeds", "5..40", *given, "--out", str(tmp_path)]) == 0
     assert len(list(tmp_path.iterdir())) == 36
     for seed in range(5, 41):
-        assert read_scenario(tmp_path / f"world-{seed}.toml") == read_scenario(draw_world(seed))
+        written = read_scenario(tmp_path / f"{kind}-{seed}.toml")
+        assert written == read_scenario(draw_world(seed, survey=kind == "survey"))
+
+
+def test_surveys_overlap_and_are_computed_by_todays_computers() -> None:
+    outrun = 0
+    for seed in range(1, 201):
+        document = draw_world(seed, survey=True)
+        config = read_scenario(document)
+        (leg,) = photo_legs(config.mission)
+        local_s = config.services[0].local_call_s["heavy"]
+        remote_s = config.servers[0].remote_call_s["detector"]["heavy"]
+        assert 0.59 < 1 - leg.step_m / (0.9 * leg.altitude_m) < 0.81
+        assert leg.step_m / leg.ground_speed_m_s >= config.camera.photo_s
+        assert any(
+            0.79 < local_s / times.local_s < 1.26 and 0.79 < remote_s / times.remote_s < 1.26
+            for times in TODAYS
+        )
+        assert all(100 <= server["range_m"] <= 200 for server in document["server"])
+        outrun += local_s * leg.ground_speed_m_s > leg.step_m
+    assert 0.4 < outrun / 200 < 0.7
+
+
+def test_the_table_of_deployments_has_the_same_computers() -> None:
+    assert [(each.local_s, each.remote_s) for each in DEPLOYMENTS] == list(TODAYS)
 
 
 def test_worlds_have_all_that_the_page_states() -> None:

@@ -261,7 +261,7 @@ def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.C
     found = json.loads(capsys.readouterr().out)
     assert list(found) == [
         "config", "waypoints", "order", "uncovered", "servers", "predictions", "usable_s", "usable_wh", "farthest",
-        "warnings", "notices", "worth",
+        "warnings", "notices", "worth", "load",
     ]  # fmt: skip
     assert [each["case"] for each in found["predictions"]] == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]
     assert (figures / "coverage.png").is_file()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -31,6 +32,7 @@ ARGUMENTS = {
     "--worlds N|A..B": option(
         "the drawn worlds of the seeds 1 to N, or A to B, too: each is flown once", type=seeds
     ),
+    "--surveys N|A..B": option("the drawn surveys of these seeds too, with photos that overlap", type=seeds),
     "--policy NAME": repeated(
         "fly only these policies, and compare them with the first; your own as mine.py:Class (default: all built in)",
         "policies",
@@ -47,7 +49,7 @@ ARGUMENTS = {
 
 def run(options: argparse.Namespace) -> None:
     """Fly them all with a progress bar, and print the results; in Markdown where no person reads them."""
-    if not options.scenarios and not options.thesis and not options.worlds:
+    if not any((options.scenarios, options.thesis, options.worlds, options.surveys)):
         raise UsageError("nothing to compare in: name scenario files, or give --thesis or --worlds 1..100")
     overrides = read_overrides(options.settings)
     figures = figures_of(options)
@@ -58,6 +60,7 @@ def run(options: argparse.Namespace) -> None:
             overrides=overrides,
             seeds=options.seeds,
             worlds=options.worlds,
+            surveys=options.surveys,
             workers=options.workers,
             thesis=options.thesis,
             progress=lambda done, total: progress(total=total),
@@ -86,9 +89,11 @@ def _draw(rows: Sequence[ComparedPolicy], figures: FigureFiles) -> None:
             bound_s = None if math.isnan(row.bound_s) else row.bound_s
             drawn.append(DrawnMean(row.scenario, row.policy, time, saved, bound_s))
     draw_means(drawn, figures.files("compare"))
-    shares = {row.policy: row.saved_shares for row in rows if row.saved_shares}
-    if shares:
-        draw_savings(shares, figures.files("worlds"), first=rows[0].policy)
+    for family in "worlds", "surveys":
+        own = [row for row in rows if row.saved_shares and row.scenario.startswith(f"{family} ")]
+        if own:
+            shares = {row.policy: row.saved_shares for row in own}
+            draw_savings(shares, figures.files(family), first=rows[0].policy)
 
 
 def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
@@ -117,8 +122,22 @@ def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
             wins = row in winners
             cells = (cell(row) for cell in shown.values())
             table.add_row("*" if wins else "", *cells, style="bold" if wins else None)
+            for part in _by_kind(row):
+                beside = _BESIDE_FIRST.values()
+                table.add_row(
+                    "",
+                    f"  {part.policy}",
+                    *(cell(part) if cell in beside else "" for cell in [*shown.values()][1:]),
+                )
         show_table(table, console)
         console.print()
+
+
+def _by_kind(row: ComparedPolicy) -> Iterator[ComparedPolicy]:
+    """The policy's drawn worlds of each kind apart, if there are several."""
+    if len(row.saved_by_kind) > 1:
+        for kind, shares in row.saved_by_kind.items():
+            yield dataclasses.replace(row, policy=f"{kind} ({len(shares)})", saved_shares=shares)
 
 
 def _quickest(rows: Sequence[ComparedPolicy]) -> ComparedPolicy | None:
@@ -182,8 +201,12 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
     if beside:
         yield ""
         yield from _heading(f"in each world, beside {rows[0].policy}", *map(" ".join, _BESIDE_FIRST))
+        several = len({row.scenario for row in beside}) > 1
         for row in beside:
-            yield _line(row.policy, *(cell(row) for cell in _BESIDE_FIRST.values()))
+            name = f"{row.policy}, {row.scenario}" if several else row.policy
+            yield _line(name, *_beside_first(row))
+            for part in _by_kind(row):
+                yield _line(f"{name}, {part.policy}", *_beside_first(part))
     further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
         ("worst minutes, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
         ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),
@@ -196,6 +219,10 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
             yield from _heading(title, *policies)
             for scenario, group in itertools.groupby(known, key=lambda row: row.scenario):
                 yield _line(scenario, *map(cell, group))
+
+
+def _beside_first(row: ComparedPolicy) -> Iterator[str]:
+    return (cell(row) for cell in _BESIDE_FIRST.values())
 
 
 def _heading(*titles: str) -> tuple[str, str]:

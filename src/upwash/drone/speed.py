@@ -114,9 +114,9 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
     plan, start, estimates = waypoints(mission), stands(mission), make_estimates(config, specs)
     beliefs = mission_beliefs(config, specs, estimates, plan)
     operations = [call.operation for call in beliefs.stop]
+    local_s = own_answer_s(config, specs, estimates, operations)
     alone = [operation for operation in operations if not estimates.needs_server(operation)]
     operations = alone or operations  # answers that only servers give hold the drone up no more than others
-    first = {operation: two.first for operation, two in two_answers(config, specs, estimates).items()}
     areas = {} if config.policy.name == "local-only" else server_areas(config)
     known = RowMission(
         plan=plan,
@@ -127,9 +127,7 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         home_s=partial(home_s, config, start=start),
         returns=ending(mission) == "return",
         photo_s=config.camera.photo_s,
-        local_s=sum(estimates.local_s(first.get(operation, operation)) or 0.0 for operation in operations)
-        if alone or not operations
-        else math.inf,
+        local_s=local_s,
         servers={
             name: ServerBelief(
                 area,
@@ -146,6 +144,20 @@ def row_missions(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> list[
         act_within_s=config.policy.acts_within_s,
     )
     return [replace(known, demanding=demanding) for demanding in _demanding(config, plan)]
+
+
+def own_answer_s(
+    config: DroneConfig,
+    specs: Mapping[str, ServiceSpec],
+    estimates: Estimates,
+    operations: Sequence[Operation],
+) -> float:
+    """How long the drone computes for a photo with those calls (s); infinite if only servers answer them."""
+    first = {operation: two.first for operation, two in two_answers(config, specs, estimates).items()}
+    alone = [operation for operation in operations if not estimates.needs_server(operation)]
+    if operations and not alone:
+        return math.inf
+    return sum(estimates.local_s(first.get(operation, operation)) or 0.0 for operation in alone)
 
 
 def _call_s(estimates: Estimates, server: str, operation: Operation) -> float:

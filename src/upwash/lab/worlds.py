@@ -1,7 +1,8 @@
 """Worlds drawn at random, each from one seed: scenarios to compare policies in, as docs/worlds.md states them.
 
-Each subject draws from a stream of its own: a change of one leaves the others as they are. The small worlds of
-`faults/worlds.py`, which test promises, draw with the same functions and aim their faults at moments of a flight.
+There are two families: worlds of any kind, and surveys, whose photos overlap. Each subject of a family draws from a
+stream of its own: a change of one leaves the others as they are. The small worlds of `faults/worlds.py`, which test
+promises, draw with the same functions and aim their faults at moments of a flight.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from upwash.config import Document
 
@@ -19,8 +20,22 @@ MOVING_KINDS = ("off", "stuck", "slow", "flapping")
 SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
 _LASTS_S = (2.0, 12.0, 40.0, 120.0, LONGEST_FAULT_S)
 _STOP_S = 12.0  # about what a waypoint takes: faults begin within a mission
+_SEEN_M = (0.9, 1.2)  # by a photo along the flight and across it, for each metre of altitude
 
 Places = Sequence[tuple[float, float]]
+
+
+class Times(NamedTuple):
+    """Seconds of a photo on a drone's computer and on a server."""
+
+    local_s: float
+    remote_s: float
+
+
+TODAYS = (  # computers with models, as docs/science.md names them
+    Times(0.15, 0.2), Times(0.7, 0.2), Times(0.6, 1.7), Times(4.4, 1.7), Times(4.4, 3.7), Times(8.0, 1.0),
+    Times(33.0, 1.7),
+)  # fmt: skip
 
 
 def stream(name: str, number: int) -> random.Random:
@@ -49,25 +64,32 @@ def spell(chance: random.Random, from_s: float, lasts_s: Sequence[float]) -> dic
     }
 
 
-def draw_world(seed: int) -> Document:
-    """The scenario of the seed, from 1 on, as the tables of a TOML file."""
-    photo_s = between(stream("camera", seed), 0.2, 1.5)
-    mission = _mission(stream("mission", seed), photo_s)
-    service = _service(stream("service", seed))
+def draw_world(seed: int, *, survey: bool = False) -> Document:
+    """The scenario of the seed, from 1 on, as the tables of a TOML file; surveys have seeds of their own."""
+
+    def of(subject: str) -> random.Random:
+        return stream(f"survey {subject}" if survey else subject, seed)
+
+    photo_s = between(of("camera"), 0.2, 1.5)
+    mission = (_survey if survey else _mission)(of("mission"), photo_s)
+    times = _times(of("times")) if survey else None
+    service = _service(of("service"))
+    if times:
+        service["local_call_s"] = _calls_s(times.local_s)
     places = _places(mission)
     return {
         "seed": seed,
         "mission": mission,
-        "vehicle": _vehicle(stream("vehicle", seed)),
+        "vehicle": _vehicle(of("vehicle")),
         "camera": {"photo_s": photo_s},
-        "network": {"radios": 2 if stream("radios", seed).random() < 0.15 else 1},
-        "noise": _noise(stream("noise", seed)),
+        "network": {"radios": 2 if of("radios").random() < 0.15 else 1},
+        "noise": _noise(of("noise")),
         "service": [service],
-        "server": (servers := _servers(stream("servers", seed), places, service)),
-        "fault": _faults(stream("faults", seed), servers, len(places)),
-        **_answers(stream("answers", seed), mission),
-        **_heat(stream("heat", seed)),
-        **_fleet(stream("fleet", seed), mission, service),
+        "server": (servers := _servers(of("servers"), places, service, times)),
+        "fault": _faults(of("faults"), servers, len(places)),
+        **_answers(of("answers"), mission),
+        **_heat(of("heat")),
+        **_fleet(of("fleet"), mission, service),
     }
 
 
@@ -93,6 +115,30 @@ def _mission(chance: random.Random, photo_s: float) -> dict[str, Any]:
     fastest_m_s = math.floor(100 * spacing_m / photo_s) / 100  # of the camera
     speed_m_s = min(mission["ground_speed_m_s"], fastest_m_s)
     return mission | {"photos": {"every_m": spacing_m}, "ground_speed_m_s": speed_m_s}
+
+
+def _survey(chance: random.Random, photo_s: float) -> dict[str, Any]:
+    """Rows whose photos overlap along the flight and across it."""
+    altitude_m = chance.choice((30.0, 40.0, 60.0, 80.0))
+    every_m, apart_m = (round(altitude_m * seen_m * chance.uniform(0.2, 0.4), 1) for seen_m in _SEEN_M)
+    length_m = round(every_m * chance.randint(9, 39), 1)
+    fastest_m_s = math.floor(100 * every_m / photo_s - 1e-6) / 100  # of the camera
+    return {
+        "mode": "heavy",
+        "altitude_m": altitude_m,
+        "ground_speed_m_s": min(between(chance, 3.0, 12.0), fastest_m_s),
+        "photos": {"every_m": every_m},
+        "waypoints_m": [
+            [east_m, round(row * apart_m, 1)]
+            for row in range(chance.randint(4, 16))
+            for east_m in ((0.0, length_m) if row % 2 == 0 else (length_m, 0.0))
+        ],
+    }
+
+
+def _times(chance: random.Random) -> Times:
+    """Those of one of today's computers, or about that."""
+    return Times(*(round(seconds * chance.uniform(0.8, 1.25), 3) for seconds in chance.choice(TODAYS)))
 
 
 def _places(mission: Document) -> Places:
@@ -131,9 +177,15 @@ def _service(chance: random.Random) -> dict[str, Any]:
     }
 
 
-def _servers(chance: random.Random, places: Places, service: Document) -> list[dict[str, Any]]:
+def _calls_s(seconds: float) -> dict[str, float]:
+    return {"light": seconds, "heavy": seconds}
+
+
+def _servers(
+    chance: random.Random, places: Places, service: Document, times: Times | None
+) -> list[dict[str, Any]]:
     count = chance.choices((1, 2, 3, 4, 6, 10), (15, 25, 20, 20, 12, 8))[0]
-    servers = [_server(chance, f"s{number}", places, service) for number in range(1, count + 1)]
+    servers = [_server(chance, f"s{number}", places, service, times) for number in range(1, count + 1)]
     if count > 1 and chance.random() < 0.3:
         for server in servers:
             others = [other["name"] for other in servers if other is not server]
@@ -141,12 +193,16 @@ def _servers(chance: random.Random, places: Places, service: Document) -> list[d
     return servers
 
 
-def _server(chance: random.Random, name: str, places: Places, service: Document) -> dict[str, Any]:
-    range_m = spread(chance, 30.0, 200.0)
+def _server(
+    chance: random.Random, name: str, places: Places, service: Document, times: Times | None
+) -> dict[str, Any]:
+    range_m = spread(chance, 100.0 if times else 30.0, 200.0)
     east_m, north_m = chance.choice(places)
     running_s, start_s = between(chance, 0.5, 6.0), between(chance, 0.0, 15.0)
     share = spread(chance, 0.03, 0.5) if chance.random() < 0.85 else between(chance, 0.5, 1.2)
     believed_s = {key: round(local_s * share, 3) for key, local_s in service["local_call_s"].items()}
+    if times:
+        believed_s = _calls_s(times.remote_s)
     truth: dict[str, Any] = {"slots": chance.choice((1, 2, "auto"))}
     if chance.random() < 0.4:  # it is not as believed
         factor = spread(chance, 0.5, 3.0)

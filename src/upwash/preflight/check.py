@@ -30,12 +30,13 @@ from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
 from upwash.preflight.answers import ServerAnswers, answer_concerns, foretell
+from upwash.preflight.load import Load, load_of
 from upwash.preflight.placement import Placement
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
 from upwash.preflight.speed import SpeedCheck, check_speed
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
 from upwash.preflight.waypoints import Farthest, ServerCoverage, coverage, farthest, uncovered
-from upwash.preflight.worth import Worth, judge, missions_to_judge
+from upwash.preflight.worth import Worth, flown_well, judge, missions_to_judge
 from upwash.support.progress import work
 
 
@@ -56,7 +57,9 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     plan. `demanding_share` is the share of answers that demand an action, if the drone may go on before it has
     them. `speed` is the check of the ground speed, if photos are taken in flight. `worth` is what the servers save a
     drone that is flown well; UNSET without a server, with lighter calls, with deadlines, and with services
-    that only servers run.
+    that only servers run. `load` says whether the drone's own computer keeps up, in the manner that `worth` names for
+    a drone with servers, or else as configured; UNSET without photos that the drone could compute, and for a drone
+    alone that chooses its speed.
     `placement` has places of servers, if asked for. `answers` tells when servers answer the calls of such services,
     and `deadlines` how surely calls with a deadline keep it.
     """
@@ -76,6 +79,7 @@ class MissionCheck(Struct, frozen=True, kw_only=True):
     demanding_share: float | UnsetType = UNSET
     speed: SpeedCheck | UnsetType = UNSET
     worth: Worth | UnsetType = UNSET
+    load: Load | UnsetType = UNSET
     answers: ServerAnswers | UnsetType = UNSET
     deadlines: tuple[str, ...] | UnsetType = UNSET
 
@@ -116,6 +120,7 @@ def check(
         dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown
     )
     answers = foretell(plan.document, plan.config, plan.file)
+    worth = judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
     return MissionCheck(
         config=str(plan.file),
         waypoints=len(places),
@@ -135,8 +140,10 @@ def check(
         notices=tuple(plan_notices(plan.config)),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
         speed=check_speed(config, speed_why) or UNSET,
-        worth=judge(plan.document, plan.config, plan.file, predictions, seeds=seeds, fly=fly, flown=flown)
-        or UNSET,
+        worth=worth or UNSET,
+        load=UNSET
+        if worth is None and speed_why  # of a drone alone, which keeps up with what it chose
+        else load_of(flown_well(plan.document, config, plan.file, worth), specs) or UNSET,
         answers=answers or UNSET,
         deadlines=tuple(map(str, deadlines)) or UNSET,
     )

@@ -17,6 +17,7 @@ from upwash.lab.campaigns.campaign import Fly
 from upwash.lab.figures import FigureFiles
 from upwash.preflight.answers import told_answers
 from upwash.preflight.check import CheckInput, MissionCheck, check, missions_to_fly
+from upwash.preflight.load import told_load
 from upwash.preflight.placement import Placement, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
 from upwash.preflight.speed import told_speed
@@ -110,8 +111,11 @@ def _print(found: MissionCheck, config: DroneConfig, to_place: int, console: Con
 
 def _told(found: MissionCheck, config: DroneConfig) -> Iterator[Iterable[str]]:
     """The lines of each part that was checked."""
-    if found.worth is not UNSET:
-        yield told_worth(found.worth, config)
+    worth = found.worth or None
+    yield (
+        *(told_worth(worth, config) if worth else ()),
+        *([told_load(found.load, worth)] if found.load else ()),
+    )
     if found.deadlines is not UNSET:
         yield found.deadlines
     if found.answers is not UNSET:

@@ -71,6 +71,13 @@ def manners(document: Document, config: DroneConfig, file: Path) -> Iterator[tup
         yield f"on the move: mission.photos.every_m = {grid.spacing_m:g}{name}", moving
 
 
+def flown_well(document: Document, config: DroneConfig, file: Path, worth: Worth | None) -> DroneConfig:
+    """The configuration in its quickest manner with servers; as it is if no manner was judged."""
+    if worth is None or worth.served.case == AS_CONFIGURED:
+        return config
+    return drone_config(dict(manners(document, config, file))[worth.served.case], file)
+
+
 def missions_to_judge(document: Document, config: DroneConfig, file: Path) -> int:
     """How many missions `judge` flies at most, for each seed."""
     if not is_asked(config):

@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from statistics import fmean
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from upwash.config import DroneConfig, NoiseConfig, ServerConfig
+from upwash.config import DroneConfig, NoiseConfig, ServerConfig, photo_legs
 from upwash.config.problems import repeated, unknown
 from upwash.core.policies.names import POLICIES, is_own
 from upwash.errors import UpwashError, UsageError
@@ -46,10 +46,21 @@ class DrawnWorlds(NamedTuple):
 
     name: str
     overrides: Mapping[str, object]
+    survey: bool = False
 
     def flown(self, seed: int) -> DroneConfig:
         """The world of that seed."""
-        return read_scenario(draw_world(seed), overrides=self.overrides)
+        return read_scenario(draw_world(seed, survey=self.survey), overrides=self.overrides)
+
+    def kind(self, seed: int) -> str:
+        """How photos are taken there, and whether the drone alone computes a photo before it takes the next one."""
+        config = self.flown(seed)
+        legs = photo_legs(config.mission)
+        if not legs:
+            return "stops"
+        local_s = config.services[0].local_call_s[config.mission.mode]
+        keeps_up = local_s * legs[0].ground_speed_m_s < legs[0].step_m
+        return "rows, load below 1" if keeps_up else "rows, load from 1"
 
 
 class Entrant(NamedTuple):
@@ -112,7 +123,9 @@ class ComparedPolicy:
 
     `saved_s` is the mean by which a mission is shorter than the first policy's with the same seed, with its own half
     width; None for the first policy, and without two such missions. `saved_shares` are these differences in drawn
-    worlds, ascending, as shares of the first policy's time: a negative one is a loss.
+    worlds, ascending, as shares of the first policy's time: a negative one is a loss. `saved_by_kind` has them apart
+    for worlds with "stops", "rows, load below 1" and "rows, load from 1"; the load is the drone's seconds for a photo
+    by the seconds from one photo to the next.
     """
 
     scenario: str
@@ -131,6 +144,7 @@ class ComparedPolicy:
     saved_s: float | None = None
     saved_half_width_s: float | None = None
     saved_shares: tuple[float, ...] = ()
+    saved_by_kind: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 def compare(
@@ -140,6 +154,7 @@ def compare(
     policies: Sequence[str] | None = None,
     seeds: int = 30,
     worlds: range | None = None,
+    surveys: range | None = None,
     overrides: Mapping[str, object] | None = None,
     workers: int | None = None,
     thesis: bool = False,
@@ -150,7 +165,7 @@ def compare(
     Scenarios are TOML files, or a dict of files or tables by the scenarios' names, with `overrides` as `simulate`
     takes them; without noise all seeds are the same mission, so a scenario without noise gets some. With `thesis` the
     eight cells of the thesis's experiments come first. The drawn `worlds` of these seeds come last, in one row for
-    each policy: each of them is flown once.
+    each policy, and after them the drawn `surveys`: each of them is flown once.
     `progress` is called with the number of missions flown and of all. Work of more than some seconds is spread over
     `workers` processes, one for each core by default. A script calls this under `if __name__ == "__main__":`, or with
     one worker, which is the calling process itself.
@@ -163,8 +178,10 @@ def compare(
     if seeds < 1:
         raise UsageError(f"{seeds} seeds are none: give a number from 1 on")
     cases: list[tuple[NamedScenario | DrawnWorlds, range]] = [(case, range(1, seeds + 1)) for case in named]
-    if worlds:
-        cases.append((DrawnWorlds(f"worlds {worlds[0]}..{worlds[-1]}", overrides or {}), worlds))
+    for kind, drawn in (("worlds", worlds), ("surveys", surveys)):
+        if drawn:
+            name = f"{kind} {drawn[0]}..{drawn[-1]}"
+            cases.append((DrawnWorlds(name, overrides or {}, survey=kind == "surveys"), drawn))
     # What policies have in common is computed once, where one process flies all of them in turn.
     parts = [
         [ComparedFlight(scenario, entrant, seed) for entrant in entrants]
@@ -263,11 +280,12 @@ def _rows(
         outcome.least_s for _, outcome in own if outcome.completed and outcome.least_s is not None
     )
     first_s = _times_s(own, entrants[0])
+    kinds = {seed: scenario.kind(seed) for seed in first_s} if isinstance(scenario, DrawnWorlds) else {}
     for entrant in entrants:
         flown = [outcome for flight, outcome in own if flight.entrant is entrant]
         own_s = _times_s(own, entrant)
         saved = None if entrant is entrants[0] else mean_saving(first_s, own_s)
-        shares = sorted(1 - time_s / first_s[seed] for seed, time_s in own_s.items() if seed in first_s)
+        shares = sorted((1 - time_s / first_s[seed], seed) for seed, time_s in own_s.items() if seed in kinds)
         completed = [outcome for outcome in flown if outcome.completed]
         times_s = [flight.mission_time_s for flight in completed if flight.mission_time_s is not None]
         time_s = _mean(times_s)
@@ -292,7 +310,11 @@ def _rows(
             hidden_s=fmean(flight.totals.hidden_s for flight in completed) if went_on else None,
             saved_s=saved.value if saved else None,
             saved_half_width_s=saved.margin if saved else None,
-            saved_shares=tuple(shares) if saved and isinstance(scenario, DrawnWorlds) else (),
+            saved_shares=tuple(share for share, _ in shares) if saved else (),
+            saved_by_kind={
+                kind: tuple(share for share, seed in shares if kinds[seed] == kind)
+                for kind in sorted(set(kinds.values()) if saved else ())
+            },
         )
 
 
