@@ -14,8 +14,8 @@ from tests.sim.planting import Planting, plant, planted, planting
 from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
-from upwash.core.planning.acts import Acts
 from upwash.core.planning import earliest
+from upwash.core.planning.acts import Acts
 from upwash.core.planning.demand_map import DemandMap
 from upwash.core.selection.call_placement import CallPlacement
 from upwash.core.selection.lanes import Lanes
