@@ -15,7 +15,7 @@ from tests.drone.test_rows import ROWS
 
 from upwash.config import DroneConfig
 from upwash.core.geo import Position, Waypoint
-from upwash.core.planning.acts import Acts
+from upwash.core.planning.acts import Acts, cheapest
 from upwash.core.planning.legs import Pace
 from upwash.drone.late_acts import LateActs, Onwards
 from upwash.eventlog import schema
@@ -103,7 +103,14 @@ def decides(*, spare_s: float | None = None, allowed: bool = True) -> bool:
     async def decided() -> bool:
         acts = Acts[Any](PLAN, ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=home_s)
         late = LateActs(
-            vehicle, journal, plan=PLAN, acts=acts, within_s=math.inf, home_s=home_s, spare_s=lambda: spare_s
+            vehicle,
+            journal,
+            plan=PLAN,
+            acts=acts,
+            when_to_act=cheapest,
+            within_s=math.inf,
+            home_s=home_s,
+            spare_s=lambda: spare_s,
         )
         onwards = Onwards(PLAN[1], PLAN[1].position)
         return await late.puts_off(answer, onwards, lambda *_: allowed)

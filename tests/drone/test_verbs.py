@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from upwash.core.geo import Position, Waypoint
-from upwash.core.planning.acts import Acts
+from upwash.core.planning.acts import Acts, cheapest
 from upwash.core.planning.legs import Pace
 from upwash.core.selection import events
 from upwash.core.vehicle.geofence import Fence, Polygon
@@ -64,6 +64,7 @@ class Field:
                 journal,
                 plan=(),
                 acts=Acts((), ground_speed_m_s=4.0, pace=Pace(), photo_s=0.0, home_s=None),
+                when_to_act=cheapest,
                 within_s=math.inf,
                 home_s=lambda _: 0.0,
                 spare_s=lambda: None,

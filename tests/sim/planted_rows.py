@@ -14,7 +14,7 @@ from tests.sim.planting import Planting, plant, planted, planting
 from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
-from upwash.core.planning import earliest
+from upwash.core.planning import acts, earliest
 from upwash.core.planning.acts import Acts
 from upwash.core.planning.demand_map import DemandMap
 from upwash.core.selection.call_placement import CallPlacement
@@ -136,10 +136,7 @@ def has_no_limit(_left_s: Any, self: LateActs, *_: Any) -> float:
     return math.inf
 
 
-@planted("an act is put off to where it costs more", Acts, "put_off")
-def saves_nothing(put_off: Any, self: Acts[Any], *about: Any, **how: Any) -> Any:
-    with patch("upwash.core.planning.acts._LEAST_GAIN_S", -1e9):
-        return put_off(self, *about, **how)
+plant("an act is put off to where it costs more", acts, "_LEAST_GAIN_S", -1e9)
 
 
 @planted("a photo whose demand was met is taken again", call_promises, "waypoints_done")

@@ -286,6 +286,7 @@ class Flight:
             self._ports.journal,
             plan=self._plan,
             acts=acts,
+            when_to_act=self._offloading.when_to_act,
             within_s=config.policy.acts_within_s,
             home_s=self._home_s,
             spare_s=self._watch.spare_s,

@@ -1,8 +1,8 @@
 """The acts of late answers: done at once, or put off to where they cost least on the rest of the way.
 
-An act is done at once where no gap further on costs less (core/planning/acts.py), and where it could not begin there
-within `policy.act_within_s` of its answer, or with the reserve of the battery. Each waypoint is another occasion:
-what would be late is done then, and what is cheaper now, as beside another act.
+The policy has an act done at once, or in a gap further on; by default where it costs least (core/planning/acts.py).
+There it begins within `policy.act_within_s` of its answer, and before the reserve of the battery is reached. Each
+waypoint is another occasion: what would be late is done then, and what the policy would not put off again.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 from upwash.core.geo import Position, Waypoint
-from upwash.core.planning.acts import Acts, PutOff, Way
+from upwash.core.planning.acts import Acts, LateAct, Way
 from upwash.drone.pending import AnswerAction, Place, position_of
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
@@ -36,7 +36,8 @@ class Onwards(NamedTuple):
 class LateActs:
     """Decides when acts are done, and keeps those that are put off; on the loop.
 
-    An act begins `within_s` of its answer. `home_s` has the seconds from a place to the ground, and `spare_s` those
+    `when_to_act` has the number of the gap to which the policy puts an act off, or None. An act begins `within_s` of
+    its answer. `home_s` has the seconds from a place to the ground, and `spare_s` those
     of flight that the reserve leaves, None if unknown.
     """
 
@@ -47,6 +48,7 @@ class LateActs:
         *,
         plan: Sequence[Waypoint],
         acts: Acts[Answer],
+        when_to_act: Callable[[LateAct], int | None],
         within_s: float,
         home_s: Callable[[Position], float],
         spare_s: Callable[[], float | None],
@@ -56,6 +58,7 @@ class LateActs:
         self._plan = plan
         self._numbers = {waypoint: number for number, waypoint in enumerate(plan)}
         self._acts = acts
+        self._when_to_act = when_to_act
         self._within_s = within_s
         self._home_s = home_s
         self._spare_s = spare_s
@@ -74,32 +77,34 @@ class LateActs:
         return self._acts.all()
 
     async def puts_off(self, answer: Answer, onwards: Onwards, allows: Allows) -> bool:
-        """Put the act off if it costs less further on; return whether it is put off."""
+        """Put the act off if the policy does; return whether it is put off."""
         way, place = self._way(onwards), answer.place
         if way is None or place is None:
             return False
         self._begin_by_s.setdefault(answer, _time_s() + self._within_s)
         within_s = self._left_s(position_of(place), answer)
-        put_off = self._acts.put_off(answer, position_of(place), way, within_s=within_s, allows=allows)
-        if put_off is None:
+        late = self._acts.choice(position_of(place), way, within_s=within_s, allows=allows)
+        if not late.gaps or (chosen := self._when_to_act(late)) is None:
             return False
+        gap = late.gaps[chosen]
+        self._acts.put_off(answer, position_of(place), gap)
         self._journal.record(
             schema.PutOff(
                 waypoint=answer.waypoint,
-                extra_s=round(put_off.extra_s, 1),
-                at_once_s=round(put_off.at_once_s, 1),
-                in_s=round(put_off.in_s, 1),
+                extra_s=round(gap.extra_s, 1),
+                at_once_s=round(late.at_once_s, 1),
+                in_s=round(gap.in_s, 1),
             )
         )
         return True
 
     async def due(self, onwards: Onwards) -> list[Answer]:
-        """Take the acts that would be late further on, and those that cost no more now."""
+        """Take the acts that would be late further on, and those that the policy would not put off again."""
         way = self._way(onwards)
 
-        def is_due(put_off: PutOff[Answer]) -> bool:
-            is_late = put_off.in_s > self._left_s(put_off.place, put_off.act)
-            return is_late or put_off.at_once_s <= put_off.extra_s
+        def is_due(answer: Answer, late: LateAct) -> bool:
+            is_late = late.gaps[0].in_s > self._left_s(late.place, answer)
+            return is_late or self._when_to_act(late) is None
 
         return [] if way is None else self._acts.take(way, is_due)
 

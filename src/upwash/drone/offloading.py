@@ -16,6 +16,7 @@ from typing import Any, Literal, NoReturn, TypeVar
 
 from upwash.core.geo import Circle
 from upwash.core.operation import ON_DRONE, Operation, name_of
+from upwash.core.planning.acts import LateAct
 from upwash.core.planning.answering import ServerBelief
 from upwash.core.planning.backlog import Stay
 from upwash.core.planning.stay_or_go import Outlook
@@ -149,6 +150,10 @@ class Offloading:
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""
         return self._guarded(lambda: self._decisions.selection.policy.where_to_wait(stay))
+
+    def when_to_act(self, act: LateAct) -> int | None:
+        """The number of the gap to which an act is put off; None for at once."""
+        return self._guarded(lambda: self._decisions.selection.policy.when_to_act(act))
 
     def tell(self, event: SelectionEvent) -> None:
         """Pass the event to the core, and carry out its commands."""

@@ -19,6 +19,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar, cast
 
 from upwash.config.drone import PolicyConfig
+from upwash.core.planning.acts import LateAct
 from upwash.core.planning.backlog import Stay
 from upwash.core.planning.earliest import Line, Take
 from upwash.core.policies.names import is_own, make_policy
@@ -163,6 +164,20 @@ class OwnPolicy:
                 "where_to_wait", f"named {server!r:.100}, which is not among the places {places}"
             )
         return cast("str | None", server)
+
+    def when_to_act(self, act: LateAct) -> int | None:
+        """The number of the gap to which an act is put off; None for at once."""
+        match self._answer("when_to_act", act):
+            case None:
+                return None
+            case int() as gap if 0 <= gap < len(act.gaps):
+                return gap
+            case other:
+                gaps = counted(len(act.gaps), "gap")
+                raise self._defect(
+                    "when_to_act",
+                    f"returned {other!r:.200}, and None or the number of one of {gaps} is expected",
+                )
 
     def _answer(self, method: str, about: object) -> Any:
         """The answer of the user's method, or the built-in one where there is no such method."""

@@ -14,6 +14,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
+from msgspec import Struct
+
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.planning.legs import Leg, Pace
 from upwash.core.planning.motion import passes
@@ -35,22 +37,34 @@ class Way(NamedTuple):
     rest: Position | None = None
 
 
-class Gap(NamedTuple):
-    """The gap after a waypoint, `number` in the plan, and the `order` of an act there, which costs `extra_s`."""
+class Gap(Struct, frozen=True):
+    """The gap after the plan's waypoint of that `number`, and the `order` of an act there.
+
+    The act costs `extra_s` there, and begins in `in_s` at the earliest.
+    """
 
     number: int
     order: int
     extra_s: float
-
-
-class PutOff(NamedTuple, Generic[T]):
-    """An act that is put off: what it costs there and at once, and the seconds until it begins, at least."""
-
-    act: T
-    place: Position
-    extra_s: float
-    at_once_s: float
     in_s: float
+
+
+class LateAct(Struct, frozen=True):
+    """An act at a place, what it costs at once, and the gaps further on, the last one before the way home.
+
+    Gaps that cost more for sure are left out, and those that come too late or that a fence forbids.
+    """
+
+    place: Position
+    at_once_s: float
+    gaps: Sequence[Gap]
+
+
+def cheapest(act: LateAct) -> int | None:
+    """The number of the gap, of those given, that costs least; None for at once."""
+    extras_s = [gap.extra_s for gap in act.gaps]
+    least_s = min(extras_s, default=math.inf)
+    return extras_s.index(least_s) if least_s < act.at_once_s - _LEAST_GAIN_S else None
 
 
 class Acts(Generic[T]):
@@ -79,31 +93,27 @@ class Acts(Generic[T]):
         self._gaps: dict[int, list[tuple[Position, T]]] = {}
         self._reached_s = list(self._reaching_s())
 
-    def put_off(
+    def choice(
         self,
-        act: T,
         place: Position,
         way: Way,
         *,
         within_s: float = math.inf,
         allows: Callable[[Position, Position], bool] = lambda *_: True,
-    ) -> PutOff[T] | None:
-        """Put the act off to the gap that costs least; None, and no change, where at once costs no more.
-
-        The act begins there `within_s`, and the straight way there and on is allowed.
-        """
-        at_once_s, first, best = self._at_once_s(place, way), self._first(way), None
-        below_s = at_once_s - _LEAST_GAIN_S
-        for number in range(first, len(self._plan)):
-            if self._least_s(number, place) >= below_s or self._in_s(number, place, way) > within_s:
+    ) -> LateAct:
+        """What an act costs at once, and in the gaps where it begins `within_s` and the straight ways are allowed."""
+        at_once_s, gaps = self._at_once_s(place, way), []
+        for number in range(self._first(way), len(self._plan)):
+            if self._least_s(number, place) >= at_once_s or self._in_s(number, place, way) > within_s:
                 continue
-            gap = self._best_order(number, place)
-            if gap.extra_s < below_s and self._allowed(gap, place, allows):
-                best, below_s = gap, gap.extra_s
-        if best is None:
-            return None
-        self._gaps.setdefault(best.number, []).insert(best.order, (place, act))
-        return PutOff(act, place, best.extra_s, at_once_s, self._in_s(best.number, place, way))
+            gap = self._best_order(number, place, way)
+            if self._allowed(gap, place, allows):
+                gaps.append(gap)
+        return LateAct(place, at_once_s, gaps)
+
+    def put_off(self, act: T, place: Position, gap: Gap) -> None:
+        """Put the act off to that gap."""
+        self._gaps.setdefault(gap.number, []).insert(gap.order, (place, act))
 
     def waits_after(self, number: int) -> bool:
         """Whether an act is put off to the gap after that waypoint."""
@@ -117,8 +127,8 @@ class Acts(Generic[T]):
         """Take all acts, in the order of the way."""
         return [act for number in sorted(self._gaps) for act in self.due_after(number)]
 
-    def take(self, way: Way, wanted: Callable[[PutOff[T]], bool]) -> list[T]:
-        """Take the acts that are wanted now."""
+    def take(self, way: Way, wanted: Callable[[T, LateAct], bool]) -> list[T]:
+        """Take the acts that are wanted now; the gap of each is the only one that is given."""
         taken = []
         for number in sorted(self._gaps):
             for order in reversed(range(len(acts := self._gaps[number]))):
@@ -126,8 +136,8 @@ class Acts(Generic[T]):
                 places = [each for each, _ in acts]
                 extra_s = self._longer_s(number, places)
                 extra_s -= self._longer_s(number, [*places[:order], *places[order + 1 :]])
-                at_once_s, in_s = self._at_once_s(place, way), self._in_s(number, place, way)
-                if wanted(PutOff(act, place, extra_s, at_once_s, in_s)):
+                gap = Gap(number, order, extra_s, self._in_s(number, place, way))
+                if wanted(act, LateAct(place, self._at_once_s(place, way), [gap])):
                     taken.append(act)
                     del acts[order]
             if not acts:
@@ -155,16 +165,15 @@ class Acts(Generic[T]):
         ahead = range(way.target, len(self._plan))
         return next((number for number in ahead if self._plan[number].position == way.end), way.target)
 
-    def _best_order(self, number: int, place: Position) -> Gap:
-        """The place's best order among the acts of a gap."""
+    def _best_order(self, number: int, place: Position, way: Way) -> Gap:
+        """The gap, with the place's best order among the acts there."""
         places = [each for each, _ in self._gaps.get(number, ())]
-        before_s = self._longer_s(number, places)
-        return min(
-            (
-                Gap(number, at, self._longer_s(number, [*places[:at], place, *places[at:]]) - before_s)
-                for at in range(len(places) + 1)
-            ),
-            key=lambda gap: gap.extra_s,
+        ways_s = [
+            self._longer_s(number, [*places[:at], place, *places[at:]]) for at in range(len(places) + 1)
+        ]
+        order = min(range(len(ways_s)), key=ways_s.__getitem__)
+        return Gap(
+            number, order, ways_s[order] - self._longer_s(number, places), self._in_s(number, place, way)
         )
 
     def _longer_s(self, number: int, places: Sequence[Position]) -> float:

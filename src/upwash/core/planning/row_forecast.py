@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from msgspec import Struct
 
 from upwash.core.geo import Circle, Position, Via, Waypoint, distance_m
-from upwash.core.planning.acts import Acts, Way
+from upwash.core.planning.acts import Acts, Way, cheapest
 from upwash.core.planning.answer_stops import AnswerStops
 from upwash.core.planning.answering import Answering, ServerBelief
 from upwash.core.planning.backlog import LEAST_GAIN_S
@@ -247,10 +247,10 @@ class _Flight:
 
     def _leg_end(self, index: int) -> Position | None:
         """The same, or the first spot on the way there where it rests for acts."""
-        end = self._row_end(index)
-        while end is not None and self._mission.plan[index].position != end:
+        plan, end = self._mission.plan, self._row_end(index)
+        while end is not None and index < len(plan) and plan[index].row_end == end:
             if self._acts.waits_after(index):
-                return self._mission.plan[index].position
+                return plan[index].position
             index += 1
         return end
 
@@ -323,9 +323,11 @@ class _Flight:
         """Put off the acts that cost less further on, and take those that cost no more now."""
         for photo in list(self._demanding):
             place = self._mission.plan[photo].position
-            if self._acts.put_off(photo, place, way, within_s=self._mission.act_within_s) is not None:
+            late = self._acts.choice(place, way, within_s=self._mission.act_within_s)
+            if (chosen := cheapest(late)) is not None:
+                self._acts.put_off(photo, place, late.gaps[chosen])
                 self._demanding.remove(photo)
-        self._demanding += self._acts.take(way, lambda put_off: put_off.at_once_s <= put_off.extra_s)
+        self._demanding += self._acts.take(way, lambda _, late: cheapest(late) is None)
 
     def _meet(self, way: Way | None = None) -> Position | None:
         """Fly to the photos with a demand, in their order, and act there; return the last place.

@@ -16,6 +16,7 @@ from msgspec.structs import asdict
 from upwash.core.geo import Measured, Position, Reach
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.core.operation import Operation
+from upwash.core.planning.acts import LateAct, cheapest
 from upwash.core.planning.backlog import Stay, soonest
 from upwash.core.planning.earliest import Line, Take, earliest
 from upwash.core.planning.forecast import Forecast
@@ -200,9 +201,12 @@ class Policy(Protocol):
     def where_to_wait(self, stay: Stay) -> str | None:
         """The server of the range where a resting drone waits for answers; None for where it is."""
 
+    def when_to_act(self, act: LateAct) -> int | None:
+        """The number of the gap, of those given, to which an act is put off; None for at once."""
+
 
 class BuiltInRules:
-    """The built-in rules for calls in line."""
+    """The built-in rules for calls in line, and for acts of answers that come later."""
 
     def place_in_line(self, line: Line) -> Take | None:
         """By earliest completion."""
@@ -211,6 +215,10 @@ class BuiltInRules:
     def where_to_wait(self, stay: Stay) -> str | None:
         """Where the line ends soonest, with the way there and on."""
         return soonest(stay)
+
+    def when_to_act(self, act: LateAct) -> int | None:
+        """Where it makes the way least longer."""
+        return cheapest(act)
 
 
 class Deadline(Struct, frozen=True):
