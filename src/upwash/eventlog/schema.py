@@ -1140,6 +1140,16 @@ class RemoteFailed(Event, frozen=True, kw_only=True):
     why: Text
 
 
+class RemoteQueued(Event, frozen=True, kw_only=True):
+    """The server did not begin a call in `waited_s`, as it has `queue_s` of other calls before it: no failure."""
+
+    server: Text
+    check: Count = 0
+    waited_s: Number
+    queue_s: Number
+    why: Text
+
+
 class LocalReady(Event, frozen=True, kw_only=True):
     """The service is ready on the drone."""
 

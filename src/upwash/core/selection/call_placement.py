@@ -4,6 +4,7 @@ With probing, a server that failed is in doubt until it answers a call in time. 
 drone's own service computes them too. A call that runs on the drone is also sent to a server that becomes READY.
 
 A lane that a call of the drone holds is not free (lanes.py): nothing is raced, overtaken or sent a second time there.
+Calls of other drones that a server has in its queue count as time before a call there, and in the call's deadline.
 A free lane takes the first call in line that it would answer before the other lane (planning/earliest.py).
 
 An operation that only servers run has its place at the server in use, once that is READY, or none yet.
@@ -55,8 +56,7 @@ class CallPlacement:
             return line[taken], "either"
         if not self._lanes.is_free(ON_DRONE):
             return None
-        server_in_s = 0.0 if server is None else self._lanes.rest_s(server.name, now_s)
-        if (taken := first_taken(times, other_in_s=server_in_s, in_ties=True)) is None:
+        if (taken := self._next_on_drone(server, times, now_s)) is None:
             return None
         call, (_, remote_s) = line[taken], times[taken]
         is_for_both = server is not None and self._lanes.is_free(server.name) and self._is_twice(call)
@@ -69,11 +69,22 @@ class CallPlacement:
         """The number of the call in line that the server in use takes; None if it is not free, or takes none."""
         if not self._lanes.is_free(server.name):
             return None
-        at_server = [(remote_s, local_s) for local_s, remote_s in times]
+        queue_s = self._lanes.queue_s(server.name, now_s)
+        at_server = [(queue_s + remote_s, local_s) for local_s, remote_s in times]
         taken = first_taken(at_server, other_in_s=self._lanes.rest_s(ON_DRONE, now_s))
         if taken and self._is_twice(line[taken]):  # the calls before it want a better answer there
             return None
         return taken
+
+    def _next_on_drone(
+        self, server: Server | None, times: Sequence[tuple[float, float]], now_s: float
+    ) -> int | None:
+        """The number of the call in line that the drone takes, which is free; None if the server has all sooner."""
+        if server is None:
+            return first_taken(times, other_in_s=0.0, in_ties=True)
+        wait_s = self._lanes.usual_wait_s(server.name)
+        in_turns = [(local_s, wait_s + remote_s) for local_s, remote_s in times]
+        return first_taken(in_turns, other_in_s=self._lanes.rest_s(server.name, now_s), in_ties=True)
 
     def _is_awaited(self, server: Server, now_s: float) -> bool:
         """Whether the server takes a call of the line."""
@@ -144,9 +155,31 @@ class CallPlacement:
             inputs = structs.replace(inputs, whole_s=None, less_s=None)
         else:
             decision = self._policy.decide(self._call(server, operation, local_s, remote_s, now_s))
-        if first is not None and isinstance(decision, Remote) and self._first_s(first, local_s) < remote_s:
-            decision = replace(decision, raced=True)
+        if isinstance(decision, Remote):
+            if first is not None and self._first_s(first, local_s) < remote_s:
+                decision = replace(decision, raced=True)
+            decision = self._behind_queue(decision, operation, now_s)
         return replace(decision, inputs=inputs), []
+
+    def _behind_queue(self, decision: Remote, operation: Operation, now_s: float) -> Local | Remote:
+        """The decision with a deadline that counts the server's queue; Local if the queue is too long for a call."""
+        server, queue_s = decision.server, self._lanes.queue_s(decision.server, now_s)
+        if self._lanes.has_line:  # it has counted the queue: here nothing else may be sooner
+            return replace(decision, deadline_s=decision.deadline_s + self._wait_s(server, now_s))
+        if queue_s > self.may_queue_s(server, operation, decision.deadline_s, now_s):
+            return Local(f"{server} has {queue_s:.1f} s of calls in its queue")
+        return decision
+
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, now_s: float) -> float:
+        """The seconds within which the server has to begin a call that is sent now, to answer it by its deadline."""
+        remote_s = self._estimates.remote_s(server, operation) or 0.0
+        if not self._lanes.has_line:
+            return max(0.0, deadline_s - remote_s + self._lanes.usual_wait_s(server))
+        return max(0.0, (deadline_s + self._wait_s(server, now_s) - remote_s) / 2)
+
+    def _wait_s(self, server: str, now_s: float) -> float:
+        """The seconds that a call sent now may have to wait for other drones' calls: what is known, or as usual."""
+        return max(self._lanes.queue_s(server, now_s), self._lanes.usual_wait_s(server))
 
     def _at_server(self, operation: Operation, now_s: float) -> Decision:
         """Remote for a call that only servers compute, or why no server takes it now."""
@@ -160,7 +193,8 @@ class CallPlacement:
             return Local(f"{server.name} is not ready", inputs)
         decision = self._policy.decide(self._call(server, operation, alone_s, remote_s, now_s))
         if isinstance(decision, Remote):
-            decision = replace(decision, raced=False)
+            deadline_s = decision.deadline_s + self._wait_s(server.name, now_s)
+            decision = replace(decision, raced=False, deadline_s=deadline_s)
         return replace(decision, inputs=inputs)
 
     def second(self, operation: Operation, beside: str, now_s: float, *, begins: bool) -> Server | None:
@@ -250,6 +284,8 @@ class CallPlacement:
             return None, math.inf
         if not self._lanes.is_free(server.name) or self._is_awaited(server, now_s):
             return None, math.inf
+        if (queue_s := self._lanes.queue_s(server.name, now_s)) > 0:
+            return None, now_s + queue_s
         local_s = self._estimates.local_s(operation)
         usual_s = self._estimates.usual_s(server.name, operation)
         if local_s is None or usual_s is None or usual_s >= began_s + local_s - now_s:
@@ -280,6 +316,7 @@ class CallPlacement:
             begins_s += max(0.0, (self._check_s(server) or 0.0) - (now_s - server.checked_since_s))
         elif self._recovery is not None:
             begins_s = max(now_s, self._recovery.trial_due_s(server.name, operation))
+        begins_s += self._lanes.queue_s(server.name, now_s)
         if begins_s + remote_s > by_s:
             return None, False
         if server.state is not State.READY or begins_s > now_s or not is_next:

@@ -47,6 +47,7 @@ from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.selection.settings import SelectionSettings, TwoAnswers
 
 _READY = frozenset({State.READY})
+_LEAST_QUEUE_S = 1.0  # of a server that did not begin a call
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
 
 
@@ -241,6 +242,10 @@ class Selection:
         self._locate(position, now_s)
         return self._placement.may_send(server, check)
 
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float, *, now_s: float) -> float:
+        """The seconds within which the server has to begin a call that is sent now, to answer it by its deadline."""
+        return self._placement.may_queue_s(server, operation, deadline_s, now_s)
+
     def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
         """What flying on before the open call is over would save and cost; None if nothing is known."""
         self._locate(position, now_s)
@@ -313,14 +318,28 @@ class Selection:
                 self._planning.answered(now_s)
             case events.PartFailed(service):
                 self.estimates.part_failed(service)
-            case events.RemoteCallEnded(name, operation, delay_s, late, less):
-                self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
+            case events.RemoteCallEnded(name, operation, delay_s, late, less, queued_s, queue_s):
+                if (
+                    not self.lanes.has_line
+                ):  # the usual wait counts as part of a call, as the next comes much later
+                    self.lanes.queue(name, waited_s=queued_s, queue_s=0.0, now_s=now_s)
+                    queued_s = 0.0
+                else:
+                    self.lanes.queue(name, waited_s=queued_s, queue_s=queue_s, now_s=now_s)
+                self._learn_remote(name, operation, delay_s - queued_s, now_s, late=late, less=less)
                 if not late and not self.estimates.needs_server(operation):
                     self._planning.answered(now_s)
                 self._planning.changed = True
                 return [] if late else self._radios.prefer(self.servers[name], "it answered first")
             case events.RemoteCallCut(name, operation, waited_s, less):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s, less=less)
+            case events.RemoteCallQueued(name, why, waited_s, queue_s, late):
+                least_s = max(queue_s, _LEAST_QUEUE_S)  # or a server without a queue is asked again and again
+                self.lanes.queue(name, waited_s=waited_s + queue_s, queue_s=least_s, now_s=now_s)
+                if self._recovery is not None:
+                    self._recovery.trial_over(name)
+                if not late:
+                    self._planning.under_way = Local(why)
             case events.RemoteCallFailed(name, check, why, late):
                 self._planning.changed = True
                 if not late:
