@@ -186,15 +186,15 @@ class Model:
             drone.own_until_s = None
         if not drone.sent and self.now_s >= drone.departs_s + CHECK_S:
             self.send(drone)
-        if drone.own_until_s is None and drone.line and self.is_for_drone(drone):
-            drone.line.popleft()
+        if drone.own_until_s is None and (number := self.of_drone(drone)) is not None:
+            del drone.line[number]
             drone.own_until_s = self.now_s + self.field.local_s
         is_open = drone.photos or drone.line or drone.sent or drone.own_until_s is not None
         if not is_open and self.now_s >= drone.flown_s:
             drone.landed_s = self.now_s + LANDING_S
 
     def send(self, drone: Drone) -> None:
-        """Send the first photo that the server answers before the drone gets to it."""
+        """Send the first photo that the server answers before the drone gets to it or is done with it."""
         answered_s = self.now_s + self.queue_s() + self.field.call_s
         own_s = self.now_s if drone.own_until_s is None else drone.own_until_s
         for number in range(len(drone.line)):
@@ -205,27 +205,36 @@ class Model:
                 self.waiting.append(drone)
                 self.answer()
                 return
+        if not drone.line and drone.own_until_s is not None and answered_s < drone.own_until_s:
+            drone.sent, drone.own_until_s = True, answered_s  # a copy of what the drone computes
+            self.waiting.append(drone)
+            self.answer()
 
-    def is_for_drone(self, drone: Drone) -> bool:
-        """Whether the drone answers the first photo before the server, which has its own last one in the queue."""
+    def of_drone(self, drone: Drone) -> int | None:
+        """The number of the first photo that the drone answers before the server, which has one of its photos."""
         if not drone.sent:
-            return True
+            return 0 if drone.line else None
         ends_s = [end_s for end_s, whose in self.computed if whose is drone]
         before = next((number for number, whose in enumerate(self.waiting) if whose is drone), 0)
-        own_end_s = ends_s[0] if ends_s else self.now_s + self.field.call_s * (before + 1) / self.field.lanes
+        at_s = ends_s[0] if ends_s else self.now_s + self.field.call_s * (before + 1) / self.field.lanes
         others_s = self.field.call_s * max(0, len(self.waiting) + len(self.computed) - 1) / self.field.lanes
-        return self.now_s + self.field.local_s <= own_end_s + others_s + self.field.call_s
+        for number in range(len(drone.line)):
+            at_s += others_s + self.field.call_s
+            if self.now_s + self.field.local_s <= at_s:
+                return number
+        return None
 
 
-def fly(flight: tuple[int, int, int | str]) -> tuple[int, float, float, int]:
-    """The drones, the mean seconds of their missions, of the model's, and how often a server was blacklisted."""
+def fly(flight: tuple[int, int, int | str]) -> tuple[int, int, float, float, int]:
+    """The drones, the field, the mean seconds of the missions and of the model's, and the blacklistings."""
     number, drones, slots = flight
     field = drawn(number)
     fleet = simulate_fleet(scenario(field, drones, drones if slots == "all" else slots))
     failed = sum(
         isinstance(event, CallFailedInRange) for flown in fleet.drones.values() for event in flown.events
     )
-    return drones, fleet.mean_s, Model(field, drones).flown_s(), failed
+    assert fleet.mean_s is not None
+    return drones, number, fleet.mean_s, Model(field, drones).flown_s(), failed
 
 
 def main() -> None:
@@ -236,9 +245,9 @@ def main() -> None:
     fields = range(QUICK_FIELDS if options.quick else FIELDS)
     flights = [(field, drones, options.slots) for drones in FLEETS for field in fields]
     with in_processes(fly, flights) as results:
-        flown = list(results)
+        flown = sorted(results)
     for drones in FLEETS:
-        times = [(took_s, model_s, failed) for count, took_s, model_s, failed in flown if count == drones]
+        times = [(took_s, model_s, failed) for count, _, took_s, model_s, failed in flown if count == drones]
         shares = [took_s / model_s for took_s, model_s, _ in times]
         print(
             f"{drones} drones: {times[0][0]:.1f} s, {times[0][1]:.1f} s in the model; {len(shares)} fields: "

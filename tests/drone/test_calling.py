@@ -76,6 +76,9 @@ class Field:
     def remote_s(self, server: str, operation: Operation) -> float | None:
         return None
 
+    def may_queue_s(self, server: str, operation: Operation, deadline_s: float) -> float:
+        return deadline_s
+
     def tell(self, event: object) -> None:
         self.told.append(event)
 
@@ -102,7 +105,7 @@ class Field:
     def deny(self, service: str) -> None:
         self.denied.append(service)
 
-    async def call(self, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+    async def call(self, service: str, method: str, request: bytes, **limits: float) -> bytes:
         return await _given(self.server, self.server_s)
 
     async def _onboard(self, service: str, method: str, request: bytes, **how: Any) -> bytes:

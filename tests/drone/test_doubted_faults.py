@@ -103,9 +103,9 @@ def lying(named: str = "builtins:LookupError") -> Iterator[None]:
     call = ServerSession.call
 
     async def lie(
-        self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
+        self: ServerSession, service: str, method: str, request: bytes, **limits: Any
     ) -> bytes:
-        await call(self, service, method, request, deadline_s=deadline_s)
+        await call(self, service, method, request, **limits)
         return msgspec.msgpack.encode({"fault": {"type": named, "message": "a lie", "args": ["a lie"]}})
 
     with patch.object(ServerSession, "call", lie):
@@ -195,9 +195,9 @@ def test_a_defect_in_deciding_has_nothing_run_again_that_runs_once(tmp_path: Pat
 
 def _slow(call: Any) -> Any:
     async def slow(
-        self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
+        self: ServerSession, service: str, method: str, request: bytes, **limits: Any
     ) -> bytes:
-        reply: bytes = await call(self, service, method, request, deadline_s=deadline_s)
+        reply: bytes = await call(self, service, method, request, **limits)
         await asyncio.sleep(1.5)
         return reply
 

@@ -244,8 +244,11 @@ class Calling:
         attempt = self.attempt(call, decision)
         reply = await self.at_servers(attempt)
         if reply is None and attempt.is_queued:
+            began_s = now_s()
             async with turn.on_drone_instead():
-                return await self._fall_back(call, attempt)
+                queued_s = now_s() - began_s
+                answer = await self._fall_back(call, attempt)
+                return structs.replace(answer, queued_s=answer.queued_s + queued_s)
         return await self._fall_back(call, attempt) if reply is None else CallAnswer(reply, call, attempt)
 
     async def by_server(self, decision: Remote, call: Invocation, *, raised_before: bool) -> CallAnswer | str:
@@ -375,7 +378,12 @@ class Calling:
             attempt.is_queued = True
             self._journal.record(
                 schema.RemoteQueued(
-                    server=server, check=attempt.check, waited_s=waited_s, queue_s=told.queue_s, why=str(told)
+                    waypoint=call.waypoint,
+                    server=server,
+                    check=attempt.check,
+                    waited_s=waited_s,
+                    queue_s=told.queue_s,
+                    why=str(told),
                 )
             )
             self._decisions.tell(

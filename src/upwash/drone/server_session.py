@@ -232,7 +232,13 @@ class ServerSession:
                 self._addresses[service] = address
 
     async def call(
-        self, service: str, method: str, request: bytes, *, deadline_s: float, may_queue_s: float | None = None
+        self,
+        service: str,
+        method: str,
+        request: bytes,
+        *,
+        deadline_s: float,
+        may_queue_s: float | None = None,
     ) -> bytes:
         """Runs one call on the server and returns the encoded reply; raises LinkError.
 

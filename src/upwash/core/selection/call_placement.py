@@ -82,9 +82,10 @@ class CallPlacement:
         """The number of the call in line that the drone takes, which is free; None if the server has all sooner."""
         if server is None:
             return first_taken(times, other_in_s=0.0, in_ties=True)
-        wait_s = self._lanes.usual_wait_s(server.name)
+        lanes, wait_s = self._lanes, self._lanes.usual_wait_s(server.name)
         in_turns = [(local_s, wait_s + remote_s) for local_s, remote_s in times]
-        return first_taken(in_turns, other_in_s=self._lanes.rest_s(server.name, now_s), in_ties=True)
+        free_in_s = max(lanes.rest_s(server.name, now_s), lanes.queue_s(server.name, now_s))
+        return first_taken(in_turns, other_in_s=free_in_s, in_ties=True)
 
     def _is_awaited(self, server: Server, now_s: float) -> bool:
         """Whether the server takes a call of the line."""
@@ -258,6 +259,7 @@ class CallPlacement:
             check_elapsed_s=now_s - server.checked_since_s,
             whole_s=whole_s,
             less_s=less_s,
+            queue_s=self._wait_s(server.name, now_s) or None if self._lanes.has_line else None,
         )
 
     def decide_after_wait(
