@@ -102,9 +102,7 @@ def lying(named: str = "builtins:LookupError") -> Iterator[None]:
     """Every call to a server comes back with that exception."""
     call = ServerSession.call
 
-    async def lie(
-        self: ServerSession, service: str, method: str, request: bytes, **limits: Any
-    ) -> bytes:
+    async def lie(self: ServerSession, service: str, method: str, request: bytes, **limits: Any) -> bytes:
         await call(self, service, method, request, **limits)
         return msgspec.msgpack.encode({"fault": {"type": named, "message": "a lie", "args": ["a lie"]}})
 
@@ -194,9 +192,7 @@ def test_a_defect_in_deciding_has_nothing_run_again_that_runs_once(tmp_path: Pat
 
 
 def _slow(call: Any) -> Any:
-    async def slow(
-        self: ServerSession, service: str, method: str, request: bytes, **limits: Any
-    ) -> bytes:
+    async def slow(self: ServerSession, service: str, method: str, request: bytes, **limits: Any) -> bytes:
         reply: bytes = await call(self, service, method, request, **limits)
         await asyncio.sleep(1.5)
         return reply

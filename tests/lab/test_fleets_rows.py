@@ -13,8 +13,20 @@ from upwash.config import DroneConfig
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate_drones
 
-ROWS_M = [(0.0, 60.0), (90.0, 60.0), (90.0, 45.0), (0.0, 45.0), (0.0, 30.0), (90.0, 30.0), (90.0, 15.0), (0.0, 15.0)]
-BOTH_LANES_S, RIGHT_S = 184.0, 200.0  # at work all the time, and what a known queue makes possible with some room
+ROWS_M = [
+    (0.0, 60.0),
+    (90.0, 60.0),
+    (90.0, 45.0),
+    (0.0, 45.0),
+    (0.0, 30.0),
+    (90.0, 30.0),
+    (90.0, 15.0),
+    (0.0, 15.0),
+]
+BOTH_LANES_S, RIGHT_S = (
+    184.0,
+    200.0,
+)  # at work all the time, and what a known queue makes possible with some room
 
 
 def fleet(

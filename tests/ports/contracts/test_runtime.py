@@ -35,7 +35,6 @@ from upwash.rpc.service import Reply, load_service, may_queue, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.runtime import Computer, ModelRuntime
 
-
 CALL_S = 0.5
 
 
@@ -114,7 +113,6 @@ class Site:
         finally:
             await link.close()
         return method.result(method.decode(reply))
-
 
     async def ask(self, endpoint: str, *, may_queue_s: float | None = None) -> Reply:
         """The reply to a call that may wait in the queue for as long, over a link of its own."""
@@ -340,7 +338,7 @@ async def test_an_instance_tells_its_queue_and_begins_no_call_too_late(slow_site
             await ask(may_queue_s=0.2 * CALL_S)
         assert asyncio.get_running_loop().time() - began_s >= 0.19 * CALL_S
         alone = await first
-        assert (alone.queued_s, alone.queue_s) == (pytest.approx(0.0, abs=0.1), 0.0)
+        assert alone.queued_s < 0.1 and alone.queue_s == 0.0
 
         first, second = asyncio.create_task(ask()), asyncio.create_task(ask(may_queue_s=5.0))
         await asyncio.sleep(0.3 * CALL_S)

@@ -64,9 +64,12 @@ class Lanes:
         ends_s = [until_s for held, until_s in self._held.values() if held == place]
         return max([now_s, *ends_s]) - now_s
 
-    def queue(self, place: str, *, waited_s: float, queue_s: float, now_s: float) -> None:
-        """Note that a call there waited for other drones' calls, and that a new call would have `queue_s` of them."""
+    def waited(self, place: str, waited_s: float) -> None:
+        """Note how long a call there waited for calls of other drones."""
         self._waits_s[place].append(waited_s)
+
+    def queue(self, place: str, queue_s: float, now_s: float) -> None:
+        """Note that a call sent there now would have `queue_s` of other drones' calls before it."""
         self._queue_until_s[place] = now_s + queue_s
 
     def queue_s(self, place: str, now_s: float) -> float:

@@ -47,7 +47,7 @@ from upwash.core.selection.server_planning import ServerPlanning
 from upwash.core.selection.settings import SelectionSettings, TwoAnswers
 
 _READY = frozenset({State.READY})
-_LEAST_QUEUE_S = 1.0  # of a server that did not begin a call
+_LEAST_QUEUE_S = 1.0  # of a server that did not begin a call, which is not asked again at once
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
 
 
@@ -319,14 +319,11 @@ class Selection:
             case events.PartFailed(service):
                 self.estimates.part_failed(service)
             case events.RemoteCallEnded(name, operation, delay_s, late, less, queued_s, queue_s):
-                if (
-                    not self.lanes.has_line
-                ):  # the usual wait counts as part of a call, as the next comes much later
-                    self.lanes.queue(name, waited_s=queued_s, queue_s=0.0, now_s=now_s)
-                    queued_s = 0.0
-                else:
-                    self.lanes.queue(name, waited_s=queued_s, queue_s=queue_s, now_s=now_s)
-                self._learn_remote(name, operation, delay_s - queued_s, now_s, late=late, less=less)
+                self.lanes.waited(name, queued_s)
+                if self.lanes.has_line:  # else the next call comes much later, and has the usual wait too
+                    self.lanes.queue(name, queue_s, now_s)
+                    delay_s -= queued_s
+                self._learn_remote(name, operation, delay_s, now_s, late=late, less=less)
                 if not late and not self.estimates.needs_server(operation):
                     self._planning.answered(now_s)
                 self._planning.changed = True
@@ -334,8 +331,9 @@ class Selection:
             case events.RemoteCallCut(name, operation, waited_s, less):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s, less=less)
             case events.RemoteCallQueued(name, why, waited_s, queue_s, late):
-                least_s = max(queue_s, _LEAST_QUEUE_S)  # or a server without a queue is asked again and again
-                self.lanes.queue(name, waited_s=waited_s + queue_s, queue_s=least_s, now_s=now_s)
+                self.lanes.queue(name, max(queue_s, _LEAST_QUEUE_S), now_s)
+                if self.lanes.has_line:
+                    self.lanes.waited(name, waited_s + queue_s)
                 if self._recovery is not None:
                     self._recovery.trial_over(name)
                 if not late:
