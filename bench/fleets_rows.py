@@ -1,9 +1,10 @@
 """Fleets on rows that share one server, beside a model that knows its queue: `python -m bench.fleets_rows`.
 
 Three, four, six and eight drones fly fields of rows side by side; the first field is the same for all, others are
-drawn. The server computes calls in the order in which they come. Answers have no demands, and calls do not fail. The
-model shares no code with upwash: each drone sees the server's queue, and a free place takes the first photo of the
-line that it answers before the other place gets to it. `--slots auto` has the server measure its slots.
+drawn. The server computes calls in the order of their arrival. Answers have no demands, and calls do not fail.
+
+The model shares no code with upwash. Each of its drones sees the server's queue. A free place takes the first photo of
+the line that it answers before the other place gets to it. `--slots auto` has the server measure its slots.
 """
 
 from __future__ import annotations

@@ -1143,7 +1143,7 @@ class RemoteFailed(Event, frozen=True, kw_only=True):
 
 
 class RemoteQueued(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """The server did not begin a call in `waited_s`, as it has `queue_s` of other calls before it: no failure.
+    """The server did not begin a call in `waited_s`: other calls of `queue_s` come first. The server has not failed.
 
     `waypoint` is where the mission began the call, if several may be open at the same time.
     """

@@ -250,7 +250,7 @@ class ModelInstance:
 
     @contextlib.asynccontextmanager
     async def _lane(self, may_queue_s: float | None) -> AsyncIterator[None]:
-        """Hold a lane, for which a call waits; raises NotBegun after `may_queue_s`."""
+        """Wait for a lane and hold it; raises NotBegun after a wait of `may_queue_s`."""
         try:
             async with asyncio.timeout(may_queue_s if self._lanes.locked() else None):
                 await self._lanes.acquire()

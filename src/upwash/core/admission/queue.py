@@ -1,7 +1,7 @@
 """The calls at one instance: which are computed, which wait, and how many seconds of work a new call has before it.
 
-Calls are begun in the order in which they arrive, as many at a time as the instance has lanes. A call is expected to
-take as long as the latest calls did, and one that has taken longer to take as much longer again.
+Calls begin in the order of their arrival, as many at a time as the instance has lanes. A call is expected to take as
+long as the latest calls did. A call that has taken longer is expected to take as much longer again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _LATEST = 3  # calls whose mean time is expected of the next
 
 
 class CallQueue:
-    """Follows the calls at an instance of so many `lanes`; each call is known by the number that `arrive` gives."""
+    """Follows the calls at an instance that computes `lanes` calls at a time; `arrive` gives each call its number."""
 
     def __init__(self, lanes: int) -> None:
         self._lanes = lanes

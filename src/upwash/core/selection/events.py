@@ -159,7 +159,7 @@ class RemoteCallEnded(SelectionEvent, frozen=True):
 
 
 class RemoteCallQueued(SelectionEvent, frozen=True):
-    """The server did not begin a call in `waited_s`, as it has `queue_s` of other calls before it: no failure."""
+    """The server did not begin a call in `waited_s`: others of `queue_s` come first. The server has not failed."""
 
     server: str
     why: str
