@@ -3,7 +3,7 @@
 Three, four, six and eight drones fly fields of rows side by side; the first field is the same for all, others are
 drawn. The server computes calls in the order of their arrival. Answers have no demands, and calls do not fail.
 
-The model shares no code with upwash. Each of its drones sees the server's queue. A free place takes the first photo of
+The model shares no code with upwash. Its drones see the queue of the server. A free place takes the first photo of
 the line that it answers before the other place gets to it. `--slots auto` has the server measure its slots.
 """
 
