@@ -186,7 +186,7 @@ class ModelInstance:
         may_queue_s = body.may_queue_s if isinstance(body, Request) else None
         with self._queued(may_queue_s) as call:
             whole_s = _now_s()
-            async with self._lane(may_queue_s):
+            async with self._lane(call, may_queue_s):
                 if self._is_hung:
                     await never()
                 self._require_life()
@@ -249,12 +249,13 @@ class ModelInstance:
                 self._idle.set()
 
     @contextlib.asynccontextmanager
-    async def _lane(self, may_queue_s: float | None) -> AsyncIterator[None]:
+    async def _lane(self, call: int, may_queue_s: float | None) -> AsyncIterator[None]:
         """Wait for a lane and hold it; raises NotBegun after a wait of `may_queue_s`."""
         try:
             async with asyncio.timeout(may_queue_s if self._lanes.locked() else None):
                 await self._lanes.acquire()
         except TimeoutError:
+            self._queue.leave(call)
             raise NotBegun(self._queue.ahead_s(now_s=_now_s())) from None
         try:
             yield

@@ -139,22 +139,23 @@ class ServiceInstance:
         try:
             call = self._calls.submit(self._perform, self._methods[path], body, caller, whole_s, number)
             call.add_done_callback(self._report_answer)
+        except RuntimeError:  # no calls are taken any more
+            raise Refused(self._gate.closed) from None
+        try:
             wait([call], caller.may_queue_s)
             if not call.done() and call.cancel():
-                raise NotBegun(self._ahead_s())
+                raise NotBegun(self._behind(number))
             reply, report = call.result()
-        except (
-            RuntimeError,
-            CancelledError,
-        ):  # no calls are taken any more, since before it came or its turn
+        except CancelledError:  # while it waited for its turn
             raise Refused(self._gate.closed) from None
         finally:
-            with self._sharing:
-                self._queue.leave(number)
-        return with_queue(reply, queued_s=report.queued_s, queue_s=self._ahead_s())
+            queue_s = self._behind(number)
+        return with_queue(reply, queued_s=report.queued_s, queue_s=queue_s)
 
-    def _ahead_s(self) -> float:
+    def _behind(self, number: int) -> float:
+        """Let the call leave the queue; return the seconds that a new call has before it."""
         with self._sharing:
+            self._queue.leave(number)
             return self._queue.ahead_s(now_s=time.monotonic())
 
     def _perform(
